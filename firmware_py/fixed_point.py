@@ -1,0 +1,119 @@
+"""The firmware's number formats, and the float view that both fixed-point robots share.
+
+Units: x_hat, x_bar and x 2**-23; b_hat 2**-32; alpha is IEEE 754 binary32 bits on a grid of 2**-24.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from abc import ABC, abstractmethod
+
+from firmware_py.robot import FirmwareError, Status
+
+ONE = 1 << 23
+"""1.0 as x_hat, x_bar or x."""
+HALF = 1 << 22
+B_HAT_MIN, B_HAT_MAX = 1 << 12, (1 << 32) - (1 << 12)
+ALPHA_MAX = 0x4EFFFFFF
+"""Bits of the largest confidence, 2**31 - 2**7."""
+ALPHA_INFINITE = 0x7F800000
+UNITS_PER_ALPHA = 1 << 24
+
+
+def b_hat_to_raw(b_hat: float) -> int:
+    """An accuracy in units of 2**-32, to nearest. Raises FirmwareError outside [2**-20, 1 - 2**-20]."""
+    if not B_HAT_MIN <= b_hat * 2**32 <= B_HAT_MAX:
+        raise FirmwareError(Status.ERR_B_HAT, f"b_hat = {b_hat} is outside [2**-20, 1 - 2**-20]")
+    return round(b_hat * 2**32)
+
+
+def x_hat_to_raw(x_hat: float) -> int:
+    """An estimate in units of 2**-23, rounded down; anything outside [0, 1] gives a value the firmware rejects."""
+    return math.floor(x_hat * ONE) if 0.0 <= x_hat <= 1.0 else 0xFFFFFFFF
+
+
+def alpha_to_bits(alpha: float) -> int:
+    """binary32 bits of the largest such number not above ``alpha``; sign, infinity and NaN are kept."""
+    try:
+        bits: int = struct.unpack("<I", struct.pack("<f", alpha))[0]
+    except OverflowError:  # beyond binary32
+        return ALPHA_INFINITE
+    return bits - 1 if bits < ALPHA_INFINITE and bits_to_alpha(bits) > alpha else bits
+
+
+def bits_to_alpha(bits: int) -> float:
+    """The value of binary32 bits, exactly."""
+    return float(struct.unpack("<f", struct.pack("<I", bits))[0])
+
+
+class FixedPointView(ABC):
+    """Floats in and out of a robot that computes in integers. Every value but ``beta`` is exact."""
+
+    @property
+    @abstractmethod
+    def b_hat_raw(self) -> int:
+        """b_hat in units of 2**-32."""
+
+    @property
+    @abstractmethod
+    def x_hat_raw(self) -> int:
+        """x_hat in units of 2**-23."""
+
+    @property
+    @abstractmethod
+    def alpha_raw(self) -> int:
+        """alpha as binary32 bits."""
+
+    @property
+    @abstractmethod
+    def x_bar_raw(self) -> int:
+        """x_bar in units of 2**-23."""
+
+    @property
+    @abstractmethod
+    def beta_raw(self) -> int:
+        """beta in units of 2**-24."""
+
+    @property
+    @abstractmethod
+    def x_raw(self) -> int:
+        """x in units of 2**-23."""
+
+    @abstractmethod
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """``receive`` with x_hat in units of 2**-23 and alpha as binary32 bits."""
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a neighbour's message; values off the firmware's grids are rounded down."""
+        return self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_to_bits(alpha))
+
+    @property
+    def b_hat(self) -> float:
+        """Assumed accuracy."""
+        return self.b_hat_raw / 2**32
+
+    @property
+    def x_hat(self) -> float:
+        """Local estimate (eq. 3)."""
+        return self.x_hat_raw / ONE
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence (eq. 4)."""
+        return bits_to_alpha(self.alpha_raw)
+
+    @property
+    def x_bar(self) -> float:
+        """Social estimate (eq. 5) of the last closed round."""
+        return self.x_bar_raw / ONE
+
+    @property
+    def beta(self) -> float:
+        """Social confidence (eq. 6) of the last closed round, rounded to float64."""
+        return self.beta_raw / UNITS_PER_ALPHA
+
+    @property
+    def x(self) -> float:
+        """Informed estimate (eq. 7)."""
+        return self.x_raw / ONE

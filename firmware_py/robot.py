@@ -1,0 +1,226 @@
+"""What every robot firmware offers, whichever arithmetic runs inside.
+
+Three firmwares implement :class:`Robot`: the paper's equations in float64 (``reference``), plain
+integers (``mirror``) and the C itself (``native``). A tool written against this module runs on any
+of them. The two fixed-point ones also implement :class:`FixedPointRobot`, whose ``*_raw`` members
+are the firmware's own integers; the step's exact meaning is in ``docs/design.md``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol, runtime_checkable
+
+from firmware_py.table import Table
+
+MAX_ID = 127
+"""Largest robot id; a round therefore holds at most 127 messages."""
+
+DEFAULT_FILTER_PERIOD = 1000
+"""Nominal filtering period tau, ticks."""
+
+DEFAULT_MEMORY = 2**32 - 2
+"""Observations at which t and n are halved; the largest the firmware can count."""
+
+
+class Observation(IntEnum):
+    """Colour of the tile under the robot, or none this tick."""
+
+    WHITE = 0
+    BLACK = 1
+    NONE = 2
+
+
+class Filter(IntEnum):
+    """When the assumed accuracy is re-estimated, every ``filter_period`` ticks."""
+
+    ADAPTIVE = 0
+    """When the hypothesis test (eq. 12) rejects: the paper's ASDF."""
+    ALWAYS = 1
+    """Without a test."""
+    OFF = 2
+    """Never: plain collective perception."""
+
+
+class Status(IntEnum):
+    """What a call reports; the numbers are those of ``mcp_asdf_status_t`` in the C header.
+
+    Zero is "done, nothing to say", positive values say something worth knowing, negative values
+    are errors and mean that nothing but the ``rejected`` counter has changed.
+    """
+
+    OK = 0
+    DUE = 1
+    """observe, step: a broadcast of (x_hat, alpha) is due."""
+    REPEATED = 2
+    """receive: this sender was heard in this round already; the message is ignored."""
+    UPDATED = 3
+    """settle: the assumed accuracy was re-estimated."""
+    ERR_CONFIG = -1
+    ERR_TABLE = -2
+    ERR_ID = -3
+    ERR_B_HAT = -4
+    ERR_OBSERVATION = -5
+    ERR_SENDER = -6
+    ERR_X_HAT = -7
+    ERR_ALPHA = -8
+    ERR_SUMS = -9
+    ERR_IMAGE = -10
+
+
+class FirmwareError(ValueError):
+    """A robot could not be made or restored; ``status`` is the firmware's own error code."""
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(f"{message} ({status.name})")
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings that robots share.
+
+    Attributes:
+        table: Thresholds of the hypothesis test; may be None unless ``filter`` is ADAPTIVE.
+        filter: When the assumed accuracy is re-estimated.
+        comms_period: Ticks between broadcasts, 1 .. 2**32 - 1.
+        filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period``.
+        memory: When t reaches this even number (64 .. 2**32 - 2), t and n are halved.
+    """
+
+    table: Table | None = None
+    filter: Filter = Filter.ADAPTIVE
+    comms_period: int = 1
+    filter_period: int = DEFAULT_FILTER_PERIOD
+    memory: int = DEFAULT_MEMORY
+
+
+@dataclass(frozen=True)
+class Counters:
+    """Diagnostics, each saturating at 65535."""
+
+    accepted: int = 0
+    repeated: int = 0
+    rejected: int = 0
+    tests: int = 0
+    updates: int = 0
+
+
+@dataclass
+class Sums:
+    """Exact sums over a round's messages with alpha > 0 (units: see ``mcp_asdf_sums_t``).
+
+    With every alpha in units of 2**-24 and every x_hat in units of 2**-23: ``alpha`` is the sum of
+    alpha; ``alpha_x_low`` and ``alpha_x_high`` are the sums of (alpha mod 2**32) x_hat and of
+    (alpha div 2**32) x_hat; ``x`` and ``x_squared`` the sums of x_hat and its square; ``count`` is
+    m, the number of messages.
+    """
+
+    alpha: int = 0
+    alpha_x_low: int = 0
+    alpha_x_high: int = 0
+    x_squared: int = 0
+    x: int = 0
+    count: int = 0
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """One robot's MCP-ASDF firmware. Estimates and confidences are floats here.
+
+    Constructors take ``(config, robot_id, b_hat)``: a :class:`Config`, an id in 0..127 and the
+    initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise :class:`FirmwareError`.
+    """
+
+    def observe(self, z: Observation) -> Status:
+        """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast. O(1)."""
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a neighbour's message into the open round. O(1)."""
+
+    def settle(self) -> Status:
+        """Close the round if a broadcast was due, form x, and filter when the time has come. O(1)."""
+
+    def step(self, z: Observation) -> Status:
+        """``observe(z)`` then ``settle()``; returns what ``observe`` returned."""
+
+    @property
+    def t(self) -> int:
+        """Observations counted."""
+
+    @property
+    def n(self) -> int:
+        """Black ones among them."""
+
+    @property
+    def b_hat(self) -> float:
+        """Assumed accuracy."""
+
+    @property
+    def x_hat(self) -> float:
+        """Local estimate (eq. 3), in [0, 1]."""
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence (eq. 4), >= 0."""
+
+    @property
+    def x_bar(self) -> float:
+        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0."""
+
+    @property
+    def beta(self) -> float:
+        """Social confidence (eq. 6) of the last closed round; 0 without neighbours."""
+
+    @property
+    def x(self) -> float:
+        """Informed estimate (eq. 7), in [0, 1]."""
+
+    @property
+    def counters(self) -> Counters:
+        """Diagnostics since the robot was made."""
+
+
+@runtime_checkable
+class FixedPointRobot(Robot, Protocol):
+    """A robot whose arithmetic is the firmware's; raw values are its integers."""
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """``receive`` with x_hat in units of 2**-23 and alpha as IEEE binary32 bits."""
+
+    def add_round(self, sums: Sums, messages: int) -> Status:
+        """Add the exact sums of ``messages`` messages at once to the open round."""
+
+    def save(self) -> bytes:
+        """The state as an image that ``restore`` takes back."""
+
+    def state(self) -> dict[str, int]:
+        """Every field of the state by name, for comparing two firmwares bit for bit."""
+
+    def holds_invariants(self) -> bool:
+        """Whether the state could have come from calls of this interface alone. O(1)."""
+
+    @property
+    def b_hat_raw(self) -> int:
+        """b_hat in units of 2**-32."""
+
+    @property
+    def x_hat_raw(self) -> int:
+        """x_hat in units of 2**-23."""
+
+    @property
+    def alpha_raw(self) -> int:
+        """alpha as IEEE binary32 bits."""
+
+    @property
+    def x_bar_raw(self) -> int:
+        """x_bar in units of 2**-23."""
+
+    @property
+    def beta_raw(self) -> int:
+        """beta in units of 2**-24."""
+
+    @property
+    def x_raw(self) -> int:
+        """x in units of 2**-23."""

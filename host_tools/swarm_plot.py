@@ -1,0 +1,126 @@
+"""The picture of a swarm's run: b_hat, x_hat and x of every robot over time."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from host_tools.errors import UsageError
+from host_tools.files import write_atomically
+from host_tools.swarm import Deployment
+from host_tools.swarm_run import Run
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+# Colours that stay apart for the colour-blind.
+_FLAWED, _OTHER, _TRUTH = "#d55e00", "#0072b2", "#222222"
+
+_PANELS = (
+    ("b_hat", r"assumed accuracy $\hat{b}$", "b"),
+    ("x_hat", r"local estimate $\hat{x}$", "f"),
+    ("x", r"informed estimate $x$", "f"),
+)
+
+
+def check_plot_path(path: Path) -> Path:
+    """Return ``path``. Raises UsageError if no plot can be written there."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(SUFFIXES)}")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"cannot plot to {path}: its folder does not exist; make it first")
+    return path
+
+
+def save_plot(run: Run, path: Path) -> None:
+    """Draw ``run`` into ``path`` (format by suffix). Raises UsageError if it cannot be written."""
+    image = io.BytesIO()
+    kind = check_plot_path(path).suffix.lower()[1:]
+    # Without a date and with fixed names inside, equal runs give equal files.
+    stamp = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    with rc_context({"svg.hashsalt": "mcp-asdf"}):
+        draw(run).savefig(image, format=kind, dpi=150, metadata=stamp)
+    write_atomically(path, image.getvalue())
+
+
+def draw(run: Run) -> Figure:
+    """Return a figure of three panels that share the time axis."""
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (quantity, label, name) in zip(figure.subplots(3, 1, sharex=True), _PANELS, strict=True):
+        truth = run.settings.fill_ratio if name == "f" else run.settings.true_accuracy
+        _draw_lines(axes, run, quantity)
+        _finish(axes, label, name, truth, run.history.values(quantity))
+    top, *_, bottom = figure.axes
+    bottom.set_xlabel("tick")
+    bottom.set_xlim(0, max(1, int(run.history.ticks[-1])))
+    top.set_title(_title(run), loc="left", fontsize=11)
+    figure.legend(handles=_legend(run), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _draw_lines(axes: Axes, run: Run, quantity: str) -> None:
+    """Draw one line per robot, the flawed ones on top."""
+    ticks, values = run.history.ticks, run.history.values(quantity)
+    for node in sorted(run.nodes, key=lambda each: each.is_flawed):
+        axes.plot(
+            ticks,
+            values[:, node.id],
+            color=_FLAWED if node.is_flawed else _OTHER,
+            linewidth=1.2,
+            alpha=0.75,
+            # b_hat jumps at updates and stands still between them.
+            drawstyle="steps-post" if quantity == "b_hat" else "default",
+        )
+
+
+def _finish(axes: Axes, label: str, name: str, truth: float, values: NDArray[np.float64]) -> None:
+    """Mark the true value and set the axes up."""
+    axes.axhline(truth, color=_TRUTH, linewidth=1.2, linestyle=(0, (5, 3)))
+    axes.annotate(
+        f"{name} = {truth:g}",
+        (1, truth),
+        xycoords=("axes fraction", "data"),
+        xytext=(5, 0),
+        textcoords="offset points",
+        va="center",
+    )
+    axes.set_ylabel(label)
+    axes.set_ylim(*_limits(values, truth))
+    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _limits(values: NDArray[np.float64], truth: float) -> tuple[float, float]:
+    """Room for all but the first moments, when estimates still jump between 0 and 1."""
+    settled = values[len(values) // 50 :]
+    low, high = min(truth, settled.min()), max(truth, settled.max())
+    margin = max(0.05 * (high - low), 0.01)
+    return low - margin, high + margin
+
+
+def _title(run: Run) -> str:
+    settings = run.settings
+    deployment = {Deployment.PLUS: "ASDF+", Deployment.MINUS: "ASDF-", Deployment.OFF: "no filter"}
+    return (
+        f"{settings.robots} robots, {settings.flawed_robots} flawed, {deployment[settings.filter]}, "
+        rf"$\tau$ = {settings.filter_period}, fully connected, seed {settings.seed}"
+    )
+
+
+def _legend(run: Run) -> list[Line2D]:
+    flawed = {node.is_flawed for node in run.nodes}
+    lines = [Line2D([], [], color=_TRUTH, linestyle="--", label="true value")]
+    if False in flawed:
+        lines.insert(0, Line2D([], [], color=_OTHER, label="other robots"))
+    if True in flawed:
+        lines.insert(0, Line2D([], [], color=_FLAWED, label="flawed robots"))
+    return lines

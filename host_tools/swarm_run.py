@@ -1,0 +1,152 @@
+"""One run of a swarm from start to end: what it did over time, and what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from statistics import fmean
+from typing import Any
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from host_tools.swarm import Node, Settings, Swarm, SwarmError
+
+QUANTITIES = ("b_hat", "x_hat", "x")
+"""What a history holds of each robot."""
+
+MAX_SAMPLES = 2000
+"""About as many as a picture can show."""
+
+Hook = Callable[[Swarm], None]
+"""Called after every tick."""
+
+
+class History:
+    """Every robot's b_hat, x_hat and x over time, thinned so that memory does not grow with the run."""
+
+    def __init__(self, ticks: int) -> None:
+        """Prepare for a run of ``ticks``."""
+        self._stride = -(-ticks // MAX_SAMPLES)
+        self._ticks: list[int] = []
+        self._rows: list[list[list[float]]] = []
+
+    def sample(self, swarm: Swarm) -> None:
+        """Remember the present state if it is this tick's turn."""
+        if swarm.ticks % self._stride == 0:
+            self.add(swarm)
+
+    def add(self, swarm: Swarm) -> None:
+        """Remember the present state, once."""
+        if self._ticks[-1:] != [swarm.ticks]:
+            self._ticks.append(swarm.ticks)
+            self._rows.append([[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES])
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Ticks done at each sample, rising from 0."""
+        return np.array(self._ticks, dtype=np.int64)
+
+    def values(self, quantity: str) -> NDArray[np.float64]:
+        """One of QUANTITIES, of shape (samples, robots)."""
+        index = QUANTITIES.index(quantity)
+        return np.array([row[index] for row in self._rows], dtype=np.float64)
+
+
+@dataclass
+class Run:
+    """A run, finished or not.
+
+    Attributes:
+        settings: What was run.
+        nodes: The robots in their last state.
+        history: The way there.
+        results: What came out, as plain values for JSON.
+        interrupted: Whether Ctrl-C ended it.
+        failure: Why the bus ended it, None if it did not.
+    """
+
+    settings: Settings
+    nodes: Sequence[Node]
+    history: History
+    results: dict[str, Any] = field(default_factory=dict)
+    interrupted: bool = False
+    failure: str | None = None
+
+    def report(self, bus: dict[str, Any]) -> dict[str, Any]:
+        """Everything needed to repeat the run, and its results, as plain values; equal for equal runs."""
+        return {
+            "parameters": self.settings.parameters(),
+            "bus": bus,
+            "versions": _versions(),
+            "interrupted": self.interrupted,
+            "failure": self.failure,
+            "results": self.results,
+        }
+
+
+def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
+    """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
+
+    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; what was done counts.
+    """
+    history = History(swarm.settings.ticks)
+    history.add(swarm)
+    outcome = Run(swarm.settings, swarm.nodes, history)
+    try:
+        while swarm.ticks < swarm.settings.ticks:
+            swarm.tick()
+            history.sample(swarm)
+            for hook in hooks:
+                hook(swarm)
+    except KeyboardInterrupt:
+        outcome.interrupted = True
+    except (SwarmError, can.CanError) as error:
+        outcome.failure = f"tick {swarm.ticks + 1}: {error}"
+    history.add(swarm)
+    outcome.results = _results(swarm, history)
+    return outcome
+
+
+def _results(swarm: Swarm, history: History) -> dict[str, Any]:
+    x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
+    counters = [node.robot.counters for node in swarm.nodes]
+    return {
+        "ticks": swarm.ticks,
+        "mean_x": fmean(x),
+        "mean_error": fmean(np.abs(x - swarm.world.fill_ratio)),
+        "spread_x": float(np.ptp(x)),
+        "spread_x_hat": float(np.ptp(x_hat)),
+        "tests": sum(each.tests for each in counters),
+        "updates": sum(each.updates for each in counters),
+        "b_hat": {
+            "flawed": _before_and_after(history, [node.id for node in swarm.nodes if node.is_flawed]),
+            "other": _before_and_after(history, [node.id for node in swarm.nodes if not node.is_flawed]),
+        },
+        "frames": swarm.traffic.figures(),
+    }
+
+
+def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any] | None:
+    """Mean b_hat of ``robots`` at the start and at the end; None if there are none."""
+    if not robots:
+        return None
+    chosen = history.values("b_hat")[:, robots]
+    after = chosen[-1]
+    return {
+        "robots": len(robots),
+        "before": fmean(chosen[0]),
+        "after": fmean(after),
+        "after_least": float(after.min()),
+        "after_most": float(after.max()),
+    }
+
+
+def _versions() -> dict[str, str]:
+    try:
+        own = metadata.version("mcp-asdf")
+    except metadata.PackageNotFoundError:
+        own = "not installed"
+    return {"mcp-asdf": own, "python-can": can.__version__, "numpy": np.__version__}

@@ -1,0 +1,196 @@
+"""The command line's frame: overview, errors, exit codes, lazy imports, atomic files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from host_tools import cli, files
+from host_tools.errors import UsageError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def python(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
+    """Run the interpreter with the project importable and its output buffered, whatever the caller set."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=environment,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+
+
+def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException) -> None:
+    """Make ``mcp-asdf table`` return ``outcome`` or raise it."""
+
+    def run(args: argparse.Namespace) -> int:
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
+
+    command = SimpleNamespace(HELP="", EPILOG="", add_arguments=lambda parser: None, run=run)
+    monkeypatch.setattr(cli, "_load", lambda name: command)
+
+
+def test_no_arguments_show_the_overview_and_fail(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    for name in cli.COMMANDS:
+        assert f"\n    {name} " in err
+
+
+def test_help_is_not_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    assert cli._load("table").HELP in capsys.readouterr().out
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("mcp-asdf ")
+
+
+def test_version_of_a_source_tree_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "PROGRAM", "no-such-distribution")
+    assert cli._version() == "(not installed)"
+
+
+def test_unknown_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["tabel"]) == 2
+    assert "'tabel'" in capsys.readouterr().err
+
+
+def test_unknown_option_is_told_by_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["table", "--output", ".", "--omga", "0.1"]) == 2
+    err = capsys.readouterr().err
+    assert "mcp-asdf table: error: " in err
+    assert "--omga" in err
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_the_commands_exit_code_is_the_programs(monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    fake_command(monkeypatch, code)
+    assert cli.main(["table"]) == code
+
+
+def test_usage_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    fake_command(monkeypatch, UsageError("the value is 7; give 6"))
+    assert cli.main(["table"]) == 2
+    assert capsys.readouterr().err == "mcp-asdf table: error: the value is 7; give 6\n"
+
+
+def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    fake_command(monkeypatch, KeyboardInterrupt())
+    assert cli.main(["table"]) == 130
+    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
+
+
+def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_command(monkeypatch, ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["table"])
+
+
+def test_a_reader_that_leaves_ends_the_program_quietly() -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    check = ["-m", "host_tools.cli", "table", "--check", "tables/t_table_omega05_q30.c"]
+    result = python(*check, stdout=write_end)
+    os.close(write_end)
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+def test_a_command_leaves_the_others_libraries_unloaded() -> None:
+    script = (
+        "import sys; from host_tools.cli import main\n"
+        "assert main(['table', '--check', 'tables/t_table_omega05_q30.c']) == 0\n"
+        "print([name for name in ('can', 'matplotlib', 'rich', 'scipy') if name in sys.modules])"
+    )
+    result = python("-c", script)
+    assert result.stdout.splitlines()[-1:] == ["[]"], result.stderr
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([name, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "--json" in out
+    assert f"\n  mcp-asdf {name} " in out, "no example"
+    assert "\n" not in cli._load(name).HELP
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_example_is_accepted(name: str) -> None:
+    command = cli._load(name)
+    parser = cli._parser_for(command, f"mcp-asdf {name}")
+    examples = [line for line in command.EPILOG.splitlines() if line.startswith("  mcp-asdf")]
+    assert examples
+    for line in examples:
+        parser.parse_args(shlex.split(line, comments=True)[2:])
+
+
+@pytest.mark.parametrize("data", ["k_m ≥ 1\n", b"\x00\xff"])
+def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | bytes) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"something much longer than what comes next")
+    files.write_atomically(path, data)
+    assert path.read_bytes() == (data.encode() if isinstance(data, str) else data)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    (tmp_path / "usual").touch()
+    files.write_atomically(tmp_path / "file", "x")
+    assert (tmp_path / "file").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_a_link_to_a_file_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    files.write_atomically(tmp_path / "link", "x")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "file").read_text() == "x"
+
+
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException
+) -> None:
+    path = tmp_path / "file"
+    path.write_text("old")
+
+    def replace(source: Path, target: Path) -> None:
+        assert source.parent == target.parent
+        raise failure
+
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(UsageError if isinstance(failure, OSError) else KeyboardInterrupt):
+        files.write_atomically(path, "new")
+    assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("file", "old")]
+
+
+def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe", tmp_path / "file" / "below", tmp_path / "missing" / "file"):
+        with pytest.raises(UsageError, match="cannot write") as caught:
+            files.write_atomically(path, "x")
+        assert str(path) in str(caught.value)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "pipe"]
+
+
+def test_json_is_an_option_of_every_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["table", "--output", str(tmp_path), "--neighbours", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["q"] == 2
