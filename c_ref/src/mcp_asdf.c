@@ -23,6 +23,13 @@
 #endif
 #endif
 
+/* The few functions on the way of every tick are worth repeating, unless size counts. */
+#if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
+#define HOT static inline __attribute__((always_inline))
+#else
+#define HOT static
+#endif
+
 #define TABLE_MAGIC UINT32_C(0x4D435054)
 #define TABLE_VERSION UINT32_C(1)
 #define TABLE_HEADER 4
@@ -46,7 +53,7 @@ static inline uint32_t high_word(uint64_t value) { return (uint32_t)(value >> 32
 static inline uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
 #if MCP_ASDF_SPLIT_MULTIPLY
-static inline uint64_t multiply(uint32_t a, uint32_t b)
+HOT uint64_t multiply(uint32_t a, uint32_t b)
 {
     const uint32_t a0 = a & 0xFFFF, a1 = a >> 16, b0 = b & 0xFFFF, b1 = b >> 16;
     const uint32_t low = a0 * b0;                            /* (2^16 - 1)^2 < 2^32, as are the others */
@@ -56,10 +63,10 @@ static inline uint64_t multiply(uint32_t a, uint32_t b)
     return join(high, middle2 << 16 | (low & 0xFFFF));
 }
 #else
-static inline uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
+HOT uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
 #endif
 
-static inline uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
+HOT uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
 
 /* Leading zeros of value > 0: [0, 31]. */
 #if defined(__GNUC__) && (defined(__ARM_FEATURE_CLZ) || defined(__x86_64__) || defined(__i386__))
@@ -68,11 +75,17 @@ static inline uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builti
 static uint32_t leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
-    for (uint32_t step = 16; step >= 4; step >>= 1) {
-        if (value >> (32 - step) == 0) {
-            value <<= step;
-            zeros += step;
-        }
+    if (value >> 16 == 0) {
+        value <<= 16;
+        zeros = 16;
+    }
+    if (value >> 24 == 0) {
+        value <<= 8;
+        zeros += 8;
+    }
+    if (value >> 28 == 0) {
+        value <<= 4;
+        zeros += 4;
     }
     return zeros + (UINT32_C(0x55AC) >> (value >> 28 << 1) & 3); /* two bits for each value of the first four */
 }
@@ -130,7 +143,7 @@ static inline uint32_t digit(uint32_t remainder, uint32_t prepared, uint32_t bit
 #endif
 
 /* floor(a 2^32 / d) for a < d. */
-static inline uint32_t divide(uint32_t a, uint32_t d)
+HOT uint32_t divide(uint32_t a, uint32_t d)
 {
     const uint32_t prepared = prepare(d);
     const uint32_t first = digit(a, prepared, 11);
@@ -143,7 +156,7 @@ static inline uint32_t divide(uint32_t a, uint32_t d)
 }
 
 /* floor(a 2^24 / d) for a < 2 d: the same with two digits. */
-static inline uint32_t divide_24(uint32_t a, uint32_t d)
+HOT uint32_t divide_24(uint32_t a, uint32_t d)
 {
     const uint32_t prepared = prepare(d);
     const uint32_t first = digit(a, prepared, 12);
@@ -173,7 +186,7 @@ static inline uint32_t quotient(uint64_t whole, uint32_t fraction, uint64_t divi
 
 /* Bits of the largest alpha on the grid not above mantissa 2^exponent units; mantissa in [2^22, 2^25),
  * exponent >= -22. */
-static inline uint32_t alpha_bits(uint32_t mantissa, int32_t exponent)
+HOT uint32_t alpha_bits(uint32_t mantissa, int32_t exponent)
 {
     if (mantissa < ALPHA_IMPLICIT) {
         mantissa <<= 1;
@@ -213,7 +226,7 @@ static inline uint32_t units_below_half(uint32_t alpha)
     return lost > 23 ? 0 : alpha_mantissa(alpha) >> lost;
 }
 
-static inline void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
+HOT void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
 {
     sums->alpha += join(high, low);              /* + 2^55 */
     sums->alpha_x_low += multiply(low, x_hat);   /* + 2^55 */
@@ -223,7 +236,7 @@ static inline void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low
     ++sums->count;
 }
 
-static bool add_off_grid(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
+HOT bool add_off_grid(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 {
     const uint32_t exponent = alpha >> 23;
     if (exponent > ALPHA_UNIT_EXPONENT) { /* above the largest: cut to it */
@@ -265,11 +278,11 @@ static mcp_asdf_accuracy_t accuracy_of(uint32_t b_hat)
 {
     const uint32_t c = b_hat >> 31 == 0 ? b_hat : 0 - b_hat; /* [2^12, 2^31] */
     const uint32_t g = 0 - 2 * c;                            /* 2^32 - 2c: [0, 2^32 - 2^13] */
-    mcp_asdf_accuracy_t accuracy = {c, 0, 0, 0, 0, MCP_ASDF_UNINFORMATIVE, 0, 0, 0, 0, b_hat >> 31 == 0};
+    mcp_asdf_accuracy_t accuracy = {b_hat >> 31 == 0, MCP_ASDF_UNINFORMATIVE, 0, 0, 0, 0, UINT32_MAX, 0, 0, 0, 0};
     if (g < INFORMATIVE_G) {
-        accuracy.c = UINT32_MAX;
         return accuracy;
     }
+    accuracy.c = c;
     const uint32_t g_shift = leading_zeros(g); /* [0, 11] */
     const uint32_t mantissa = g << g_shift;
     accuracy.g_shift = (uint8_t)g_shift;
@@ -303,7 +316,7 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 /* Confidence at the ends of the scale (eq. 4, first two cases), as
  * (g / (1 - c))^2 (rest + ((1 - c) / c)^2 part): returns its mantissa and adds to its exponent.
  * part <= total c < 2^31 c and c <= 2^(-16) where odds_left > 0, so part 2^odds_left < 2^31. */
-static inline uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t part, uint32_t rest, int32_t *exponent)
+HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t part, uint32_t rest, int32_t *exponent)
 {
     const uint64_t sum = (multiply(part << accuracy->odds_left, accuracy->odds) >> accuracy->odds_right) + rest;
     const uint32_t high = high_word(sum), low = low_word(sum); /* < 2^52; rest >= 2^29 */
@@ -314,7 +327,7 @@ static inline uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, ui
 }
 
 /* Confidence inside (eq. 4, last case), g^2 total / (nu (1 - nu)), nu in (0, 1/2] as Q32. */
-static inline uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu, uint32_t total, int32_t *exponent)
+HOT uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu, uint32_t total, int32_t *exponent)
 {
     const uint32_t spread = multiply_high(nu, 0 - nu);                 /* Q32, [2^11, 2^30] */
     const uint32_t shift = leading_zeros(spread) - 1;                  /* [0, 19] */
@@ -325,7 +338,7 @@ static inline uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, ui
 
 /* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat: only
  * the rarer colour is looked at, under the accuracy above 1/2. */
-static inline void estimate(mcp_asdf_t *robot)
+HOT void estimate(mcp_asdf_t *robot)
 {
     const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     const uint32_t blacks = robot->n, whites = robot->t - robot->n;
@@ -352,7 +365,7 @@ static inline void estimate(mcp_asdf_t *robot)
     robot->alpha = alpha_bits(mantissa, exponent);
 }
 
-mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
+HOT mcp_asdf_status_t observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     const uint32_t black = (uint32_t)z;
     if (black > MCP_ASDF_NONE) {
@@ -373,6 +386,8 @@ mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
     return robot->comms_left == 0 ? MCP_ASDF_DUE : MCP_ASDF_OK;
 }
 
+mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z) { return observe(robot, z); }
+
 /* ---- Receive ----------------------------------------------------------------------------------------- */
 
 static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
@@ -386,7 +401,7 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
     return alpha >= ALPHA_INFINITE ? MCP_ASDF_ERR_ALPHA : MCP_ASDF_OK; /* sign bit, infinity, not a number */
 }
 
-static mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
+HOT mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     if (!add_off_grid(&robot->open, x_hat, alpha)) {
         ++robot->silent; /* <= 127, as there are no more senders */
@@ -540,7 +555,7 @@ static bool filter(mcp_asdf_t *robot)
     return true;
 }
 
-static inline bool close_round(mcp_asdf_t *robot)
+HOT bool close_round(mcp_asdf_t *robot)
 {
     bool updated = false;
     mcp_asdf_sums_t *const open = &robot->open;
@@ -568,18 +583,20 @@ static inline bool close_round(mcp_asdf_t *robot)
     return updated;
 }
 
-mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
+HOT mcp_asdf_status_t settle(mcp_asdf_t *robot)
 {
     robot->settled_x_hat = robot->x_hat;
     robot->settled_alpha = robot->alpha;
     return robot->comms_left == 0 && close_round(robot) ? MCP_ASDF_UPDATED : MCP_ASDF_OK;
 }
 
+mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot) { return settle(robot); }
+
 mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
-    const mcp_asdf_status_t status = mcp_asdf_observe(robot, z);
+    const mcp_asdf_status_t status = observe(robot, z);
     if (status >= MCP_ASDF_OK) {
-        (void)mcp_asdf_settle(robot);
+        (void)settle(robot);
     }
     return status;
 }

@@ -144,42 +144,43 @@ typedef struct {
 /* What depends on b_hat alone, formed when b_hat changes. With c = min(b_hat, 1 - b_hat) and g = 1 - 2c,
  * each member is a mantissa with a binary exponent; a shift is its exponent's size. */
 typedef struct {
+    uint8_t inverted;        /* 1 if b_hat < 1/2 */
+    uint8_t g_shift;         /* 0 .. 11, or MCP_ASDF_UNINFORMATIVE */
+    uint8_t g_squared_shift; /* 0 .. 23 */
+    uint8_t edge_shift;      /* 0 .. 22 */
+    uint8_t odds_left;       /* 0 .. 8 */
+    uint8_t odds_right;      /* 0 .. 31; one of the two is 0 */
     uint32_t c;              /* unit 2^-32; 2^32 - 1 where b_hat says nothing, |2 b_hat - 1| < 2^-12 */
     uint32_t inverse_g;      /* 1 / g = inverse_g 2^(g_shift - 30), rounded up */
     uint32_t g_squared;      /* g^2 = g_squared 2^(-32 - g_squared_shift) */
     uint32_t edge;           /* (g / (1 - c))^2 = edge 2^(-32 - edge_shift) */
     uint32_t odds;           /* ((1 - c) / c)^2 = odds 2^(odds_left - odds_right) */
-    uint8_t g_shift;         /* 0 .. 11, or MCP_ASDF_UNINFORMATIVE */
-    uint8_t g_squared_shift; /* 0 .. 23 */
-    uint8_t edge_shift;      /* 0 .. 22 */
-    uint8_t odds_left;       /* 0 .. 9 */
-    uint8_t odds_right;      /* 0 .. 31; one of the two is 0 */
-    uint8_t inverted;        /* 1 if b_hat < 1/2 */
 } mcp_asdf_accuracy_t;
 
 #define MCP_ASDF_UNINFORMATIVE 255
 
-/* A robot. Its members are the state; read them through the functions below. */
+/* A robot. Its members are the state; read them through the functions below. The order keeps what a tick
+ * touches within reach of short load and store instructions. */
 typedef struct {
     const mcp_asdf_config_t *config;
+    uint8_t id;
+    uint8_t silent;               /* messages of the open round with alpha = 0 */
+    mcp_asdf_counters_t counters; /* accepted: without the open round */
+    mcp_asdf_accuracy_t accuracy;
     uint32_t t;
     uint32_t n;
     uint32_t b_hat;
-    mcp_asdf_accuracy_t accuracy;
-    uint32_t x_hat; /* of the last observation */
+    uint32_t comms_left;  /* ticks until a broadcast is due; 0 from then until settle */
+    uint32_t filter_left; /* ticks until the filter runs, counted at the ends of rounds */
+    uint32_t x_hat;       /* of the last observation */
     uint32_t alpha;
     uint32_t settled_x_hat; /* the same as the last settle found them: x is formed from these */
     uint32_t settled_alpha;
-    uint64_t closed_alpha; /* sums of the last closed round */
+    uint32_t heard[4];      /* senders of the open round, bit (id mod 32) of word (id div 32) */
+    mcp_asdf_sums_t open;   /* the open round */
+    uint64_t closed_alpha;  /* sums of the last closed round */
     uint64_t closed_alpha_x_low;
     uint64_t closed_alpha_x_high;
-    mcp_asdf_sums_t open;         /* the open round */
-    uint32_t heard[4];            /* its senders, bit (id mod 32) of word (id div 32) */
-    uint32_t comms_left;          /* ticks until a broadcast is due; 0 from then until settle */
-    uint32_t filter_left;         /* ticks until the filter runs, counted at the ends of rounds */
-    mcp_asdf_counters_t counters; /* accepted: without the open round */
-    uint8_t silent;               /* messages of the open round with alpha = 0 */
-    uint8_t id;
 } mcp_asdf_t;
 
 /* Make a robot: no observations, no messages. Writes every member. O(q) for the table.

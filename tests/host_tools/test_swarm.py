@@ -10,11 +10,12 @@ import shlex
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 import numpy as np
@@ -22,12 +23,12 @@ import pytest
 from can.interfaces import virtual
 from rich.console import Console
 
-from firmware_py.robot import FixedPointRobot
+from firmware_py.robot import Config, Filter, FixedPointRobot, Robot, Status
 from host_tools import swarm as swarm_module
 from host_tools.cli import main
 from host_tools.commands import swarm as command
 from host_tools.errors import UsageError
-from host_tools.firmwares import FIRMWARES
+from host_tools.firmwares import FIRMWARES, RoundingPort, load_firmware
 from host_tools.frames import (
     ONE,
     FrameFormat,
@@ -42,7 +43,8 @@ from host_tools.frames import (
 from host_tools.live import LiveTable, parameters
 from host_tools.swarm import Deployment, Settings, Swarm, SwarmError
 from host_tools.swarm_plot import draw
-from host_tools.swarm_run import MAX_SAMPLES, Hook, Run, run_swarm
+from host_tools.swarm_run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
+from host_tools.tables import generate
 
 SMALL = ("--robots", "4", "--ticks", "30", "--filter-period", "10")
 EXACT = ("native", "mirror")
@@ -212,6 +214,44 @@ def test_the_printed_parameters_can_be_typed_again() -> None:
     assert command.settings_of(parser.parse_args(shlex.split(parameters(outcome)))) == settings
 
 
+def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[Config, int, float]] = []
+
+    def make(config: Config, robot_id: int, b_hat: float) -> Robot:
+        made.append((config, robot_id, b_hat))
+        return load_firmware("mirror")(config, robot_id, b_hat)
+
+    monkeypatch.setattr(swarm_module, "load_firmware", lambda name: make)
+    changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Deployment.MINUS}
+    record(small(**changes, flawed=0.2, robots=9))
+    adaptive = Config(
+        generate(Decimal("0.2"), 8), Filter.ADAPTIVE, comms_period=2, filter_period=20, memory=64
+    )
+    off = replace(adaptive, table=None, filter=Filter.OFF)
+    assert made == [(adaptive if i < 2 else off, i, 0.55 if i < 2 else 0.95) for i in range(9)]
+
+
+class Confidant:
+    """A robot's outside that notes what it is told."""
+
+    x_hat, alpha = 0.3, 2.0 / 3
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        self.told = (sender, x_hat, alpha)
+        return Status.OK
+
+
+def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
+    robot = Confidant()
+    port = RoundingPort(cast(Robot, robot))
+    assert abs(Fraction(port.x_hat_raw, ONE) - Fraction(robot.x_hat)) <= Fraction(1, 2 * ONE)
+    assert np.uint32(port.alpha_raw).view(np.float32) == np.float32(robot.alpha)
+    robot.x_hat = 1 - 2.0**-25
+    assert port.x_hat_raw == ONE
+    port.receive_raw(3, ONE // 4, 0x40200000)
+    assert robot.told == (3, 0.25, 2.5)
+
+
 # Trouble on the bus
 
 
@@ -248,15 +288,15 @@ def test_the_log_too_notices_a_lost_frame(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
-    """Garbage, other subjects, an id outside the swarm, a robot's own id, and stale transfers."""
-    _, clean = record(small())
+    """Garbage, and legal messages from outside the swarm or of another round."""
+    undisturbed, clean = record(small())
     junk = [
         can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),
         can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
         can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),
         can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
-        encode(Message(99, ONE, 0x7F7FFFFF, 0), FrameFormat()),
-        encode(Message(1, ONE, 0x7F7FFFFF, 31), FrameFormat()),
+        encode(Message(99, ONE, 0x4F000000, 5), FrameFormat()),
+        encode(Message(1, ONE, 0x4F000000, 4), FrameFormat()),
     ]
 
     def disturb(swarm: Swarm) -> None:
@@ -269,6 +309,8 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
     foreign = content(junk)
     assert [each for each in content(frames) if each in foreign] == foreign
     assert [each for each in content(frames) if each not in foreign] == content(clean)
+    for quantity in QUANTITIES:
+        assert np.array_equal(disturbed.history.values(quantity), undisturbed.history.values(quantity))
     figures = disturbed.results["frames"]
     assert figures["strays"] == 2 * 5
     reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
@@ -292,7 +334,7 @@ def test_equal_seeds_give_equal_logs(tmp_path: Path) -> None:
     assert first.read_bytes() != third.read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".LOG"])
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".LOG.GZ"])
 def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None:
     _, frames = record(Settings(robots=4, ticks=30, filter_period=10))
     path = tmp_path / f"my.run{suffix}"
@@ -329,8 +371,10 @@ def test_json_is_one_object_and_stands_beside_the_files(
         assert json.loads(Path(f"{path}.json").read_text()) == report
 
 
-def test_results_are_what_the_robots_hold() -> None:
-    outcome, _ = record(small())
+@pytest.mark.parametrize(("seed", "is_low"), [(11, False), (14, True)])
+def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
+    outcome, _ = record(small(seed=seed))
+    assert (outcome.results["mean_x"] < 0.55) == is_low
     x = [Fraction(node.robot.x) for node in outcome.nodes]
     results = outcome.results
     assert results["mean_x"] == pytest.approx(float(sum(x) / 5), abs=1e-15)
@@ -339,6 +383,8 @@ def test_results_are_what_the_robots_hold() -> None:
     )
     assert results["spread_x"] == float(max(x) - min(x))
     flawed = [node.robot.b_hat for node in outcome.nodes[:2]]
+    assert results["b_hat"]["flawed"]["before"] == pytest.approx(0.55, abs=1e-6)
+    assert results["b_hat"]["other"]["before"] == pytest.approx(0.95, abs=1e-6)
     assert results["b_hat"]["flawed"]["after"] == pytest.approx(sum(flawed) / 2, abs=1e-15)
     assert results["updates"] == sum(node.robot.counters.updates for node in outcome.nodes)
 
@@ -435,28 +481,26 @@ def test_a_firmware_that_is_not_built_is_named(monkeypatch: pytest.MonkeyPatch) 
 # Which bus
 
 
-def bus_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, str]:
-    """The bus that a run reports."""
-    assert swarm_command(*SMALL, "--json", *arguments) == 0
-    bus: dict[str, str] = json.loads(capsys.readouterr().out)["bus"]
-    return bus
+def channel_of(log: Path, *arguments: str) -> str:
+    """The channel that a run reports; the frames in the log must be from there."""
+    assert swarm_command(*SMALL, "--quiet", "--log", str(log), *arguments) == 0
+    channel: str = json.loads(Path(f"{log}.json").read_text())["bus"]["channel"]
+    assert {line.split()[1] for line in log.read_text().splitlines()} == {channel}
+    return channel
 
 
 def test_bus_options_variables_and_files_in_this_order(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    log = tmp_path / "run.log"
+    assert channel_of(log) == "vcan0"
     (tmp_path / "can.conf").write_text("[default]\ninterface = virtual\nchannel = of_file\n")
-    assert bus_of(capsys)["channel"] == "of_file"
+    assert channel_of(log) == "of_file"
     monkeypatch.setenv("CAN_CHANNEL", "of_variable")
-    assert bus_of(capsys)["channel"] == "of_variable"
-    assert bus_of(capsys, "--channel", "of_option")["channel"] == "of_option"
-
-
-def test_frames_travel_on_the_chosen_channel(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The log's own channel column says so."""
-    assert swarm_command(*SMALL, "--channel", "elsewhere", "--log", str(tmp_path / "run.log"), "--quiet") == 0
-    lines = (tmp_path / "run.log").read_text().splitlines()
-    assert {line.split()[1] for line in lines} == {"elsewhere"}
+    assert channel_of(log) == "of_variable"
+    monkeypatch.setitem(can.rc, "channel", "of_program")
+    assert channel_of(log) == "of_program"
+    assert channel_of(log, "--channel", "of_option") == "of_option"
 
 
 @pytest.mark.parametrize(
@@ -571,17 +615,21 @@ def test_a_history_holds_what_the_robots_held() -> None:
 def test_the_picture_shows_every_robot_and_the_truth() -> None:
     outcome, _ = record(small())
     panels = draw(outcome).axes
-    for axes, quantity, truth in zip(panels, ("b_hat", "x_hat", "x"), (0.95, 0.55, 0.55), strict=True):
+    meaning = {line.get_color(): line.get_label() for line in draw(outcome).legends[0].get_lines()}
+    for axes, quantity, truth in zip(panels, QUANTITIES, (0.95, 0.55, 0.55), strict=True):
         *robots, true_line = axes.lines
         values = outcome.history.values(quantity)
-        drawn = {tuple(np.asarray(line.get_ydata()).tolist()) for line in robots}
-        assert len(robots) == 5
-        assert drawn == {tuple(column) for column in values.T.tolist()}
+        drawn = sorted((meaning[line.get_color()], np.asarray(line.get_ydata()).tolist()) for line in robots)
+        kinds = ["flawed robots"] * 2 + ["other robots"] * 3
+        assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
+        assert {line.get_drawstyle() for line in robots} == {
+            "steps-post" if quantity == "b_hat" else "default"
+        }
         assert set(np.asarray(true_line.get_ydata()).tolist()) == {truth}
         low, high = axes.get_ylim()
         assert low < min(truth, values[-1].min())
         assert high > max(truth, values[-1].max())
-    assert len({line.get_color() for line in panels[0].lines}) == 3
+        assert meaning[true_line.get_color()] == "true value"
 
 
 @pytest.mark.parametrize(("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
