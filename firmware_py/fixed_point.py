@@ -9,7 +9,7 @@ import math
 import struct
 from abc import ABC, abstractmethod
 
-from firmware_py.robot import FirmwareError, Status
+from firmware_py.robot import Status
 
 ONE = 1 << 23
 """1.0 as x_hat, x_bar or x."""
@@ -22,14 +22,12 @@ UNITS_PER_ALPHA = 1 << 24
 
 
 def b_hat_to_raw(b_hat: float) -> int:
-    """An accuracy in units of 2**-32, to nearest. Raises FirmwareError outside [2**-20, 1 - 2**-20]."""
-    if not B_HAT_MIN <= b_hat * 2**32 <= B_HAT_MAX:
-        raise FirmwareError(Status.ERR_B_HAT, f"b_hat = {b_hat} is outside [2**-20, 1 - 2**-20]")
+    """An accuracy in [2**-20, 1 - 2**-20] in units of 2**-32, to nearest, ties to even."""
     return round(b_hat * 2**32)
 
 
 def x_hat_to_raw(x_hat: float) -> int:
-    """An estimate in units of 2**-23, rounded down; anything outside [0, 1] gives a value the firmware rejects."""
+    """An estimate in units of 2**-23, rounded down; outside [0, 1] a value that the firmware rejects."""
     return math.floor(x_hat * ONE) if 0.0 <= x_hat <= 1.0 else 0xFFFFFFFF
 
 

@@ -21,8 +21,20 @@ from firmware_py.fixed_point import (
     FixedPointView,
     b_hat_to_raw,
 )
-from firmware_py.robot import MAX_ID, Config, Counters, Filter, FirmwareError, Observation, Status, Sums
-from firmware_py.table import Table, TableError, checksum
+from firmware_py.robot import (
+    MAX_ID,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Status,
+    Sums,
+    check_identity,
+    check_periods,
+    check_table,
+)
+from firmware_py.table import Table, checksum
 
 UNINFORMATIVE = 255
 MASK_32 = 0xFFFFFFFF
@@ -34,7 +46,6 @@ SHIFT_MAX = 31
 COUNTER_MAX = 0xFFFF
 IMAGE_MAGIC = 0x4D435301
 IMAGE_WORDS = 34
-MEMORY_MIN, MEMORY_MAX = 64, 2**32 - 2
 
 
 @dataclass(frozen=True)
@@ -229,29 +240,9 @@ def estimate_possible(x_hat: int, alpha: int) -> bool:
 
 def check_config(config: Config) -> None:
     """Raises FirmwareError where ``mcp_asdf_init`` fails with ERR_CONFIG or ERR_TABLE."""
-    comms, tau, memory = config.comms_period, config.filter_period, config.memory
-    if not 1 <= comms <= MASK_32:
-        raise FirmwareError(Status.ERR_CONFIG, f"comms_period = {comms} is outside 1 .. 2**32 - 1")
-    if not 1 <= tau <= MASK_32 or tau % comms:
-        raise FirmwareError(
-            Status.ERR_CONFIG, f"filter_period = {tau} is no multiple of comms_period = {comms} in 1 .. 2**32 - 1"
-        )
-    if not MEMORY_MIN <= memory <= MEMORY_MAX or memory % 2:
-        raise FirmwareError(Status.ERR_CONFIG, f"memory = {memory} is no even number in 64 .. 2**32 - 2")
-    if config.filter not in list(Filter):
-        raise FirmwareError(Status.ERR_CONFIG, f"filter = {config.filter} is no Filter")
+    check_periods(config)
     if config.filter == Filter.ADAPTIVE:
         check_table(config.table)
-
-
-def check_table(table: Table | None) -> None:
-    """Raises FirmwareError (ERR_TABLE) for a table that the firmware would refuse."""
-    if table is None:
-        raise FirmwareError(Status.ERR_TABLE, "the adaptive filter needs a table")
-    try:
-        Table.from_words(table.words())
-    except TableError as error:
-        raise FirmwareError(Status.ERR_TABLE, str(error)) from error
 
 
 @dataclass
@@ -296,8 +287,7 @@ class MirrorRobot(FixedPointView):
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         check_config(config)
-        if not 0 <= robot_id <= MAX_ID:
-            raise FirmwareError(Status.ERR_ID, f"robot_id = {robot_id} is outside 0 .. {MAX_ID}")
+        check_identity(robot_id, b_hat)
         raw = b_hat_to_raw(b_hat)
         self.config = config
         self.s = State(robot_id, raw, accuracy_of(raw), config.comms_period, config.filter_period)
@@ -539,7 +529,7 @@ def _state_from(words: tuple[int, ...]) -> State:
         closed_alpha=doubles[0],
         closed_alpha_x_low=doubles[1],
         closed_alpha_x_high=doubles[2],
-        open=Sums(*doubles[3:], x=words[22], count=words[23]),
+        open=Sums(*doubles[3:], words[22], words[23]),
         heard=list(words[24:28]),
         comms_left=words[28],
         filter_left=words[29],

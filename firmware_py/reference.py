@@ -19,11 +19,19 @@ from typing import NamedTuple
 
 from scipy.special import stdtrit  # type: ignore[import-untyped]
 
-from firmware_py.robot import MAX_ID, Config, Counters, Filter, FirmwareError, Observation, Status
-from firmware_py.table import Table, TableError
-
-B_HAT_MARGIN = 2.0**-20
-"""eps: b_hat stays in [eps, 1 - eps]."""
+from firmware_py.robot import (
+    B_HAT_MARGIN,
+    MAX_ID,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Status,
+    check_identity,
+    check_periods,
+    check_table,
+)
 
 UNINFORMATIVE = 2.0**-12
 """Where |2 b_hat - 1| is below this an observation says nothing."""
@@ -32,8 +40,6 @@ MAX_ALPHA = (2 - 2**-23) * 2.0**127
 """Largest alpha that can be sent: the largest finite IEEE binary32."""
 
 MAX_OMEGA = 0.9
-MIN_MEMORY, MAX_MEMORY = 64, 2**32 - 2
-MAX_PERIOD = 2**32 - 1
 MAX_COUNT = 65535
 
 
@@ -206,16 +212,15 @@ class ReferenceRobot:
         *,
         omega: float | None = None,
     ) -> None:
-        _check_config(config)
+        check_periods(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
-        _check_robot(robot_id, b_hat)
+        check_identity(robot_id, b_hat)
         self._config, self._id, self._conventions = config, robot_id, conventions
         self._t, self._n, self._b_hat = 0, 0, b_hat
         self._own = Message(x_hat=0.5, alpha=0.0)
         self._open: dict[int, Message] = {}
         self._round: list[Message] = []
         self._x = 0.5
-        self._due = False
         self._comms_left, self._filter_left = config.comms_period, config.filter_period
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
 
@@ -225,12 +230,8 @@ class ReferenceRobot:
             return Status.ERR_OBSERVATION
         if z != Observation.NONE:
             self._take_in(black=z == Observation.BLACK)
-        self._comms_left -= 1
-        if self._comms_left:
-            return Status.OK
-        self._comms_left = self._config.comms_period
-        self._due = True
-        return Status.DUE
+        self._comms_left = max(self._comms_left - 1, 0)  # 0 if a round was not settled: it is still due
+        return Status.OK if self._comms_left else Status.DUE
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message into the open round. O(1).
@@ -251,8 +252,9 @@ class ReferenceRobot:
 
     def settle(self) -> Status:
         """Close the round if a broadcast was due, form x, and filter when the time has come. O(m)."""
-        due, self._due = self._due, False
+        due = self._comms_left == 0
         if due:
+            self._comms_left = self._config.comms_period
             self._close_round()
         self._x = informed_estimate(self._own, self._round)
         return self._filter() if due else Status.OK
@@ -363,38 +365,9 @@ class ReferenceRobot:
         return Counters(**self._counts)
 
 
-def _check_config(config: Config) -> None:
-    comms, tau, memory = config.comms_period, config.filter_period, config.memory
-    if config.filter not in tuple(Filter):
-        raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
-    if not 1 <= comms <= MAX_PERIOD:
-        raise FirmwareError(Status.ERR_CONFIG, f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
-    if not 1 <= tau <= MAX_PERIOD or tau % comms:
-        raise FirmwareError(
-            Status.ERR_CONFIG,
-            f"filter_period is {tau}; choose a multiple of comms_period {comms} up to {MAX_PERIOD}",
-        )
-    if not MIN_MEMORY <= memory <= MAX_MEMORY or memory % 2:
-        raise FirmwareError(
-            Status.ERR_CONFIG, f"memory is {memory}; choose an even number {MIN_MEMORY} .. {MAX_MEMORY}"
-        )
-
-
 def _checked_omega(config: Config, omega: float | None) -> float:
     if omega is not None:
         if not 0 < omega <= MAX_OMEGA:
             raise FirmwareError(Status.ERR_TABLE, f"omega is {omega}; choose one in (0, {MAX_OMEGA}]")
         return omega
-    if config.table is None:
-        raise FirmwareError(Status.ERR_TABLE, "the adaptive filter needs a table or omega")
-    try:
-        return Table.from_words(config.table.words()).omega
-    except TableError as error:
-        raise FirmwareError(Status.ERR_TABLE, str(error)) from error
-
-
-def _check_robot(robot_id: int, b_hat: float) -> None:
-    if not 0 <= robot_id <= MAX_ID:
-        raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
-    if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
-        raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")
+    return check_table(config.table).omega

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol, runtime_checkable
 
-from firmware_py.table import Table
+from firmware_py.table import Table, TableError
 
 MAX_ID = 127
 """Largest robot id; a round therefore holds at most 127 messages."""
@@ -22,6 +22,12 @@ DEFAULT_FILTER_PERIOD = 1000
 
 DEFAULT_MEMORY = 2**32 - 2
 """Observations at which t and n are halved; the largest the firmware can count."""
+
+
+MIN_MEMORY = 64
+MAX_PERIOD = 2**32 - 1
+B_HAT_MARGIN = 2.0**-20
+"""b_hat stays in [2**-20, 1 - 2**-20]."""
 
 
 class Observation(IntEnum):
@@ -224,3 +230,41 @@ class FixedPointRobot(Robot, Protocol):
     @property
     def x_raw(self) -> int:
         """x in units of 2**-23."""
+
+
+def check_periods(config: Config) -> None:
+    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
+    comms, tau, memory = config.comms_period, config.filter_period, config.memory
+    if config.filter not in tuple(Filter):
+        raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
+    if not 1 <= comms <= MAX_PERIOD:
+        raise FirmwareError(Status.ERR_CONFIG, f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
+    if not 1 <= tau <= MAX_PERIOD or tau % comms:
+        raise FirmwareError(
+            Status.ERR_CONFIG,
+            f"filter_period is {tau}; choose a multiple of comms_period {comms} up to {MAX_PERIOD}",
+        )
+    if not MIN_MEMORY <= memory <= DEFAULT_MEMORY or memory % 2:
+        raise FirmwareError(
+            Status.ERR_CONFIG, f"memory is {memory}; choose an even number {MIN_MEMORY} .. {DEFAULT_MEMORY}"
+        )
+
+
+def check_table(table: Table | None) -> Table:
+    """The table, if it is one. Raises FirmwareError (ERR_TABLE) where the firmware would refuse it."""
+    if table is None:
+        raise FirmwareError(
+            Status.ERR_TABLE, "the adaptive filter needs a table; make one with mcp-asdf table"
+        )
+    try:
+        return Table.from_words(table.words())
+    except TableError as error:
+        raise FirmwareError(Status.ERR_TABLE, str(error)) from error
+
+
+def check_identity(robot_id: int, b_hat: float) -> None:
+    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range."""
+    if not 0 <= robot_id <= MAX_ID:
+        raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
+    if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
+        raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")

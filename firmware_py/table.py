@@ -9,14 +9,15 @@ Layout (word index: content), the same on every target::
     4  k for m = 2, then m = 3, ..., m = q, and last the entry for every m > q; units of 2**-F
 
 k_m is ``(t_{m-1,(1-omega)/2} / sqrt(m) + 1)**2 * m / (m - 1)`` (eq. 12, squared and multiplied out);
-F is the largest for which the first, largest entry still fits 32 bits. Entries fall strictly with m
-and stay above 1.0. A table takes 16 + 4 q bytes.
+F is the largest for which the first, largest entry still fits 32 bits. Entries fall strictly with m,
+from below 64.0, and stay above 1.0. A table takes 16 + 4 q bytes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 MAGIC = 0x4D435054
 FORMAT_VERSION = 1
@@ -90,7 +91,9 @@ class Table:
 
 
 def _check_order(entries: Sequence[int], fraction_bits: int) -> None:
-    for index, (left, right) in enumerate(zip(entries, entries[1:], strict=False)):
+    if entries[0] >= 64 << fraction_bits:
+        raise TableError(f"entry 0 is {entries[0]}, not below 64.0")
+    for index, (left, right) in enumerate(pairwise(entries)):
         if right >= left:
             raise TableError(f"entry {index + 1} is {right}, not below entry {index} ({left})")
     if entries[-1] <= 1 << fraction_bits:

@@ -1,0 +1,188 @@
+"""A scenario of the cross-check: a robot and the calls made to it, as one line of text that replays it.
+
+A line is a list of items separated by commas; an item is a word and its whole numbers, joined by colons::
+
+    table:0.05:30,robot:0:1:5:4294967294:7:3006477107,observe:1,receive:3:4194304:1065353216,settle
+
+``table`` gives omega and q, then pairs of a word's index and what stands there instead; without it the robot
+has no table. ``robot`` gives filter, comms_period, filter_period, memory, id and b_hat. All that follows are
+calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as their C types allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+
+from firmware_py.mirror import IMAGE_WORDS
+from firmware_py.robot import Config, Filter
+from firmware_py.table import Table
+from host_tools.errors import UsageError
+from host_tools.tables import generate, parse_omega
+
+_U8, _U32, _U64 = 2**8 - 1, 2**32 - 1, 2**64 - 1
+_LARGEST = {
+    "robot": (_U8, _U32, _U32, _U32, _U8, _U32),
+    "observe": (_U8,),
+    "step": (_U8,),
+    "settle": (),
+    "receive": (_U8, _U32, _U32),
+    "add": (_U8, _U64, _U64, _U64, _U64, _U32, _U32),
+    "damage": (4 * IMAGE_WORDS - 1, _U8),
+}
+"""The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a robot.
+
+    Attributes:
+        name: What is done, with ``numbers``:
+            observe, step: the observation.
+            settle: none.
+            receive: sender, x_hat, alpha.
+            add: ``add_round`` with the number of messages and the members of ``Sums`` in order.
+            restore: The robot is saved and goes on as the robot restored from its image, in which words were
+                replaced (pairs of index, 1 .. 32, and value) and the checksum made right again. If that is
+                refused it goes on as it was.
+            damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
+                checksum left as it is.
+    """
+
+    name: str
+    numbers: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        return ":".join([self.name, *map(str, self.numbers)])
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The pairs of a ``restore``."""
+        return pairs_of(self.numbers)
+
+
+@dataclass(frozen=True)
+class TableChoice:
+    """A table to be generated, and the words (see ``firmware_py.table``) replaced in it.
+
+    The checksum always fits: it is formed when the firmware is given the table.
+    """
+
+    omega: str
+    q: int
+    replaced: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        return ":".join(["table", self.omega, str(self.q), *map(str, self.replaced)])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How a robot is made: the members of ``Config``, its id and b_hat."""
+
+    table: TableChoice | None
+    filter: int
+    comms_period: int
+    filter_period: int
+    memory: int
+    robot_id: int
+    b_hat: int
+
+    def __str__(self) -> str:
+        table = [] if self.table is None else [str(self.table)]
+        return ",".join([*table, ":".join(["robot", *map(str, astuple(self)[1:])])])
+
+    def config(self) -> Config:
+        """The settings as firmwares take them; unknown filters stay plain integers."""
+        known = self.filter in tuple(Filter)
+        return Config(
+            None if self.table is None else build_table(self.table),
+            Filter(self.filter) if known else self.filter,  # type: ignore[arg-type]
+            self.comms_period,
+            self.filter_period,
+            self.memory,
+        )
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A robot and the calls made to it."""
+
+    setup: Setup
+    calls: tuple[Call, ...]
+
+    def __str__(self) -> str:
+        return ",".join([str(self.setup), *map(str, self.calls)])
+
+    def with_calls(self, calls: tuple[Call, ...]) -> Scenario:
+        """The same robot with other calls."""
+        return replace(self, calls=calls)
+
+
+def pairs_of(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Numbers two by two."""
+    return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+@lru_cache(maxsize=64)
+def build_table(choice: TableChoice) -> Table:
+    """The table a scenario asks for, unchecked. Raises UsageError if omega or q is out of range."""
+    table = generate(parse_omega(choice.omega), choice.q)
+    words = list(table.words())
+    for index, value in pairs_of(choice.replaced):
+        words[index] = value
+    return Table(words[2], words[1] >> 8 & 0xFF, tuple(words[4:])) if choice.replaced else table
+
+
+def parse_scenario(line: str) -> Scenario:
+    """Read a scenario's line. Raises UsageError naming the item that will not do."""
+    items = [item.split(":") for item in line.strip().split(",")]
+    table = _table(items.pop(0)) if items[0][0] == "table" else None
+    if not items or items[0][0] != "robot":
+        raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
+    robot = _numbers(items[0])
+    return Scenario(Setup(table, *robot), tuple(_call(item) for item in items[1:]))
+
+
+def _table(item: list[str]) -> TableChoice:
+    if len(item) < 3:
+        raise UsageError(f"{':'.join(item)} needs omega and q, for example table:0.05:30")
+    omega, (q, *replaced) = str(parse_omega(item[1])), _integers(item, 2)
+    choice = TableChoice(omega, q, tuple(replaced))
+    words = len(generate(parse_omega(omega), q).words())
+    if len(replaced) % 2 or any(not 1 <= i < words or v > _U32 for i, v in pairs_of(choice.replaced)):
+        raise UsageError(f"{choice} needs pairs of an index, 1 to {words - 1}, and a 32-bit word")
+    return choice
+
+
+def _call(item: list[str]) -> Call:
+    if item[0] == "restore":
+        numbers = _integers(item, 1)
+        if len(numbers) % 2 or any(not 1 <= i < IMAGE_WORDS - 1 or v > _U32 for i, v in pairs_of(numbers)):
+            raise UsageError(
+                f"{':'.join(item)} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word"
+            )
+        return Call("restore", numbers)
+    if item[0] == "robot" or item[0] not in _LARGEST:
+        calls = ", ".join(["restore", *list(_LARGEST)[1:]])
+        raise UsageError(f"{':'.join(item)!r} is no call; there are {calls}")
+    return Call(item[0], _numbers(item))
+
+
+def _numbers(item: list[str]) -> tuple[int, ...]:
+    """An item's numbers, as many as it takes and none too large for its C type."""
+    largest, numbers = _LARGEST[item[0]], _integers(item, 1)
+    if len(numbers) != len(largest):
+        raise UsageError(f"{':'.join(item)} has {len(numbers)} numbers; {item[0]} takes {len(largest)}")
+    for number, limit in zip(numbers, largest, strict=True):
+        if number > limit:
+            raise UsageError(f"{':'.join(item)}: {number} is too large; the limit there is {limit}")
+    return numbers
+
+
+def _integers(item: list[str], start: int) -> tuple[int, ...]:
+    for text in item[start:]:
+        if not (text.isascii() and text.isdigit()):
+            raise UsageError(f"{':'.join(item)}: {text!r} is no whole number of decimal digits")
+    return tuple(int(text) for text in item[start:])
