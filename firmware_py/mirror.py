@@ -529,7 +529,7 @@ def _state_from(words: tuple[int, ...]) -> State:
         closed_alpha=doubles[0],
         closed_alpha_x_low=doubles[1],
         closed_alpha_x_high=doubles[2],
-        open=Sums(*doubles[3:], words[22], words[23]),
+        open=Sums(doubles[3], doubles[4], doubles[5], doubles[6], words[22], words[23]),
         heard=list(words[24:28]),
         comms_left=words[28],
         filter_left=words[29],

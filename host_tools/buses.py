@@ -38,11 +38,6 @@ class BusChoice:
     _args: argparse.Namespace
     _defaults: dict[str, Any]
 
-    @property
-    def is_lossless(self) -> bool:
-        """Whether no frame can get lost: the bus is a queue in this process."""
-        return self.interface == "virtual"
-
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
 

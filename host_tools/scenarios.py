@@ -183,6 +183,6 @@ def _numbers(item: list[str]) -> tuple[int, ...]:
 
 def _integers(item: list[str], start: int) -> tuple[int, ...]:
     for text in item[start:]:
-        if not (text.isascii() and text.isdigit()):
+        if not (text.isascii() and text.isdigit() and len(text) <= 20):
             raise UsageError(f"{':'.join(item)}: {text!r} is no whole number of decimal digits")
     return tuple(int(text) for text in item[start:])

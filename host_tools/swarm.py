@@ -20,8 +20,11 @@ from typing import Any
 import can
 
 from firmware_py.robot import (
+    B_HAT_MARGIN,
     DEFAULT_FILTER_PERIOD,
     DEFAULT_MEMORY,
+    MAX_PERIOD,
+    MIN_MEMORY,
     Config,
     Filter,
     Observation,
@@ -46,13 +49,9 @@ from host_tools.world import FullyConnected, World
 MAX_ROBOTS = 126
 """Ids 0 .. 125; Cyphal keeps nodes 126 and 127 for tools."""
 
-B_HAT_MARGIN = 2.0**-20
-"""The firmware keeps an assumed accuracy this far from 0 and 1."""
-
 TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""
 
-_MAX_PERIOD = 2**32 - 1
 _TRANSFERS = 32
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
@@ -141,9 +140,9 @@ _RANGES: tuple[tuple[str, float, float], ...] = (
     ("true_accuracy", 0, 1),
     ("flawed_accuracy", 0, 1),
     ("ticks", 1, 10**9),
-    ("comms_period", 1, _MAX_PERIOD),
-    ("filter_period", 1, _MAX_PERIOD),
-    ("memory", 64, DEFAULT_MEMORY),
+    ("comms_period", 1, MAX_PERIOD),
+    ("filter_period", 1, MAX_PERIOD),
+    ("memory", MIN_MEMORY, DEFAULT_MEMORY),
     ("seed", 0, 2**128 - 1),
     ("ticks_per_second", 1, 10**6),
 )

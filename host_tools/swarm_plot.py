@@ -21,7 +21,7 @@ from host_tools.swarm_run import Run
 SUFFIXES = (".png", ".svg", ".pdf")
 
 # Colours that stay apart for the colour-blind.
-_FLAWED, _OTHER, _TRUTH = "#d55e00", "#0072b2", "#222222"
+_FLAWED, _OTHER, _ALL, _TRUTH = "#d55e00", "#0072b2", "#8a4f7d", "#222222"
 
 _PANELS = (
     ("b_hat", r"assumed accuracy $\hat{b}$", "b"),
@@ -62,18 +62,20 @@ def draw(run: Run) -> Figure:
     bottom.set_xlabel("tick")
     bottom.set_xlim(0, max(1, int(run.history.ticks[-1])))
     top.set_title(_title(run), loc="left", fontsize=11)
-    figure.legend(handles=_legend(run), loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(handles=_legend(run), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
 def _draw_lines(axes: Axes, run: Run, quantity: str) -> None:
-    """Draw one line per robot, the flawed ones on top."""
+    """Draw one line per robot, the flawed ones on top, in a colour of its own if all are equal."""
     ticks, values = run.history.ticks, run.history.values(quantity)
+    are_equal = _are_equal(values)
     for node in sorted(run.nodes, key=lambda each: each.is_flawed):
+        own_color = _FLAWED if node.is_flawed else _OTHER
         axes.plot(
             ticks,
             values[:, node.id],
-            color=_FLAWED if node.is_flawed else _OTHER,
+            color=_ALL if are_equal else own_color,
             linewidth=1.2,
             alpha=0.75,
             # b_hat jumps at updates and stands still between them.
@@ -97,6 +99,11 @@ def _finish(axes: Axes, label: str, name: str, truth: float, values: NDArray[np.
     axes.grid(color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _are_equal(values: NDArray[np.float64]) -> bool:
+    """Whether there are several robots and their lines are one and the same."""
+    return values.shape[1] > 1 and bool((values == values[:, :1]).all())
 
 
 def _limits(values: NDArray[np.float64], truth: float) -> tuple[float, float]:
@@ -123,4 +130,6 @@ def _legend(run: Run) -> list[Line2D]:
         lines.insert(0, Line2D([], [], color=_OTHER, label="other robots"))
     if True in flawed:
         lines.insert(0, Line2D([], [], color=_FLAWED, label="flawed robots"))
+    if any(_are_equal(run.history.values(quantity)) for quantity, _, _ in _PANELS):
+        lines.insert(-1, Line2D([], [], color=_ALL, label="all robots, the same"))
     return lines

@@ -620,7 +620,8 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
         *robots, true_line = axes.lines
         values = outcome.history.values(quantity)
         drawn = sorted((meaning[line.get_color()], np.asarray(line.get_ydata()).tolist()) for line in robots)
-        kinds = ["flawed robots"] * 2 + ["other robots"] * 3
+        own_kinds = ["flawed robots"] * 2 + ["other robots"] * 3
+        kinds = ["all robots, the same"] * 5 if quantity == "x" else own_kinds
         assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
         assert {line.get_drawstyle() for line in robots} == {
             "steps-post" if quantity == "b_hat" else "default"

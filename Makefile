@@ -1,0 +1,48 @@
+# The few commands that people type; each sets up what it needs first. `make` alone lists them.
+BIN := .venv/bin
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+# What the installed project is built from: the rest is used where it stands.
+BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
+              c_ref/src/mcp_asdf.c c_ref/src/mcp_asdf.h
+C_FILES = $(shell git ls-files '*.c' '*.h')
+
+.PHONY: help setup swarm test lint format crosscheck cost docs clean
+
+help: ## list the commands
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
+
+setup: .venv/ready-to-test ## make .venv with the project and all that tests need
+
+swarm: .venv/ready-to-run ## watch twenty robots that run the C firmware calibrate themselves
+	@$(BIN)/mcp-asdf swarm
+
+test: .venv/ready-to-test ## run everything: C tests under every preset, Python tests, analysers, documentation
+	@rm -rf build/reports
+	@$(BIN)/pytest --numprocesses=auto --dist=worksteal --junit-xml=build/reports/pytest.xml
+
+lint: .venv/ready-to-test ## run the analysers and the checks of types and style alone
+	@$(BIN)/pytest tests/test_tools.py
+
+format: .venv/ready-to-test ## format all code
+	@$(BIN)/ruff check --fix --exit-zero --quiet
+	@$(BIN)/ruff format
+	@$(BIN)/clang-format -i $(C_FILES)
+
+crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exact rationals
+	@$(BIN)/mcp-asdf crosscheck
+
+cost: .venv/ready-to-test ## measure instructions, bytes and stack again and write them into the README
+	@$(BIN)/python tests/benchmarks/cost.py --write README.md
+
+docs: .venv/ready-to-test ## build the documentation in build/site
+	@$(BIN)/mkdocs build --quiet --strict --config-file .ci/mkdocs.yml
+
+clean: ## remove everything that was built or installed here
+	rm -rf build .venv
+
+.venv/ready-to-run: $(BUILT_FROM)
+	@.ci/setup run
+
+.venv/ready-to-test: $(BUILT_FROM)
+	@.ci/setup test

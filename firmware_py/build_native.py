@@ -1,0 +1,50 @@
+"""Write the C source of the extension module ``firmware_py._native``.
+
+Run by CMake as ``python build_native.py HEADER OUTPUT``. What cffi has to know about the firmware is
+derived from its header, so the two cannot drift apart: a construct that this script does not expect
+ends the build with cffi's parse error.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from cffi import FFI
+
+MODULE = "firmware_py._native"
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_CONTINUED_LINE = re.compile(r"\\\n")
+_ONLY_CPLUSPLUS = re.compile(r"^#ifdef __cplusplus\n.*?^#endif\n", re.DOTALL | re.MULTILINE)
+_CONSTANT = re.compile(r"^#define (MCP_ASDF_\w+) +(\S.*?)\s*$", re.MULTILINE)
+_DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
+_INLINE_FUNCTION = re.compile(r"static inline ([^{;]*?)\s*\{[^}]*\}")
+
+
+def declarations(header: str) -> str:
+    """What cffi declares, from the text of ``mcp_asdf.h``: constants, types and functions."""
+    text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
+    text = _ONLY_CPLUSPLUS.sub("", text)
+    constants = [_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)]
+    code = _INLINE_FUNCTION.sub(r"\1;", _DIRECTIVE.sub("", text))
+    return "\n".join([*constants, code])
+
+
+def _constant(name: str, value: str) -> str:
+    """A plain number as it stands, since arrays may be that long; the compiler evaluates any other."""
+    return f"#define {name} {value if value.isdecimal() else '...'}"
+
+
+def main() -> None:
+    """Write the source."""
+    header, output = Path(sys.argv[1]), sys.argv[2]
+    builder = FFI()
+    builder.cdef(declarations(header.read_text(encoding="utf-8")))
+    builder.set_source(MODULE, f'#include "{header.name}"')
+    builder.emit_c_code(output)
+
+
+if __name__ == "__main__":
+    main()

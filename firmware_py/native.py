@@ -1,0 +1,216 @@
+"""The C firmware itself, behind the same interface as its mirror.
+
+``lib`` and ``ffi`` are the C functions and types as cffi offers them, for engines that drive many robots
+from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+from weakref import WeakValueDictionary
+
+from firmware_py._native import ffi, lib
+from firmware_py.fixed_point import FixedPointView, b_hat_to_raw
+from firmware_py.robot import (
+    B_HAT_MARGIN,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Status,
+    Sums,
+)
+
+__all__ = ["NativeRobot", "ffi", "lib"]
+
+_STATUS = {int(status): status for status in Status}
+_MAX_WORD = 2**32 - 1
+_MAX_BYTE = 2**8 - 1
+_REASONS = {
+    Status.ERR_CONFIG: "the firmware refuses the filter, a period or the memory of {config}",
+    Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
+    Status.ERR_ID: "robot id is {robot_id}; choose 0 .. 127",
+    Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
+    Status.ERR_IMAGE: "the image is damaged, of another version or does not fit the configuration",
+}
+
+
+class NativeRobot(FixedPointView):
+    """MCP-ASDF in C. Implements ``FixedPointRobot``.
+
+    Args:
+        config: Shared settings. Robots of equal configs share one copy in C.
+        robot_id: Own id, 0..127.
+        b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
+
+    Attributes:
+        config: As given.
+        pointer: The robot's ``mcp_asdf_t *``, valid for as long as this object lives.
+
+    Raises:
+        FirmwareError: As ``mcp_asdf_init`` fails.
+    """
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        self._attach(config)
+        raw = b_hat_to_raw(b_hat) if B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN else 0
+        status = lib.mcp_asdf_init(self.pointer, self._shared.pointer, _fit(robot_id, _MAX_BYTE), raw)
+        _check(status, config=config, robot_id=robot_id, b_hat=b_hat)
+
+    def _attach(self, config: Config) -> None:
+        self.config = config
+        self.pointer = ffi.new("mcp_asdf_t *")
+        self._shared = _share(config)
+
+    @classmethod
+    def restore(cls, config: Config, image: bytes) -> NativeRobot:
+        """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
+        robot = cls.__new__(cls)
+        robot._attach(config)
+        whole = image if len(image) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
+        status = lib.mcp_asdf_restore(robot.pointer, robot._shared.pointer, whole)
+        _check(status, config=config)
+        return robot
+
+    def save(self) -> bytes:
+        """The state as ``mcp_asdf_save`` writes it."""
+        image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
+        lib.mcp_asdf_save(self.pointer, image)
+        return bytes(image)
+
+    def observe(self, z: Observation) -> Status:
+        """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast."""
+        return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, _MAX_WORD))]
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as binary32 bits."""
+        try:
+            return _STATUS[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
+        except OverflowError:
+            message = _fit(sender, _MAX_BYTE), _fit(x_hat, _MAX_WORD), _fit(alpha, _MAX_WORD)
+            return _STATUS[lib.mcp_asdf_receive(self.pointer, *message)]
+
+    def add_round(self, sums: Sums, messages: int) -> Status:
+        """Add the exact sums of ``messages`` messages at once to the open round."""
+        try:
+            native_sums = ffi.new("mcp_asdf_sums_t *", vars(sums))
+            return _STATUS[lib.mcp_asdf_add_round(self.pointer, native_sums, messages)]
+        except OverflowError:  # more than the C can be asked, so more than 127 messages can give
+            return Status.ERR_SUMS
+
+    def settle(self) -> Status:
+        """Close the round if a broadcast was due, and filter when the time has come."""
+        return _STATUS[lib.mcp_asdf_settle(self.pointer)]
+
+    def step(self, z: Observation) -> Status:
+        """``observe(z)`` then ``settle()``; returns what ``observe`` returned."""
+        return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, _MAX_WORD))]
+
+    @property
+    def t(self) -> int:
+        """Observations counted."""
+        return int(lib.mcp_asdf_t_count(self.pointer))
+
+    @property
+    def n(self) -> int:
+        """Black ones among them."""
+        return int(lib.mcp_asdf_n_count(self.pointer))
+
+    @property
+    def b_hat_raw(self) -> int:
+        """b_hat in units of 2**-32."""
+        return int(lib.mcp_asdf_b_hat(self.pointer))
+
+    @property
+    def x_hat_raw(self) -> int:
+        """x_hat in units of 2**-23."""
+        return int(lib.mcp_asdf_x_hat(self.pointer))
+
+    @property
+    def alpha_raw(self) -> int:
+        """alpha as binary32 bits."""
+        return int(lib.mcp_asdf_alpha(self.pointer))
+
+    @property
+    def x_bar_raw(self) -> int:
+        """x_bar in units of 2**-23; HALF where beta is 0."""
+        return int(lib.mcp_asdf_x_bar(self.pointer))
+
+    @property
+    def beta_raw(self) -> int:
+        """beta in units of 2**-24."""
+        return int(lib.mcp_asdf_beta(self.pointer))
+
+    @property
+    def x_raw(self) -> int:
+        """x in units of 2**-23."""
+        return int(lib.mcp_asdf_x(self.pointer))
+
+    @property
+    def counters(self) -> Counters:
+        """Diagnostics, the open round's messages included."""
+        native_counters = lib.mcp_asdf_counters(self.pointer)
+        return Counters(*(getattr(native_counters, member.name) for member in fields(Counters)))
+
+    def state(self) -> dict[str, int]:
+        """Every member of ``mcp_asdf_t`` but ``config``, named as ``MirrorRobot.state`` names them."""
+        return dict(_flatten("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+
+    def holds_invariants(self) -> bool:
+        """Whether the state could have come from calls alone (``docs/invariants.md``)."""
+        return bool(lib.mcp_asdf_invariants_hold(self.pointer))
+
+
+class _SharedConfig:
+    """A config and its table in C memory, which lives for as long as a robot refers to this object."""
+
+    def __init__(self, config: Config) -> None:
+        self._table = ffi.NULL
+        if config.filter == Filter.ADAPTIVE and config.table is not None:
+            words = config.table.words()
+            self._table = ffi.new("uint32_t[]", [_fit(word, _MAX_WORD) for word in words])
+        self.pointer = ffi.new("mcp_asdf_config_t *")
+        self.pointer.table = self._table
+        self.pointer.comms_period = _fit(config.comms_period, _MAX_WORD, refused=0)
+        self.pointer.filter_period = _fit(config.filter_period, _MAX_WORD, refused=0)
+        self.pointer.memory = _fit(config.memory, _MAX_WORD, refused=0)
+        self.pointer.filter = _fit(config.filter, _MAX_BYTE)
+
+
+_shared_configs: WeakValueDictionary[Config, _SharedConfig] = WeakValueDictionary()
+
+
+def _share(config: Config) -> _SharedConfig:
+    shared = _shared_configs.get(config)
+    if shared is None:
+        shared = _shared_configs[config] = _SharedConfig(config)
+    return shared
+
+
+def _fit(value: int, most: int, refused: int | None = None) -> int:
+    """``value`` if the C type holds it, else a number that the C refuses: the largest, unless told."""
+    if 0 <= value <= most:
+        return value
+    return most if refused is None else refused
+
+
+def _check(status: int, **settings: object) -> None:
+    if status != Status.OK:
+        reason = _STATUS[status]
+        raise FirmwareError(reason, _REASONS[reason].format(**settings))
+
+
+def _flatten(name: str, value: Any, kind: Any) -> Iterator[tuple[str, int]]:
+    """Numbers inside a C value by name; members of the counters go without the counters' name."""
+    if kind.kind == "struct":
+        prefix = f"{name}_" if name and kind != ffi.typeof("mcp_asdf_counters_t") else ""
+        for member, field in kind.fields:
+            yield from _flatten(prefix + member, getattr(value, member), field.type)
+    elif kind.kind == "array":
+        for index in range(kind.length):
+            yield from _flatten(f"{name}_{index}", value[index], kind.item)
+    elif kind.kind == "primitive":
+        yield name, int(value)

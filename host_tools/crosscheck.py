@@ -1,0 +1,221 @@
+"""Two firmwares through the same scenario: do they agree in every bit, and if not, what shows it shortest?"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, cast
+
+from firmware_py.mirror import IMAGE_WORDS
+from firmware_py.robot import Config, FirmwareError, FixedPointRobot, Observation, Status, Sums
+from firmware_py.table import checksum
+from host_tools.scenarios import Call, Scenario, Setup
+
+State = dict[str, int]
+"""All that can be seen of a robot after a call, by name."""
+
+_IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
+
+
+class Firmware(Protocol):
+    """A class of robots, such as ``MirrorRobot``."""
+
+    def __call__(self, config: Config, robot_id: int, b_hat: float) -> FixedPointRobot:
+        """Make a robot."""
+
+    def restore(self, config: Config, image: bytes) -> FixedPointRobot:
+        """Make a robot from an image."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a call did.
+
+    Attributes:
+        outcome: The status's name, or what was raised in place of one.
+        state: The robot afterwards; empty if there is none.
+        image: What it saved.
+    """
+
+    outcome: str
+    state: State
+    image: bytes
+
+
+class Subject:
+    """A robot of one firmware on its way through a scenario."""
+
+    def __init__(self, firmware: Firmware, setup: Setup) -> None:
+        self._firmware = firmware
+        self._config = setup.config()
+        self._robot: FixedPointRobot | None = None
+        self.last = self._look(lambda: self._make(setup))
+
+    def apply(self, call: Call) -> Look:
+        """Make a call; the result also stays as ``last``."""
+        self.last = self._look(lambda: self._dispatch(call))
+        return self.last
+
+    def _look(self, act: Callable[[], Status]) -> Look:
+        """Act and look. Whatever a firmware raises is an outcome, to be compared like any other."""
+        try:
+            outcome = act().name
+        except FirmwareError as error:
+            outcome = error.status.name
+        except Exception as error:  # noqa: BLE001
+            outcome = f"{type(error).__name__}: {error}"
+        try:
+            return Look(outcome, *self._observed())
+        except Exception as error:  # noqa: BLE001
+            return Look(f"{outcome}, then {type(error).__name__}: {error}", {}, b"")
+
+    def _make(self, setup: Setup) -> Status:
+        self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
+        return Status.OK
+
+    def _observed(self) -> tuple[State, bytes]:
+        robot = self._robot
+        if robot is None:
+            return {}, b""
+        counters = robot.counters
+        state = robot.state() | {
+            "t()": robot.t,
+            "n()": robot.n,
+            "b_hat()": robot.b_hat_raw,
+            "x_hat()": robot.x_hat_raw,
+            "alpha()": robot.alpha_raw,
+            "x_bar()": robot.x_bar_raw,
+            "beta()": robot.beta_raw,
+            "x()": robot.x_raw,
+            "accepted()": counters.accepted,
+            "repeated()": counters.repeated,
+            "rejected()": counters.rejected,
+            "tests()": counters.tests,
+            "updates()": counters.updates,
+            "holds_invariants()": robot.holds_invariants(),
+        }
+        return state, robot.save()
+
+    def _dispatch(self, call: Call) -> Status:
+        assert self._robot is not None
+        robot, numbers = self._robot, call.numbers
+        if call.name == "receive":
+            return robot.receive_raw(*numbers)
+        if call.name == "settle":
+            return robot.settle()
+        if call.name == "step":
+            return robot.step(cast(Observation, numbers[0]))
+        if call.name == "observe":
+            return robot.observe(cast(Observation, numbers[0]))
+        if call.name == "add":
+            return robot.add_round(Sums(*numbers[1:]), numbers[0])
+        self._robot = self._firmware.restore(self._config, _edited(robot.save(), call))
+        return Status.OK
+
+
+def _edited(image: bytes, call: Call) -> bytes:
+    """The image that a ``restore`` or ``damage`` call hands to the firmware."""
+    if call.name == "damage":
+        index, mask = call.numbers
+        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
+    words = list(_IMAGE.unpack(image))
+    for index, value in call.pairs:
+        words[index] = value
+    return _IMAGE.pack(*words[:-1], checksum(words[:-1]))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong in a scenario.
+
+    Attributes:
+        calls: How many calls had been made when it showed; 0 is the making of the robot.
+        problems: What is wrong, a line each.
+    """
+
+    calls: int
+    problems: tuple[str, ...]
+
+
+Watcher = Callable[[Call, Look, Look], list[str]]
+"""Judges what a call did, given the looks before and after it; returns problems."""
+
+Check = Callable[[Scenario], Finding | None]
+
+
+def compare(
+    scenario: Scenario, left: Firmware, right: Firmware, watch: Watcher | None = None
+) -> Finding | None:
+    """Take both firmwares through the scenario and stop at the first difference or complaint of ``watch``."""
+    one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
+    if one.last != other.last:
+        return Finding(0, tuple(differences(one.last, other.last)))
+    if not one.last.state:
+        return None
+    for made, call in enumerate(scenario.calls, start=1):
+        before = one.last
+        if one.apply(call) != other.apply(call):
+            return Finding(made, tuple(differences(one.last, other.last)))
+        problems = watch(call, before, one.last) if watch is not None else []
+        if problems:
+            return Finding(made, tuple(problems))
+    return None
+
+
+def differences(left: Look, right: Look) -> Iterator[str]:
+    """What differs, a line each: the first firmware's value, then the second's."""
+    if left.outcome != right.outcome:
+        yield f"status: {left.outcome}, {right.outcome}"
+    for name in left.state.keys() | right.state.keys():
+        one, other = left.state.get(name), right.state.get(name)
+        if one != other:
+            yield f"{name}: {one}, {other}"
+    if left.image != right.image:
+        yield f"save(): {left.image.hex()}, {right.image.hex()}"
+
+
+def shrink(scenario: Scenario, check: Check) -> Scenario:
+    """The scenario without whatever is not needed for ``check`` to find something; unchanged if it finds nothing.
+
+    What is left is minimal: without any one of its calls, or any one replaced word, nothing is found. Needs
+    a few hundred runs of the check for a scenario of a hundred calls.
+    """
+    calls = _cut(scenario, check)
+    size = max(len(calls) // 2, 1)
+    while True:
+        shorter = _drop(scenario.with_calls(calls), size, check)
+        if size == 1 and len(shorter) == len(calls):
+            shorter = _simplify(scenario.with_calls(calls), check)
+            if shorter == calls:
+                return scenario.with_calls(calls)
+        calls, size = shorter, max(size // 2, 1)
+
+
+def _cut(scenario: Scenario, check: Check) -> tuple[Call, ...]:
+    """The calls up to the finding, all of them if there is none."""
+    finding = check(scenario)
+    return scenario.calls if finding is None else scenario.calls[: finding.calls]
+
+
+def _drop(scenario: Scenario, size: int, check: Check) -> tuple[Call, ...]:
+    """The calls without every run of ``size`` calls that is not needed."""
+    calls, start = scenario.calls, 0
+    while start < len(calls):
+        without = scenario.with_calls(calls[:start] + calls[start + size :])
+        if check(without) is None:
+            start += size
+        else:
+            calls = _cut(without, check)
+    return calls
+
+
+def _simplify(scenario: Scenario, check: Check) -> tuple[Call, ...]:
+    """The calls without the first replaced word that is not needed."""
+    for at, call in enumerate(scenario.calls):
+        for pair in range(0, len(call.numbers) if call.name == "restore" else 0, 2):
+            fewer = Call("restore", call.numbers[:pair] + call.numbers[pair + 2 :])
+            calls = (*scenario.calls[:at], fewer, *scenario.calls[at + 1 :])
+            if check(scenario.with_calls(calls)) is not None:
+                return _cut(scenario.with_calls(calls), check)
+    return scenario.calls

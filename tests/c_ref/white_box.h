@@ -1,0 +1,47 @@
+/* What the white-box tests share: the core itself, with its static functions in reach. Values in tests come from
+ * formulas of docs/design.md in the widest type at hand, not from the core. */
+#ifndef WHITE_BOX_H
+#define WHITE_BOX_H
+
+#include "check.h"
+
+#include <string.h>
+
+#if defined(TEST_WITHOUT_CLZ) && TEST_WITHOUT_CLZ /* the portable leading_zeros(), which a host would not use */
+#ifdef __clang__
+#pragma clang diagnostic ignored "-Wbuiltin-macro-redefined"
+#endif
+#undef __x86_64__
+#undef __i386__
+#undef __ARM_FEATURE_CLZ
+#endif
+
+#ifdef TEST_HARDWARE_DIVIDE /* this variant, whatever the build as a whole has chosen */
+#undef MCP_ASDF_HARDWARE_DIVIDE
+#define MCP_ASDF_HARDWARE_DIVIDE TEST_HARDWARE_DIVIDE
+#endif
+#ifdef TEST_SPLIT_MULTIPLY
+#undef MCP_ASDF_SPLIT_MULTIPLY
+#define MCP_ASDF_SPLIT_MULTIPLY TEST_SPLIT_MULTIPLY
+#endif
+
+#include "mcp_asdf.c"
+
+#define TOTAL_MIN (UINT32_C(1) << 30) /* t as estimate() normalises it */
+#define TOTAL_MAX (UINT32_MAX >> 1)
+#define C_MAX (UINT32_C(0x80000000) - (INFORMATIVE_G >> 1)) /* the largest c that says something */
+
+static mcp_asdf_config_t white_box_config = {0, 1, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+
+/* A robot with these observations behind it. */
+static inline mcp_asdf_t robot_at(uint32_t t, uint32_t n, uint32_t b_hat)
+{
+    mcp_asdf_t robot;
+    memset(&robot, 0xA5, sizeof robot);
+    CHECK_EQUAL(mcp_asdf_init(&robot, &white_box_config, 0, b_hat), MCP_ASDF_OK);
+    robot.t = t;
+    robot.n = n;
+    return robot;
+}
+
+#endif
