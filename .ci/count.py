@@ -10,7 +10,9 @@ def count(report: Path) -> Counter[str]:
     """The outcomes in one report."""
     outcomes: Counter[str] = Counter()
     for suite in ET.parse(report).getroot().iter("testsuite"):
-        numbers = {name: int(suite.get(name) or 0) for name in ("tests", "failures", "errors", "skipped", "disabled")}
+        numbers = {
+            name: int(suite.get(name) or 0) for name in ("tests", "failures", "errors", "skipped", "disabled")
+        }
         failed = numbers["failures"] + numbers["errors"]
         skipped = numbers["skipped"] + numbers["disabled"]
         outcomes.update(passed=numbers["tests"] - failed - skipped, failed=failed, skipped=skipped)

@@ -6,10 +6,10 @@ for bit, and ``NativeRobot`` is the C itself. See ``firmware_py.robot`` for the 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from firmware_py.mirror import MirrorRobot
-from firmware_py.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
 from firmware_py.robot import (
     Config,
     Counters,
@@ -25,6 +25,15 @@ from firmware_py.table import Table, TableError
 
 if TYPE_CHECKING:
     from firmware_py.native import NativeRobot
+    from firmware_py.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
+
+_MODULES = {
+    "NativeRobot": "native",
+    "AUTHORS": "reference",
+    "PAPER": "reference",
+    "Conventions": "reference",
+    "ReferenceRobot": "reference",
+}
 
 __all__ = [
     "AUTHORS",
@@ -47,10 +56,8 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> type[NativeRobot]:
-    """Load the compiled firmware when it is asked for: the other two also work where it is not built."""
-    if name != "NativeRobot":
+def __getattr__(name: str) -> Any:
+    """Load the compiled firmware and SciPy's functions only for who asks: the rest works without them."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from firmware_py.native import NativeRobot  # noqa: PLC0415
-
-    return NativeRobot
+    return getattr(import_module(f"firmware_py.{_MODULES[name]}"), name)

@@ -1,8 +1,8 @@
-"""Write the C source of the extension module ``firmware_py._native``.
+"""Write the C source of an extension module that offers what C headers declare.
 
-Run by CMake as ``python build_native.py HEADER OUTPUT``. What cffi has to know about the firmware is
-derived from its header, so the two cannot drift apart: a construct that this script does not expect
-ends the build with cffi's parse error.
+Run by CMake as ``python build_native.py MODULE OUTPUT HEADER...``. What cffi has to know is derived from
+the headers themselves, so the two cannot drift apart: a construct that this script does not expect ends
+the build with cffi's parse error.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from pathlib import Path
 
 from cffi import FFI
 
-MODULE = "firmware_py._native"
-
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CONTINUED_LINE = re.compile(r"\\\n")
 _ONLY_CPLUSPLUS = re.compile(r"^#ifdef __cplusplus\n.*?^#endif\n", re.DOTALL | re.MULTILINE)
@@ -24,7 +22,7 @@ _INLINE_FUNCTION = re.compile(r"static inline ([^{;]*?)\s*\{[^}]*\}")
 
 
 def declarations(header: str) -> str:
-    """What cffi declares, from the text of ``mcp_asdf.h``: constants, types and functions."""
+    """What cffi declares, from the text of a header: its constants, types and functions."""
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
     constants = [_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)]
@@ -39,10 +37,11 @@ def _constant(name: str, value: str) -> str:
 
 def main() -> None:
     """Write the source."""
-    header, output = Path(sys.argv[1]), sys.argv[2]
+    module, output, *headers = sys.argv[1:]
     builder = FFI()
-    builder.cdef(declarations(header.read_text(encoding="utf-8")))
-    builder.set_source(MODULE, f'#include "{header.name}"')
+    for header in map(Path, headers):
+        builder.cdef(declarations(header.read_text(encoding="utf-8")))
+    builder.set_source(module, "\n".join(f'#include "{Path(header).name}"' for header in headers))
     builder.emit_c_code(output)
 
 

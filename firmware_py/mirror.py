@@ -187,7 +187,7 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     return ONE - x_hat if mirrored else x_hat, alpha_bits(mantissa, exponent + 33 - shift)
 
 
-def test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
+def rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     """Eq. 12 on the m >= 2 messages of a round."""
     m = open_round.count
     difference = open_round.x - m * x_hat
@@ -327,9 +327,9 @@ class MirrorRobot(FixedPointView):
     def _check_message(self, sender: int, x_hat: int, alpha: int) -> Status:
         if not 0 <= sender <= MAX_ID or sender == self.s.id:
             return Status.ERR_SENDER
-        if x_hat > ONE:
+        if not 0 <= x_hat <= ONE:
             return Status.ERR_X_HAT
-        return Status.ERR_ALPHA if alpha >= ALPHA_INFINITE else Status.OK
+        return Status.OK if 0 <= alpha < ALPHA_INFINITE else Status.ERR_ALPHA
 
     def add_round(self, sums: Sums, messages: int) -> Status:
         """Add the exact sums of ``messages`` messages at once to the open round."""
@@ -377,7 +377,7 @@ class MirrorRobot(FixedPointView):
                 return False
             s.tests = min(s.tests + 1, COUNTER_MAX)
             assert config.table is not None
-            if not test_rejects(config.table, s.open, s.x_hat):
+            if not rejects(config.table, s.open, s.x_hat):
                 return False
         b_hat = reestimate(s.t, s.n, self.x_bar_raw)
         if b_hat is None:

@@ -15,7 +15,7 @@ from typing import Protocol, cast
 from host_tools.errors import UsageError
 
 PROGRAM = "mcp-asdf"
-COMMANDS = ("table", "swarm")
+COMMANDS = ("table", "crosscheck", "swarm", "dbc", "simulate", "sweep", "score", "plot")
 """Names of the commands; ``NAME`` is the module ``host_tools.commands.NAME``."""
 
 

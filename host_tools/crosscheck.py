@@ -10,6 +10,7 @@ from typing import Protocol, cast
 from firmware_py.mirror import IMAGE_WORDS
 from firmware_py.robot import Config, FirmwareError, FixedPointRobot, Observation, Status, Sums
 from firmware_py.table import checksum
+from host_tools.scenario_source import random_scenario
 from host_tools.scenarios import Call, Scenario, Setup
 
 State = dict[str, int]
@@ -63,11 +64,11 @@ class Subject:
             outcome = act().name
         except FirmwareError as error:
             outcome = error.status.name
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             outcome = f"{type(error).__name__}: {error}"
         try:
             return Look(outcome, *self._observed())
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             return Look(f"{outcome}, then {type(error).__name__}: {error}", {}, b"")
 
     def _make(self, setup: Setup) -> Status:
@@ -157,6 +158,8 @@ def compare(
         before = one.last
         if one.apply(call) != other.apply(call):
             return Finding(made, tuple(differences(one.last, other.last)))
+        if not one.last.state:
+            return Finding(made, (f"both: {one.last.outcome}",))
         problems = watch(call, before, one.last) if watch is not None else []
         if problems:
             return Finding(made, tuple(problems))
@@ -167,16 +170,57 @@ def differences(left: Look, right: Look) -> Iterator[str]:
     """What differs, a line each: the first firmware's value, then the second's."""
     if left.outcome != right.outcome:
         yield f"status: {left.outcome}, {right.outcome}"
-    for name in left.state.keys() | right.state.keys():
+    if not left.state or not right.state:  # one has no robot, which the status says
+        return
+    for name in left.state | right.state:
         one, other = left.state.get(name), right.state.get(name)
         if one != other:
             yield f"{name}: {one}, {other}"
-    if left.image != right.image:
-        yield f"save(): {left.image.hex()}, {right.image.hex()}"
+    words = zip(_IMAGE.unpack(left.image), _IMAGE.unpack(right.image), strict=True)
+    for index, (one, other) in enumerate(words):
+        if one != other:
+            yield f"save(), word {index}: {one:#010x}, {other:#010x}"
+
+
+@dataclass
+class Outcome:
+    """What came of a cross-check.
+
+    Attributes:
+        calls: Calls made and compared.
+        scenarios: Scenarios they belonged to.
+        failing: The scenario with something wrong, at which the check stopped.
+        interrupted: Ctrl-C ended it early.
+    """
+
+    calls: int = 0
+    scenarios: int = 0
+    failing: Scenario | None = None
+    interrupted: bool = False
+
+
+def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> Outcome:
+    """Check the random scenarios of ``seed`` until ``calls`` calls are made or something is found.
+
+    ``report`` hears of the calls made after every scenario.
+    """
+    outcome = Outcome()
+    try:
+        while outcome.calls < calls and outcome.failing is None:
+            scenario = random_scenario(seed, outcome.scenarios)
+            scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
+            if check(scenario) is not None:
+                outcome.failing = scenario
+            outcome.calls += len(scenario.calls)
+            outcome.scenarios += 1
+            report(outcome.calls)
+    except KeyboardInterrupt:
+        outcome.interrupted = True
+    return outcome
 
 
 def shrink(scenario: Scenario, check: Check) -> Scenario:
-    """The scenario without whatever is not needed for ``check`` to find something; unchanged if it finds nothing.
+    """The scenario without what is not needed for ``check`` to find something; unchanged if it finds nothing.
 
     What is left is minimal: without any one of its calls, or any one replaced word, nothing is found. Needs
     a few hundred runs of the check for a scenario of a hundred calls.

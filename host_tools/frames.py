@@ -1,9 +1,10 @@
-"""The frames a robot puts on the bus: estimates (x_hat, alpha) and heartbeats, as python-can frames.
+"""The frames on the bus: estimates (x_hat, alpha), heartbeats, telemetry and commands, for python-can.
 
 Each is one classic CAN frame with a 29-bit identifier and 8 bytes, and at the same time one OpenCyphal
 v1 single-frame message; ``docs/frame.md`` gives every bit. Values are the firmware's own integers:
 x_hat in units of 2**-23, alpha as IEEE binary32 bits. Nothing here raises on what comes from a bus: a
-frame that is not a legal message decodes to the :class:`Rejection` that says why. All in O(1).
+frame that is not a legal message decodes to the :class:`Rejection` that says why. All in O(1). The same
+in C, with the same verdict on every frame, is ``c_ref/src/mcp_asdf_frame.h``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,12 @@ MAX_PRIORITY = 7
 HEARTBEAT_SUBJECT = 7509
 FRAME_BYTES = 8
 
+MIN_B_HAT = 1 << 4
+"""Smallest b_hat in telemetry, 2**-20 in units of 2**-24."""
+MAX_B_HAT = (1 << 24) - MIN_B_HAT
+EVERY_ROBOT = 255
+"""Target of a command to all robots."""
+
 _NODE_BITS = 0x7F
 _SERVICE, _ANONYMOUS, _RESERVED = 1 << 25, 1 << 24, 1 << 23 | 1 << 7
 # Priority says nothing to a receiver, and the specification has it ignore the two bits sent as 1.
@@ -35,26 +42,52 @@ _SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
 
 
 class Rejection(Enum):
-    """Why a frame is not the message looked for; the value is for people."""
+    """Why a frame is not the message looked for.
 
-    ERROR_FRAME = "error frame"
-    REMOTE_FRAME = "remote frame"
-    FD_FRAME = "CAN FD frame"
-    STANDARD_ID = "11-bit identifier"
-    SERVICE = "service transfer"
-    ANONYMOUS = "anonymous sender"
-    RESERVED_BITS = "reserved identifier bit set"
-    SUBJECT = "another subject"
-    LENGTH = "not 8 bytes"
-    MULTI_FRAME = "not a single-frame transfer"
-    X_HAT = "x_hat above 1"
-    ALPHA = "alpha negative, infinite or NaN"
-    MODE = "unknown node mode"
+    The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``.
+
+    Attributes:
+        text: The same for people.
+    """
+
+    text: str
+
+    ERROR_FRAME = -21, "error frame"
+    REMOTE_FRAME = -22, "remote frame"
+    FD_FRAME = -23, "CAN FD frame"
+    STANDARD_ID = -24, "11-bit identifier"
+    SERVICE = -25, "service transfer"
+    ANONYMOUS = -26, "anonymous sender"
+    RESERVED_BITS = -27, "reserved identifier bit set"
+    SUBJECT = -28, "another subject"
+    LENGTH = -29, "not 8 bytes"
+    MULTI_FRAME = -30, "not a single-frame transfer"
+    X_HAT = -31, "x_hat above 1"
+    ALPHA = -32, "alpha negative, infinite or NaN"
+    MODE = -33, "unknown node mode"
+    X = -34, "x above 1"
+    B_HAT = -35, "b_hat outside 2**-20 to 1 - 2**-20"
+    TARGET = -36, "target neither a robot nor all"
+    ACTION = -37, "unknown action"
+
+    def __new__(cls, code: int, text: str) -> Rejection:
+        """Make a member."""
+        member = object.__new__(cls)
+        member._value_ = code
+        member.text = text
+        return member
+
+
+def _check(name: str, value: int, most: int, least: int = 0) -> None:
+    if not least <= value <= most:
+        raise ValueError(f"{name} is {value}; it must be {least} to {most}")
 
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Where estimates are on the bus. Raises ValueError if a field is out of range.
+    """Where one kind of message is on the bus. Raises ValueError if a field is out of range.
+
+    The default is that of estimates.
 
     Attributes:
         subject: Cyphal subject identifier, 0 .. 6143.
@@ -69,8 +102,14 @@ class FrameFormat:
         _check("priority", self.priority, MAX_PRIORITY)
 
     def identifier(self, node: int) -> int:
-        """29-bit identifier of the estimates of ``node``, 0 .. 127."""
+        """29-bit identifier of the messages of ``node``, 0 .. 127."""
         return _identifier(self.priority, self.subject, node)
+
+
+TELEMETRY = FrameFormat(subject=3001, priority=6)
+"""Where telemetry is unless chosen otherwise: what can wait."""
+COMMANDS = FrameFormat(subject=3002, priority=3)
+"""Where commands are unless chosen otherwise: before the estimates they ask for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +168,53 @@ class Heartbeat:
     vendor_status: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """What a robot tells its watchers.
+
+    Attributes:
+        sender: Robot id, 0 .. 127.
+        x: Informed estimate in units of 2**-23, 0 .. 2**23.
+        b_hat: Assumed accuracy in units of 2**-24, MIN_B_HAT .. MAX_B_HAT: the firmware's upper 24 bits.
+        updates: Number of re-estimates of b_hat modulo 256.
+        transfer_id: Number of the sender's telemetry modulo 32.
+    """
+
+    sender: int
+    x: int
+    b_hat: int
+    updates: int
+    transfer_id: int
+
+
+class Action(Enum):
+    """Which half of a control tick a command asks for, and on which observation."""
+
+    OBSERVE_WHITE = 0
+    OBSERVE_BLACK = 1
+    OBSERVE_NONE = 2
+    SETTLE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """An order of a simulator that drives robots in lockstep.
+
+    Attributes:
+        sender: The simulator's node id, 0 .. 127.
+        tick: Number of the control tick, 0 .. 2**32 - 1.
+        target: Id of the robot that is meant, 0 .. 127, or EVERY_ROBOT.
+        action: What to do.
+        transfer_id: Number of the sender's command modulo 32.
+    """
+
+    sender: int
+    tick: int
+    target: int
+    action: Action
+    transfer_id: int
+
+
 def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
     """Return ``message`` as a frame stamped ``timestamp`` (seconds).
 
@@ -183,6 +269,64 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     return Heartbeat(sender, uptime, transfer_id, Health(health & 3), Mode(mode & 7), vendor_status)
 
 
+def encode_telemetry(
+    telemetry: Telemetry, frame_format: FrameFormat = TELEMETRY, timestamp: float = 0.0
+) -> can.Message:
+    """Return ``telemetry`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range.
+    """
+    _check("x", telemetry.x, ONE)
+    _check("b_hat", telemetry.b_hat, MAX_B_HAT, MIN_B_HAT)
+    _check("updates", telemetry.updates, 0xFF)
+    payload = telemetry.x | telemetry.b_hat << 24 | telemetry.updates << 48
+    return _frame(frame_format.identifier(telemetry.sender), payload, telemetry.transfer_id, timestamp)
+
+
+def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) -> Telemetry | Rejection:
+    """Read telemetry from a frame, or say why it is none; any frame whatever may be given."""
+    reason = _why_no_transfer(frame, frame_format.subject)
+    if reason is not None:
+        return reason
+    content = int.from_bytes(frame.data, "little")
+    x, b_hat, updates = content & 0xFF_FFFF, content >> 24 & 0xFF_FFFF, content >> 48 & 0xFF
+    if x > ONE:
+        return Rejection.X
+    if not MIN_B_HAT <= b_hat <= MAX_B_HAT:
+        return Rejection.B_HAT
+    return Telemetry(frame.arbitration_id & _NODE_BITS, x, b_hat, updates, content >> 56 & _TRANSFER_BITS)
+
+
+def encode_command(
+    command: Command, frame_format: FrameFormat = COMMANDS, timestamp: float = 0.0
+) -> can.Message:
+    """Return ``command`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range.
+    """
+    _check("tick", command.tick, 0xFFFF_FFFF)
+    if command.target != EVERY_ROBOT:
+        _check("target", command.target, MAX_NODE)
+    payload = command.tick | command.target << 32 | command.action.value << 40
+    return _frame(frame_format.identifier(command.sender), payload, command.transfer_id, timestamp)
+
+
+def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> Command | Rejection:
+    """Read a command from a frame, or say why it is none; any frame whatever may be given.
+
+    The spare byte is ignored, as the specification asks.
+    """
+    reason = _why_no_transfer(frame, frame_format.subject)
+    if reason is not None:
+        return reason
+    tick, target, action, _, tail = struct.unpack("<IBBBB", frame.data)
+    if target > MAX_NODE and target != EVERY_ROBOT:
+        return Rejection.TARGET
+    if action > Action.SETTLE.value:
+        return Rejection.ACTION
+    return Command(frame.arbitration_id & _NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
+
+
 def float_of(alpha: int) -> float:
     """Confidence of binary32 bits ``alpha``, 0 .. 0x7F7FFFFF; exact."""
     value: float = struct.unpack("<f", struct.pack("<I", alpha))[0]
@@ -231,8 +375,3 @@ def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) ->
     tail = (_SINGLE_FRAME | transfer_id) << 56
     data = (payload | tail).to_bytes(FRAME_BYTES, "little")
     return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)
-
-
-def _check(name: str, value: int, most: int) -> None:
-    if not 0 <= value <= most:
-        raise ValueError(f"{name} is {value}; it must be 0 to {most}")

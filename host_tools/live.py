@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from host_tools.frames import ONE, Telemetry
 from host_tools.swarm import Node, Swarm
 from host_tools.swarm_run import Run
 
@@ -52,12 +53,19 @@ class LiveTable:
 
 
 def picture(swarm: Swarm) -> Group:
-    """The swarm's present state: a row per robot and a line for all."""
+    """The swarm's present state: a row per robot and a line for all.
+
+    Robots of other processes on the bus have a row, too, with what their telemetry tells.
+    """
     table = Table(box=None, padding=(0, 1), header_style="bold")
     for name in ("robot", "t", "n/t", "b_hat", "x_hat", "alpha", "x", "heard", "updates", "rejected"):
         table.add_column(name, justify="right")
     for node in swarm.nodes:
         table.add_row(*_cells(node), style=_FLAWED_STYLE if node.is_flawed else _OTHER_STYLE)
+    own = {node.id for node in swarm.nodes}
+    for sender, telemetry in sorted(swarm.traffic.telemetry.items()):
+        if sender not in own:
+            table.add_row(*_cells_of_telemetry(telemetry))
     return Group(_headline(swarm), table)
 
 
@@ -76,6 +84,11 @@ def _cells(node: Node) -> list[str]:
         str(counters.updates),
         str(counters.rejected),
     ]
+
+
+def _cells_of_telemetry(telemetry: Telemetry) -> list[str]:
+    b_hat, x = f"{telemetry.b_hat / 2**24:.4f}", f"{telemetry.x / ONE:.4f}"
+    return [f"other {telemetry.sender} ", "", "", b_hat, "", "", x, "", str(telemetry.updates), ""]
 
 
 def _headline(swarm: Swarm) -> Text:
@@ -100,6 +113,10 @@ def summary(run: Run, bus: str, seconds: float) -> Table:
         table.add_row(f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
     table.add_row("filter", f"{results['tests']} tests, {results['updates']} updates")
     table.add_row("frames", _frames(run, bus))
+    for robot_id, count in results["frames"]["collisions"].items():
+        table.add_row(
+            "id collision", f"another node sent {count} messages as robot {robot_id}; give it a free id"
+        )
     table.add_row("parameters", parameters(run))
     return table
 

@@ -27,7 +27,8 @@ _B_HAT_HALF, _INFORMATIVE = 1 << 31, 1 << 19
 """b_hat = 1/2, and how far from it an observation says something."""
 
 # Words of an image (docs/design.md, section 8).
-_T, _N, _B_HAT, _X_HAT, _ALPHA, _COMMS_LEFT, _FILTER_LEFT, _LAST = 1, 2, 3, 4, 5, 28, 29, 32
+_T, _N, _B_HAT, _X_HAT, _ALPHA, _SETTLED_ALPHA, _CLOSED = 1, 2, 3, 4, 5, 7, 8
+_HEARD, _COMMS_LEFT, _FILTER_LEFT, _COUNTERS, _LAST = 24, 28, 29, 30, 32
 
 _ALPHA_ONE = 0x3F800000
 _ALPHAS = (
@@ -35,7 +36,7 @@ _ALPHAS = (
     *(ALPHA_MAX - 1, ALPHA_MAX, ALPHA_MAX + 1, _ALPHA_ONE, _BITS_32),
     *(0x33000000, 0x337FFFFF, 0x33800000, 0x33800001, 0x34000000, 0x3EFFFFFF, 0x3F000000, 0x3F000001),
 )
-"""Both zeros, subnormal and infinite ones, no numbers; the ends of the range, of the grid and of its coarse part."""
+"""Zeros, subnormals, infinity, not-a-numbers; ends of the range, of the grid and of its coarse part."""
 
 _X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, _BITS_32)
 
@@ -110,34 +111,40 @@ class _Author:
         self._call(source.choice(["step", "observe"]), source.randrange(2))
 
     def _image(self) -> None:
-        """Save and restore: as it is, with a period about to end, with counters nearly full, with errors."""
-        source = self._source
-        kind = source.randrange(5)
-        if kind == 0:
-            self._call("restore")
-        elif kind == 1:
-            self._call("restore", _COMMS_LEFT, source.randrange(2), _FILTER_LEFT, self._setup.comms_period)
-        elif kind == 2:
-            first, second, updates = source.choices([0, _BITS_16 - 2, _BITS_16 - 1, _BITS_16], k=3)
-            words = [30, first << 16 | second, 31, second << 16 | first]
-            self._call("restore", *words, _LAST, self._setup.robot_id << 24 | updates)
-        elif kind == 3:
-            bits = source.choice([0, 1, 1 << source.randrange(32), source.randint(0, _BITS_32)])
-            self._call("restore", source.randint(_T, _LAST), bits)
-        else:
+        """Save and restore, with words of the image changed so that it should or should not be refused."""
+        source, setup = self._source, self._setup
+        own, edge = setup.robot_id, source.choice([0, _BITS_16 - 1, _BITS_16])
+        alpha, x_hat = source.choice(_ALPHAS), source.choice([HALF, self._x_hat()])
+        beta = (MAX_ID * 0xFFFFFF << 31) + source.randint(-1, 1)
+        low = source.choice([0, (1 << 30) - 1, 1 << 30, _BITS_32])
+        changes = (
+            (),
+            (_COMMS_LEFT, source.randrange(2), _FILTER_LEFT, source.choice([0, 1, 1]) * setup.comms_period),
+            (_COUNTERS, edge << 16 | _BITS_16 - edge, _COUNTERS + 1, edge << 16, _LAST, own << 24 | edge),
+            (_COUNTERS, _BITS_16 - edge << 16 | edge, _COUNTERS + 1, edge),
+            (source.choice([_ALPHA, _SETTLED_ALPHA]), alpha, _X_HAT, x_hat),
+            (_CLOSED, beta & _BITS_32, _CLOSED + 1, beta >> 32, _CLOSED + 3, low),
+            (_HEARD + (own >> 5), 1 << (own & 31), _LAST, own << 24 | 1 << 16),
+            (source.randint(_T, _LAST), source.choice([0, 1, 1 << source.randrange(32), _BITS_32])),
+        )
+        if source.random() < 0.1:
             self._call("damage", source.randrange(4 * IMAGE_WORDS), 1 << source.randrange(8))
+        else:
+            self._call("restore", *source.choice(changes))
 
     def _sums(self) -> None:
         """Add a round's sums, some of them impossible."""
         source = self._source
         m = source.choice([0, 1, 2, 3, 30, 31, 126, 127, source.randint(0, MAX_ID)])
-        sums = Sums()
+        largest, sums = source.random() < 0.2, Sums()
         for _ in range(m):
-            sums_add(sums, min(self._x_hat(), ONE), self._alpha() & ALPHA_MAX)
+            x_hat, alpha = (ONE, ALPHA_MAX) if largest else (self._x_hat(), self._alpha())
+            sums_add(sums, min(x_hat, ONE), alpha & ALPHA_MAX)
         numbers = [m + source.choice([0, 0, 0, 0, 1, 126, 128]), *_members(sums)]
         if source.random() < 0.3:
             member = source.randrange(len(numbers))
-            numbers[member] = max(numbers[member] + source.choice([-1, 1, 1 << source.randrange(8)]), 0)
+            number = numbers[member]
+            numbers[member] = source.choice([max(number - 1, 0), number + 1, number ^ 1 << 20, number // 2])
         self._call("add", numbers[0] & 0xFF, *numbers[1:])
 
     def _decide(self) -> None:
@@ -146,7 +153,8 @@ class _Author:
         if choice is None:
             self._tick()
             return
-        m = min(source.choice([2, 3, choice.q, choice.q + 1, MAX_ID, source.randint(2, MAX_ID)]), MAX_ID)
+        edge = source.choice([2, 3, choice.q, choice.q + 1, MAX_ID])
+        m = min(source.choice([edge, source.randint(2, MAX_ID)]), MAX_ID)
         x_hats, own = round_at_threshold(source, build_table(choice), m)
         t = max(_observations(source, self._setup.memory), 1)
         words = [_T, t, _N, _blacks(source, t, self._b_hat), _X_HAT, own, _ALPHA, _ALPHA_ONE]
@@ -183,7 +191,7 @@ def round_at_threshold(source: Random, table: Table, m: int) -> tuple[list[int],
     root = isqrt((table.entry(m) * p * (m - p)) << (2 * scale - table.fraction_bits))
     ratio = Fraction(root, 1 << scale)
     most = ONE // (m + ceil(ratio))
-    near = ratio.limit_denominator(source.randint(1, max(most >> source.randrange(12), 1)))
+    near = ratio.limit_denominator(source.randint(1, max(most >> source.randrange(6), 1)))
     factor = source.choice([0, 1, 1, 1, source.randint(1, max(most // near.denominator, 1))])
     d, e = factor * near.denominator, factor * near.numerator
     own = d * (m - p) + source.choice([-e, e])
@@ -195,7 +203,9 @@ def round_at_threshold(source: Random, table: Table, m: int) -> tuple[list[int],
 
 def _setup(source: Random) -> Setup:
     comms_period = source.choice([1, 1, 1, 2, 3, 7, _BITS_32])
-    filter_period = min(comms_period * source.choice([1, 1, 2, 5, 20]), _BITS_32 // comms_period * comms_period)
+    filter_period = min(
+        comms_period * source.choice([1, 1, 2, 5, 20]), _BITS_32 // comms_period * comms_period
+    )
     mode = source.choice([Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ALWAYS, Filter.OFF])
     return Setup(
         TableChoice(*source.choice(TABLES)) if mode == Filter.ADAPTIVE else None,
@@ -216,7 +226,7 @@ def _spoilt(setup: Setup, source: Random) -> Setup:
         {"memory": source.choice([0, 62, 63, 64, 65, _BITS_32, _BITS_32 - 1])},
         {"filter": source.choice([0, 3, 255])},
         {"robot_id": source.choice([128, 255])},
-        {"b_hat": source.choice([0, B_HAT_MIN - 1, B_HAT_MIN, B_HAT_MAX, B_HAT_MAX + 1, _BITS_32])},
+        {"b_hat": source.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, _BITS_32])},
         {"table": _spoilt_table(source), "filter": int(Filter.ADAPTIVE)},
         {"table": _spoilt_table(source), "filter": int(Filter.ADAPTIVE)},
     ]
@@ -231,7 +241,15 @@ def _spoilt_table(source: Random) -> TableChoice:
     words = build_table(choice).words()
     entry = source.randrange(4, len(words))
     neighbour = words[max(entry - 1, 4)]
-    values = [0, 1, 1 << source.randrange(32), neighbour, neighbour - 1, _BITS_32, source.randint(0, _BITS_32)]
+    values = [
+        0,
+        1,
+        1 << source.randrange(32),
+        neighbour,
+        neighbour - 1,
+        _BITS_32,
+        source.randint(0, _BITS_32),
+    ]
     fraction_bits = words[1] & ~0xFF00 | source.choice([0, 1, 20, 25, 26, 27, 31, 32, 255]) << 8
     index, value = source.choice(
         [
@@ -248,7 +266,7 @@ def _b_hat(source: Random) -> int:
     """Anywhere, at the ends, around 1/2 at every distance, and at the edge of saying nothing."""
     away = source.choice([0, source.randrange(1 << source.randrange(1, 32)), _INFORMATIVE])
     nearby = source.choice([-1, 1]) * (away + source.randint(-1, 1))
-    end = source.choice([B_HAT_MIN + source.randrange(1 << source.randrange(20)), B_HAT_MIN])
+    end = source.choice([B_HAT_MIN + source.randrange(1 << source.randrange(31)), B_HAT_MIN])
     b_hat = source.choice(
         [source.randint(B_HAT_MIN, B_HAT_MAX), _B_HAT_HALF + nearby, source.choice([end, (1 << 32) - end])]
     )

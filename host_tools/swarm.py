@@ -34,14 +34,21 @@ from firmware_py.robot import (
 from host_tools.errors import UsageError
 from host_tools.firmwares import load_firmware, port_of
 from host_tools.frames import (
+    MAX_B_HAT,
+    MIN_B_HAT,
+    ONE,
+    TELEMETRY,
     FrameFormat,
     Heartbeat,
     Message,
     Rejection,
+    Telemetry,
     decode,
     decode_heartbeat,
+    decode_telemetry,
     encode,
     encode_heartbeat,
+    encode_telemetry,
 )
 from host_tools.tables import generate
 from host_tools.world import FullyConnected, World
@@ -92,6 +99,7 @@ class Settings:
         firmware: Name of the robots' firmware, see ``host_tools.firmwares``.
         frames: Where messages are on the bus.
         ticks_per_second: Of simulated time; heartbeats are sent once a second, 1 or more.
+        telemetry_period: Ticks between two telemetry frames of every robot; 0 for none.
     """
 
     robots: int = 20
@@ -109,6 +117,7 @@ class Settings:
     firmware: str = "native"
     frames: FrameFormat = field(default_factory=FrameFormat)
     ticks_per_second: int = 10
+    telemetry_period: int = 0
 
     def __post_init__(self) -> None:
         for name, least, most in _RANGES:
@@ -122,6 +131,10 @@ class Settings:
             )
         if self.memory % 2:
             raise UsageError(f"memory is {self.memory}; it must be even")
+        if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
+            raise UsageError(
+                f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"
+            )
 
     @property
     def flawed_robots(self) -> int:
@@ -145,6 +158,7 @@ _RANGES: tuple[tuple[str, float, float], ...] = (
     ("memory", MIN_MEMORY, DEFAULT_MEMORY),
     ("seed", 0, 2**128 - 1),
     ("ticks_per_second", 1, 10**6),
+    ("telemetry_period", 0, MAX_PERIOD),
 )
 
 
@@ -155,24 +169,36 @@ class Traffic:
     Attributes:
         sent: Messages sent.
         heartbeats_sent: Heartbeats sent.
+        telemetry_sent: Telemetry sent.
         delivered: Messages that reached a neighbour's firmware: N - 1 for each sent.
         heartbeats_heard: Heartbeats read by the other robots.
+        telemetry_heard: Telemetry read by the other robots, that of other processes' robots included.
+        telemetry: The last heard from each sender, by id.
         refused: Delivered messages that the firmware did not accept (repeated or invalid).
         strays: Legal messages that no robot waits for; another program uses the subject.
+        collisions: Those among them that a robot heard under its own id, by id: another node has it, too.
         rejected: Other frames that are no message of the swarm's, by reason.
     """
 
     sent: int = 0
     heartbeats_sent: int = 0
+    telemetry_sent: int = 0
     delivered: int = 0
     heartbeats_heard: int = 0
+    telemetry_heard: int = 0
+    telemetry: dict[int, Telemetry] = field(default_factory=dict)
     refused: int = 0
     strays: int = 0
+    collisions: Counter[int] = field(default_factory=Counter)
     rejected: Counter[Rejection] = field(default_factory=Counter)
 
     def figures(self) -> dict[str, Any]:
         """The counts as plain values, for JSON."""
-        return vars(self) | {"rejected": {reason.name: n for reason, n in self.rejected.items()}}
+        counts = {name: value for name, value in vars(self).items() if name != "telemetry"}
+        return counts | {
+            "collisions": {str(robot_id): n for robot_id, n in sorted(self.collisions.items())},
+            "rejected": {reason.name: n for reason, n in self.rejected.items()},
+        }
 
 
 class Node:
@@ -202,6 +228,13 @@ class Node:
         """The robot's broadcast of round number ``transfer``."""
         return Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer % _TRANSFERS)
 
+    def telemetry(self, transfer: int) -> Telemetry:
+        """The robot's present state as telemetry number ``transfer``."""
+        robot = self.robot
+        b_hat = min(max(int(robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
+        updates = robot.counters.updates % 256
+        return Telemetry(self.id, int(robot.x * ONE), b_hat, updates, transfer % _TRANSFERS)
+
     def listen(
         self, senders: Collection[int], transfer: int, frame_format: FrameFormat, traffic: Traffic
     ) -> None:
@@ -221,6 +254,8 @@ class Node:
                 traffic.refused += status != Status.OK
             else:
                 traffic.strays += 1
+                if message.sender == self.id and frame.is_rx:  # not this connection's own frame, returned
+                    traffic.collisions[self.id] += 1
         self.heard = len(senders)
         traffic.delivered += self.heard
 
@@ -299,7 +334,7 @@ class Swarm:
             for node, z in zip(self.nodes, colours, strict=True)
             if node.robot.observe(_COLOURS[z]) == Status.DUE
         ]
-        sent = self._send_heartbeats() + self._broadcast(due)
+        sent = self._send_heartbeats() + self._send_telemetry() + self._broadcast(due)
         if self._tap is not None:
             self._tap.follow(sent)
         if due:
@@ -320,6 +355,15 @@ class Swarm:
             )
             for node in self.nodes
         ]
+
+    def _send_telemetry(self) -> list[can.Message]:
+        """Send every node's state before this tick's observation, when it is time."""
+        period = self.settings.telemetry_period
+        if period == 0 or self.ticks % period:
+            return []
+        transfer, now = self.ticks // period, self._now()
+        self.traffic.telemetry_sent += len(self.nodes)
+        return [node.send(encode_telemetry(node.telemetry(transfer), timestamp=now)) for node in self.nodes]
 
     def _broadcast(self, due: Sequence[Node]) -> list[can.Message]:
         frame_format, now = self.settings.frames, self._now()
@@ -360,11 +404,17 @@ def _config(settings: Settings, filters: bool) -> Config:
 
 
 def _note_other(frame: can.Message, reason: Rejection, traffic: Traffic) -> None:
-    """Count a frame that is no message: the swarm's own heartbeats apart from what else there is."""
-    if reason is Rejection.SUBJECT and isinstance(decode_heartbeat(frame), Heartbeat):
-        traffic.heartbeats_heard += 1
-    else:
-        traffic.rejected[reason] += 1
+    """Count a frame that is no message: heartbeats and telemetry apart from what else there is."""
+    if reason is Rejection.SUBJECT:
+        if isinstance(decode_heartbeat(frame), Heartbeat):
+            traffic.heartbeats_heard += 1
+            return
+        telemetry = decode_telemetry(frame)
+        if isinstance(telemetry, Telemetry):
+            traffic.telemetry_heard += 1
+            traffic.telemetry[telemetry.sender] = telemetry
+            return
+    traffic.rejected[reason] += 1
 
 
 def _frames_until_none(waiting: set[int], bus: can.BusABC, who: str, what: str) -> Iterator[can.Message]:

@@ -32,7 +32,10 @@ def commands(page: Path) -> list[str]:
 
 def cases(outside: bool) -> list[tuple[str, str]]:
     return [
-        (page.name, command) for page in PAGES for command in commands(page) if command.startswith(OUTSIDE) == outside
+        (page.name, command)
+        for page in PAGES
+        for command in commands(page)
+        if command.startswith(OUTSIDE) == outside
     ]
 
 
@@ -46,7 +49,11 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def environment() -> dict[str, str]:
-    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "MPLBACKEND": "Agg"}
+    return {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "MPLBACKEND": "Agg",
+    }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -55,14 +62,23 @@ def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
         if command.startswith(OUTSIDE):
             continue
         done = subprocess.run(
-            command, shell=True, cwd=workplace, env=environment(), capture_output=True, text=True, check=False, timeout=300
+            command,
+            shell=True,
+            cwd=workplace,
+            env=environment(),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
         )
         assert done.returncode == 0, f"{page.name}: {command}\n{done.stdout}\n{done.stderr}"
 
 
 @pytest.mark.parametrize("command", sorted({c for _, c in cases(outside=True) if c.startswith("make ")}))
 def test_make_knows_the_target(command: str) -> None:
-    done = subprocess.run(["make", "-n", *command.split()[1:]], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", "-n", *command.split()[1:]], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -91,7 +107,9 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 def test_the_python_program_of_the_readme_runs() -> None:
     (code,) = blocks(ROOT / "README.md", "python")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    names, values = zip(*((line.split()[0], line.split()[1:]) for line in done.stdout.splitlines()), strict=True)
+    names, values = zip(
+        *((line.split()[0], line.split()[1:]) for line in done.stdout.splitlines()), strict=True
+    )
     assert names == ("NativeRobot", "MirrorRobot", "ReferenceRobot")
     assert values[0] == values[1]
     assert [float(v) for v in values[0]] == pytest.approx([float(v) for v in values[2]], abs=2e-6)

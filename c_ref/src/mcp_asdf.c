@@ -56,9 +56,9 @@ static inline uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 HOT uint64_t multiply(uint32_t a, uint32_t b)
 {
     const uint32_t a0 = a & 0xFFFF, a1 = a >> 16, b0 = b & 0xFFFF, b1 = b >> 16;
-    const uint32_t low = a0 * b0;                            /* (2^16 - 1)^2 < 2^32, as are the others */
-    const uint32_t middle = a1 * b0 + (low >> 16);           /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
-    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFF);    /* the same */
+    const uint32_t low = a0 * b0;                         /* (2^16 - 1)^2 < 2^32, as are the others */
+    const uint32_t middle = a1 * b0 + (low >> 16);        /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
+    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFF); /* the same */
     const uint32_t high = a1 * b1 + (middle >> 16) + (middle2 >> 16); /* upper word of a product < 2^64 */
     return join(high, middle2 << 16 | (low & 0xFFFF));
 }
@@ -87,7 +87,8 @@ static uint32_t leading_zeros(uint32_t value)
         value <<= 4;
         zeros += 4;
     }
-    return zeros + (UINT32_C(0x55AC) >> (value >> 28 << 1) & 3); /* two bits for each value of the first four */
+    return zeros +
+           (UINT32_C(0x55AC) >> (value >> 28 << 1) & 3); /* two bits for each value of the first four */
 }
 #endif
 
@@ -121,17 +122,19 @@ static inline uint32_t digit(uint32_t remainder, uint32_t prepared, uint32_t bit
 #else
 /* 256 (1 / y - 1), rounded, at the middles y of 64 steps from 1/2 to 1, and at 1. */
 static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
-    252, 244, 237, 229, 222, 215, 209, 202, 196, 190, 184, 178, 172, 167, 161, 156, 151, 146, 141, 136, 132, 127,
-    123, 118, 114, 110, 106, 102, 98, 94, 91, 87, 84, 80, 77, 73, 70, 67, 64, 61, 58, 55, 52, 49,
-    46, 43, 41, 38, 35, 33, 30, 28, 25, 23, 21, 18, 16, 14, 11, 9, 7, 5, 3, 1, 0};
+    252, 244, 237, 229, 222, 215, 209, 202, 196, 190, 184, 178, 172, 167, 161, 156, 151,
+    146, 141, 136, 132, 127, 123, 118, 114, 110, 106, 102, 98,  94,  91,  87,  84,  80,
+    77,  73,  70,  67,  64,  61,  58,  55,  52,  49,  46,  43,  41,  38,  35,  33,  30,
+    28,  25,  23,  21,  18,  16,  14,  11,  9,   7,   5,   3,   1,   0};
 
 /* 2^46 / divisor, at most 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step
  * r (2 - y r) from below, as y = divisor / 2^31 is rounded up. */
 static inline uint32_t prepare(uint32_t divisor)
 {
-    const uint32_t r = 256 + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[(divisor >> 24) - 64]); /* Q8, [256, 508] */
-    const uint32_t y_r = ((divisor >> 8) + 1) * r; /* Q31, 1 +- 2^-6 */
-    return (r * ((0 - y_r) >> 9)) >> 15;           /* Q8 Q22 = Q30 <= 2.0; then Q15 */
+    const uint32_t r =
+        256 + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[(divisor >> 24) - 64]); /* Q8, [256, 508] */
+    const uint32_t y_r = ((divisor >> 8) + 1) * r;                              /* Q31, 1 +- 2^-6 */
+    return (r * ((0 - y_r) >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
 
 /* remainder 2^bits / divisor, as (remainder / 2^15) (2^46 / divisor) / 2^(31 - bits); the product is < 2^32
@@ -166,9 +169,9 @@ HOT uint32_t divide_24(uint32_t a, uint32_t d)
     return (first << 12) + second + (rest2 >= d);
 }
 
-/* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by less than 2^3 too small: the upper 31
- * bits of both numbers, the divisor's rounded up, cost 2^32 (2^-30 + 2^-30). Needs a quotient of at most 1 and
- * 0 < divisor < 2^62; a quotient of 1 gives less. */
+/* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by less than 2^3 too small: the upper
+ * 31 bits of both numbers, the divisor's rounded up, cost 2^32 (2^-30 + 2^-30). Needs a quotient of at most 1
+ * and 0 < divisor < 2^62; a quotient of 1 gives less. */
 static inline uint32_t quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
 {
     uint32_t d1 = high_word(divisor), d0 = low_word(divisor), a1 = high_word(whole), a0 = low_word(whole);
@@ -204,15 +207,21 @@ HOT uint32_t alpha_bits(uint32_t mantissa, int32_t exponent)
     return ((uint32_t)(exponent + ALPHA_UNIT_EXPONENT - 1) << 23) + mantissa; /* the implicit bit adds one */
 }
 
-/* A received alpha is any binary32 number >= 0. From 1/2 to MCP_ASDF_ALPHA_MAX all its bits are on the grid, and
- * it is high 2^32 + low units, high < 2^23. */
-static inline uint32_t alpha_shift(uint32_t alpha) { return (alpha >> 23) - ALPHA_UNIT_EXPONENT; } /* may wrap */
+/* A received alpha is any binary32 number >= 0. From 1/2 to MCP_ASDF_ALPHA_MAX all its bits are on the grid,
+ * and it is high 2^32 + low units, high < 2^23. */
+static inline uint32_t alpha_shift(uint32_t alpha)
+{
+    return (alpha >> 23) - ALPHA_UNIT_EXPONENT;
+} /* may wrap */
 
 static inline uint32_t alpha_mantissa(uint32_t alpha) { return (alpha & ALPHA_FRACTION) | ALPHA_IMPLICIT; }
 
 static inline bool on_grid(uint32_t alpha) { return alpha_shift(alpha) <= ALPHA_SHIFT_MAX; }
 
-static inline uint32_t low_units(uint32_t alpha) { return alpha_mantissa(alpha) << alpha_shift(alpha); } /* mod 2^32 */
+static inline uint32_t low_units(uint32_t alpha)
+{
+    return alpha_mantissa(alpha) << alpha_shift(alpha);
+} /* mod 2^32 */
 
 static inline uint32_t high_units(uint32_t alpha)
 {
@@ -262,8 +271,8 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 
 /* ---- Accuracy ---------------------------------------------------------------------------------------- */
 
-/* (a / k)^2 = mantissa 2^exponent for a and k in [2^31, 2^32): returns the mantissa, [2^31, 2^32), and sets the
- * exponent, [-33, -30]. */
+/* (a / k)^2 = mantissa 2^exponent for a and k in [2^31, 2^32): returns the mantissa, [2^31, 2^32), and sets
+ * the exponent, [-33, -30]. */
 static uint32_t square_of_ratio(uint32_t a, uint32_t k, int32_t *exponent)
 {
     const uint32_t quotient = divide(a >> 2, k >> 1); /* 2^31 a / k, in (2^30, 2^32) */
@@ -278,7 +287,8 @@ static mcp_asdf_accuracy_t accuracy_of(uint32_t b_hat)
 {
     const uint32_t c = b_hat >> 31 == 0 ? b_hat : 0 - b_hat; /* [2^12, 2^31] */
     const uint32_t g = 0 - 2 * c;                            /* 2^32 - 2c: [0, 2^32 - 2^13] */
-    mcp_asdf_accuracy_t accuracy = {b_hat >> 31 == 0, MCP_ASDF_UNINFORMATIVE, 0, 0, 0, 0, UINT32_MAX, 0, 0, 0, 0};
+    mcp_asdf_accuracy_t accuracy = {
+        b_hat >> 31 == 0, MCP_ASDF_UNINFORMATIVE, 0, 0, 0, 0, UINT32_MAX, 0, 0, 0, 0};
     if (g < INFORMATIVE_G) {
         return accuracy;
     }
@@ -316,9 +326,11 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 /* Confidence at the ends of the scale (eq. 4, first two cases), as
  * (g / (1 - c))^2 (rest + ((1 - c) / c)^2 part): returns its mantissa and adds to its exponent.
  * part <= total c < 2^31 c and c <= 2^(-16) where odds_left > 0, so part 2^odds_left < 2^31. */
-HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t part, uint32_t rest, int32_t *exponent)
+HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t part, uint32_t rest,
+                               int32_t *exponent)
 {
-    const uint64_t sum = (multiply(part << accuracy->odds_left, accuracy->odds) >> accuracy->odds_right) + rest;
+    const uint64_t sum =
+        (multiply(part << accuracy->odds_left, accuracy->odds) >> accuracy->odds_right) + rest;
     const uint32_t high = high_word(sum), low = low_word(sum); /* < 2^52; rest >= 2^29 */
     const uint32_t shift = leading_zeros(high != 0 ? high : low);
     const uint32_t mantissa = high != 0 ? upper(high, low, shift) : low << shift;
@@ -327,17 +339,18 @@ HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t par
 }
 
 /* Confidence inside (eq. 4, last case), g^2 total / (nu (1 - nu)), nu in (0, 1/2] as Q32. */
-HOT uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu, uint32_t total, int32_t *exponent)
+HOT uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu, uint32_t total,
+                               int32_t *exponent)
 {
-    const uint32_t spread = multiply_high(nu, 0 - nu);                 /* Q32, [2^11, 2^30] */
-    const uint32_t shift = leading_zeros(spread) - 1;                  /* [0, 19] */
+    const uint32_t spread = multiply_high(nu, 0 - nu);                /* Q32, [2^11, 2^30] */
+    const uint32_t shift = leading_zeros(spread) - 1;                 /* [0, 19] */
     const uint32_t scale = multiply_high(total, accuracy->g_squared); /* [2^29, 2^31) */
     *exponent += (int32_t)shift - accuracy->g_squared_shift;
     return divide_24(scale, spread << shift); /* scale < 2^31 <= 2 spread 2^shift */
 }
 
-/* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat: only
- * the rarer colour is looked at, under the accuracy above 1/2. */
+/* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat:
+ * only the rarer colour is looked at, under the accuracy above 1/2. */
 HOT void estimate(mcp_asdf_t *robot)
 {
     const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
@@ -347,7 +360,8 @@ HOT void estimate(mcp_asdf_t *robot)
     const uint32_t part = (blacks < whites ? blacks : whites) << shift >> 1; /* <= total / 2 */
     int32_t exponent = 33 - (int32_t)shift;
     uint32_t x_hat = 0, mantissa;
-    if (part <= multiply_high(total, accuracy->c)) { /* eq. 3: part / total <= c, as it always is without information */
+    if (part <= multiply_high(
+                    total, accuracy->c)) { /* eq. 3: part / total <= c, as it always is without information */
         if (accuracy->g_shift == MCP_ASDF_UNINFORMATIVE) {
             robot->x_hat = MCP_ASDF_HALF;
             robot->alpha = 0;
@@ -356,7 +370,8 @@ HOT void estimate(mcp_asdf_t *robot)
         mantissa = confidence_at_end(accuracy, part, total - part, &exponent);
     } else {
         const uint32_t nu = divide(part, total); /* Q32, [c, 2^31] */
-        /* (nu - c) 2^g_shift <= g 2^g_shift / 2 with inverse_g rounded up give x_hat <= 2^22, equal at nu = 1/2 */
+        /* (nu - c) 2^g_shift <= g 2^g_shift / 2 with inverse_g rounded up give x_hat <= 2^22, equal at nu =
+         * 1/2 */
         x_hat = multiply_high((nu - accuracy->c) << accuracy->g_shift, accuracy->inverse_g) >> 7;
         mantissa = confidence_inside(accuracy, nu, total, &exponent);
     }
@@ -390,7 +405,8 @@ mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z) 
 
 /* ---- Receive ----------------------------------------------------------------------------------------- */
 
-static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
+static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat,
+                                       uint32_t alpha)
 {
     if (sender > MCP_ASDF_MAX_ID || sender == robot->id) {
         return MCP_ASDF_ERR_SENDER;
@@ -434,7 +450,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 static bool sums_possible(const mcp_asdf_sums_t *sums)
 {
     const uint32_t m = sums->count;
-    return m <= MCP_ASDF_MAX_ID && sums->x <= m * MCP_ASDF_ONE && sums->x_squared <= multiply(sums->x, MCP_ASDF_ONE) &&
+    return m <= MCP_ASDF_MAX_ID && sums->x <= m * MCP_ASDF_ONE &&
+           sums->x_squared <= multiply(sums->x, MCP_ASDF_ONE) &&
            sums->alpha <= multiply(m, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
            sums->alpha_x_low <= multiply(sums->x, UINT32_MAX) &&
            sums->alpha_x_high <= multiply(sums->x, UINT32_C(0x7FFFFF));
@@ -443,7 +460,8 @@ static bool sums_possible(const mcp_asdf_sums_t *sums)
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages)
 {
     mcp_asdf_sums_t *const open = &robot->open;
-    if (sums->count > messages || messages + open->count + robot->silent > MCP_ASDF_MAX_ID || !sums_possible(sums)) {
+    if (sums->count > messages || messages + open->count + robot->silent > MCP_ASDF_MAX_ID ||
+        !sums_possible(sums)) {
         return MCP_ASDF_ERR_SUMS;
     }
     open->alpha += sums->alpha;
@@ -458,13 +476,14 @@ mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *s
 
 /* ---- Settle ------------------------------------------------------------------------------------------ */
 
-/* floor(sum of alpha x_hat / sum of alpha) in units of x_hat; sums->alpha > 0. The quotient's upper 23 bits are right
- * or one too small; the remainder, below 2 sums->alpha, tells which. */
+/* floor(sum of alpha x_hat / sum of alpha) in units of x_hat; sums->alpha > 0. The quotient's upper 23 bits
+ * are right or one too small; the remainder, below 2 sums->alpha, tells which. */
 static inline uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    const uint64_t middle = alpha_x_high + high_word(alpha_x_low);  /* < 2^53 + 2^30: the sum from bit 32 up */
+    const uint64_t middle = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30: the sum from bit 32 up */
     const uint64_t sum = join(low_word(middle), low_word(alpha_x_low)); /* modulo 2^64 */
-    const uint32_t estimate = quotient(middle << 9 | low_word(alpha_x_low) >> 23, low_word(sum) << 9, alpha) >> 9;
+    const uint32_t estimate =
+        quotient(middle << 9 | low_word(alpha_x_low) >> 23, low_word(sum) << 9, alpha) >> 9;
     const uint64_t product = multiply(estimate, low_word(alpha)) + join(estimate * high_word(alpha), 0);
     return estimate + (sum - product >= alpha);
 }
@@ -521,8 +540,8 @@ static bool reestimate(mcp_asdf_t *robot)
     const bool inverted = x_bar < MCP_ASDF_HALF; /* eq. 8 at (n, x_bar) is eq. 8 at (t - n, 1 - x_bar) */
     const uint32_t rest = inverted ? x_bar : MCP_ASDF_ONE - x_bar; /* < 2^22 */
     const uint32_t blacks = inverted ? robot->t - robot->n : robot->n;
-    const uint64_t whole = multiply(blacks, MCP_ASDF_ONE), offset = multiply(robot->t, rest);  /* < 2^55 */
-    const uint64_t denominator = multiply(robot->t, MCP_ASDF_ONE - 2 * rest); /* [2, 2^55) */
+    const uint64_t whole = multiply(blacks, MCP_ASDF_ONE), offset = multiply(robot->t, rest); /* < 2^55 */
+    const uint64_t denominator = multiply(robot->t, MCP_ASDF_ONE - 2 * rest);                 /* [2, 2^55) */
     uint32_t b_hat = 0;
     if (whole > offset) {
         const uint64_t numerator = whole - offset;
@@ -610,15 +629,19 @@ mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot)
 
 /* ---- Init -------------------------------------------------------------------------------------------- */
 
-static uint32_t hash_word(uint32_t hash, uint32_t word) { return (hash ^ word) * HASH_FACTOR; /* modulo 2^32 */ }
+static uint32_t hash_word(uint32_t hash, uint32_t word)
+{
+    return (hash ^ word) * HASH_FACTOR; /* modulo 2^32 */
+}
 
 /* Entries fall, from below 64 to above 1, so that the test's products stay in 64 bits. */
 static bool table_valid(const uint32_t *table)
 {
     const uint32_t shape = MCP_ASDF_READ_WORD(&table[1]), omega = MCP_ASDF_READ_WORD(&table[2]);
     const uint32_t q = shape >> 16 & 0xFF, fraction_bits = shape >> 8 & 0xFF;
-    if (MCP_ASDF_READ_WORD(&table[0]) != TABLE_MAGIC || shape >> 24 != TABLE_VERSION || (shape & 0xFF) != 0 || q < 2 ||
-        q > MCP_ASDF_MAX_ID || fraction_bits < 1 || fraction_bits > 31 || omega == 0 || omega > TABLE_OMEGA_MAX) {
+    if (MCP_ASDF_READ_WORD(&table[0]) != TABLE_MAGIC || shape >> 24 != TABLE_VERSION || (shape & 0xFF) != 0 ||
+        q < 2 || q > MCP_ASDF_MAX_ID || fraction_bits < 1 || fraction_bits > 31 || omega == 0 ||
+        omega > TABLE_OMEGA_MAX) {
         return false;
     }
     uint32_t hash = hash_word(hash_word(hash_word(HASH_START, TABLE_MAGIC), shape), omega);
@@ -636,8 +659,9 @@ static bool table_valid(const uint32_t *table)
 
 static mcp_asdf_status_t check_config(const mcp_asdf_config_t *config)
 {
-    if (config->comms_period == 0 || config->filter_period == 0 || config->filter_period % config->comms_period != 0 ||
-        config->memory < MCP_ASDF_MEMORY_MIN || (config->memory & 1) != 0 || config->filter > MCP_ASDF_OFF) {
+    if (config->comms_period == 0 || config->filter_period == 0 ||
+        config->filter_period % config->comms_period != 0 || config->memory < MCP_ASDF_MEMORY_MIN ||
+        (config->memory & 1) != 0 || config->filter > MCP_ASDF_OFF) {
         return MCP_ASDF_ERR_CONFIG;
     }
     if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == 0 || !table_valid(config->table))) {
@@ -646,7 +670,8 @@ static mcp_asdf_status_t check_config(const mcp_asdf_config_t *config)
     return MCP_ASDF_OK;
 }
 
-mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
+mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id,
+                                uint32_t b_hat)
 {
     const mcp_asdf_status_t status = check_config(config);
     if (status != MCP_ASDF_OK) {
@@ -677,7 +702,8 @@ static bool accuracy_current(const mcp_asdf_t *robot)
     return held->c == now.c && held->inverse_g == now.inverse_g && held->g_squared == now.g_squared &&
            held->edge == now.edge && held->odds == now.odds && held->g_shift == now.g_shift &&
            held->g_squared_shift == now.g_squared_shift && held->edge_shift == now.edge_shift &&
-           held->odds_left == now.odds_left && held->odds_right == now.odds_right && held->inverted == now.inverted;
+           held->odds_left == now.odds_left && held->odds_right == now.odds_right &&
+           held->inverted == now.inverted;
 }
 
 /* x_hat <= 1; alpha on its grid; no confidence only with x_hat = 1/2. */
@@ -719,26 +745,28 @@ bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
 {
     const mcp_asdf_config_t *const config = robot->config;
     return robot->id <= MCP_ASDF_MAX_ID && robot->t < config->memory && robot->n <= robot->t &&
-           robot->b_hat >= MCP_ASDF_B_HAT_MIN && robot->b_hat <= MCP_ASDF_B_HAT_MAX && accuracy_current(robot) &&
-           estimate_possible(robot->x_hat, robot->alpha) &&
+           robot->b_hat >= MCP_ASDF_B_HAT_MIN && robot->b_hat <= MCP_ASDF_B_HAT_MAX &&
+           accuracy_current(robot) && estimate_possible(robot->x_hat, robot->alpha) &&
            estimate_possible(robot->settled_x_hat, robot->settled_alpha) && closed_possible(robot) &&
-           sums_possible(&robot->open) && senders_possible(robot) && robot->comms_left <= config->comms_period &&
-           robot->filter_left - 1 < config->filter_period && robot->filter_left % config->comms_period == 0;
+           sums_possible(&robot->open) && senders_possible(robot) &&
+           robot->comms_left <= config->comms_period && robot->filter_left != 0 &&
+           robot->filter_left <= config->filter_period && robot->filter_left % config->comms_period == 0;
 }
 
-/* An image is read from `source` or, where that is null, written to `target`. */
+/* An image on its way out of a robot, into `target`, or into one, from `source`; the other is null. */
 typedef struct {
     const uint8_t *source;
     uint8_t *target;
+    bool reading;
     uint32_t hash;
 } image_t;
 
 /* Pass a word through the image: writing returns value itself, reading the image's next word. */
 static uint32_t pass(image_t *image, uint32_t value)
 {
-    uint32_t passed = image->source == 0 ? value : 0;
+    uint32_t passed = image->reading ? 0 : value;
     for (uint8_t shift = 0; shift < 32; shift = (uint8_t)(shift + 8)) {
-        if (image->source != 0) {
+        if (image->reading) {
             passed |= (uint32_t)*image->source++ << shift;
         } else {
             *image->target++ = (uint8_t)(value >> shift);
@@ -801,7 +829,7 @@ static void pass_state(image_t *image, mcp_asdf_t *robot)
 
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t out = {0, image, HASH_START};
+    image_t out = {0, image, false, HASH_START};
     mcp_asdf_t copy = *robot;
     (void)pass(&out, IMAGE_MAGIC);
     pass_state(&out, &copy);
@@ -815,13 +843,14 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
     if (status != MCP_ASDF_OK) {
         return status;
     }
-    image_t in = {image, 0, HASH_START};
+    image_t in = {image, 0, true, HASH_START};
     mcp_asdf_t copy = {0};
     copy.config = config;
     const bool magic = pass(&in, 0) == IMAGE_MAGIC;
     pass_state(&in, &copy);
     const uint32_t hash = in.hash;
-    if (!magic || pass(&in, 0) != hash || copy.b_hat < MCP_ASDF_B_HAT_MIN || copy.b_hat > MCP_ASDF_B_HAT_MAX) {
+    if (!magic || pass(&in, 0) != hash || copy.b_hat < MCP_ASDF_B_HAT_MIN ||
+        copy.b_hat > MCP_ASDF_B_HAT_MAX) {
         return MCP_ASDF_ERR_IMAGE;
     }
     set_b_hat(&copy, copy.b_hat);

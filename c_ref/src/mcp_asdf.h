@@ -65,7 +65,7 @@ extern "C" {
 #define MCP_ASDF_ONE (UINT32_C(1) << 23)  /* 1.0 as x_hat, x_bar or x */
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
-#define MCP_ASDF_B_HAT_MAX (0 - (UINT32_C(1) << 12))
+#define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
 #define MCP_ASDF_ALPHA_MAX UINT32_C(0x4EFFFFFF) /* 2^31 - 2^7 */
 #define MCP_ASDF_MEMORY_MIN UINT32_C(64)
 #define MCP_ASDF_MEMORY_MAX UINT32_C(0xFFFFFFFE)
@@ -176,9 +176,9 @@ typedef struct {
     uint32_t alpha;
     uint32_t settled_x_hat; /* the same as the last settle found them: x is formed from these */
     uint32_t settled_alpha;
-    uint32_t heard[4];      /* senders of the open round, bit (id mod 32) of word (id div 32) */
-    mcp_asdf_sums_t open;   /* the open round */
-    uint64_t closed_alpha;  /* sums of the last closed round */
+    uint32_t heard[4];     /* senders of the open round, bit (id mod 32) of word (id div 32) */
+    mcp_asdf_sums_t open;  /* the open round */
+    uint64_t closed_alpha; /* sums of the last closed round */
     uint64_t closed_alpha_x_low;
     uint64_t closed_alpha_x_high;
 } mcp_asdf_t;
@@ -190,7 +190,8 @@ typedef struct {
  * filter is unknown (ERR_CONFIG); the filter is adaptive and the table is null, damaged, out of order or
  * of another format (ERR_TABLE); id > 127 (ERR_ID); b_hat is out of range (ERR_B_HAT). On failure *robot
  * is unchanged. */
-mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat);
+mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id,
+                                uint32_t b_hat);
 
 /* First half of a control tick: count the observation z and form x_hat (eq. 3) and alpha (eq. 4).
  * MCP_ASDF_NONE counts nothing and leaves both as they are. Returns MCP_ASDF_DUE every comms_period ticks.

@@ -25,6 +25,7 @@ from host_tools.firmwares import FIRMWARES
 from host_tools.frames import FrameFormat
 from host_tools.live import LiveTable, one_line, summary
 from host_tools.logs import FrameLog
+from host_tools.slcan import HOST, SlcanServer
 from host_tools.swarm import Deployment, Settings, Swarm
 from host_tools.swarm_run import Hook, Run, run_swarm
 from host_tools.tables import parse_omega
@@ -36,6 +37,7 @@ examples:
   mcp-asdf swarm --filter off --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
+  mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
 The same settings give the same run and, on the bus inside this process, the same log to the byte.
 Each delivered message costs about 11 us, three quarters of it in python-can's virtual bus, and a tick of N
 robots delivers N (N - 1) of them: fewer robots or a longer --comms-period give more ticks in the same time.
@@ -60,6 +62,9 @@ def run(args: argparse.Namespace) -> int:
     console = Console(quiet=args.quiet or args.json)
     began = time.monotonic()
     with ExitStack() as stack:
+        if args.slcan is not None:
+            server = stack.enter_context(SlcanServer(choice.open(), args.slcan))
+            console.print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}")
         log = None if args.log is None else stack.enter_context(FrameLog(args.log))
         swarm = stack.enter_context(Swarm(settings, choice.open, None if log is None else log.write))
         hooks: list[Hook] = [stack.enter_context(LiveTable(console)), stack.enter_context(_interruptible())]
@@ -107,7 +112,16 @@ def _add_robots(parser: argparse.ArgumentParser) -> None:
 
 def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     buses.add_arguments(parser)
+    parser.add_argument(
+        "--slcan",
+        metavar="PORT",
+        type=int,
+        help="let other programs join the bus as an slcan adapter at this TCP port (0: any free one)",
+    )
     frames = parser.add_argument_group("frames")
+    _add(
+        frames, "telemetry-period", int, "TICKS", "ticks between two telemetry frames of a robot, 0 for none"
+    )
     frame_format = _DEFAULTS.frames
     frames.add_argument(
         "--subject",

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/cost.py [--json] [--write README.md]
 
-Builds the core with arm-none-eabi-gcc, runs it under Unicorn, which counts every instruction of a call, helpers of the
-compiler included, and prints a table. Nothing is timed, so the figures are the same on any machine with the
+Builds the core with arm-none-eabi-gcc, runs it under Unicorn, which counts every instruction of a call,
+helpers of the compiler included, and prints a table. Nothing is timed, so the figures are the same on any machine with the
 same compiler. Each call is measured at many moments: t from 1 to 2**32 - 2, both ends and the inside of the
 scale, rounds of 0 to 127 messages, halvings, accuracies on both sides of 1/2. The baseline is plain C of the
 same equations in double and in float, without checks, in the same run.
@@ -24,8 +24,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import Symbol, SymbolTableSection
 from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
-from unicorn.arm_const import UC_ARM_REG_LR, UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3, UC_ARM_REG_SP
+from unicorn.arm_const import (
+    UC_ARM_REG_LR,
+    UC_ARM_REG_R0,
+    UC_ARM_REG_R1,
+    UC_ARM_REG_R2,
+    UC_ARM_REG_R3,
+    UC_ARM_REG_SP,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPILER = "arm-none-eabi-gcc"
@@ -51,6 +59,13 @@ class Span:
         self.low, self.high = min(self.low, value), max(self.high, value)
 
 
+def symbols_of(image: ELFFile) -> list[Symbol]:
+    """What the image's symbol table holds."""
+    section = image.get_section_by_name(".symtab")
+    assert isinstance(section, SymbolTableSection)
+    return list(section.iter_symbols())
+
+
 class Emulator:
     """An image in memory; calls return the function's value and what it cost."""
 
@@ -61,8 +76,7 @@ class Emulator:
             image = ELFFile(stream)
             for segment in image.iter_segments("PT_LOAD"):
                 self.uc.mem_write(segment["p_vaddr"], segment.data())
-            table = image.get_section_by_name(".symtab")
-            self.symbols = {symbol.name: symbol["st_value"] for symbol in table.iter_symbols()}
+            self.symbols = {symbol.name: symbol["st_value"] for symbol in symbols_of(image)}
         self.instructions = 0
         self.deepest = 0
         self.uc.hook_add(UC_HOOK_CODE, self._count)
@@ -86,10 +100,20 @@ class Emulator:
         return self.uc.reg_read(UC_ARM_REG_R0), self.instructions
 
 
-def build(cpu: str, level: str, folder: Path, entry: str, *sources: Path, extra: tuple[str, ...] = ()) -> Path:
+def build(
+    cpu: str, level: str, folder: Path, entry: str, *sources: Path, extra: tuple[str, ...] = ()
+) -> Path:
     """Compile and link ``sources`` for ``cpu``; returns the image."""
     elf = folder / f"{len(list(folder.iterdir()))}.elf"
-    flags = ["-std=c99", level, f"-mcpu={cpu}", "-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections"]
+    flags = [
+        "-std=c99",
+        level,
+        f"-mcpu={cpu}",
+        "-mthumb",
+        "-ffreestanding",
+        "-ffunction-sections",
+        "-fdata-sections",
+    ]
     flags += ["-fno-tree-loop-distribute-patterns", "-nostdlib", "-Wl,--gc-sections", f"-Wl,-Ttext={BASE:#x}"]
     flags += [f"-I{ROOT / 'c_ref' / 'src'}", f"-Wl,-e,{entry}", *extra]
     memory = ROOT / "tests" / "benchmarks" / "cost" / "memory.c"
@@ -107,8 +131,12 @@ def moments(rng: random.Random, count: int) -> list[tuple[int, int, int]]:
     """(b_hat, t, n) before an observation, with edges over-represented."""
     chosen = []
     for _ in range(count):
-        b = rng.choice([0.55, 0.75, 0.95, 0.999999, 0.02, rng.uniform(0.5001, 0.9999), rng.uniform(0.0001, 0.4999)])
-        t = rng.choice([0, 1, 9, 2**31 - 1, MEMORY - 1, int(2 ** rng.uniform(0, 32)) - 1, int(2 ** rng.uniform(3, 16))])
+        b = rng.choice(
+            [0.55, 0.75, 0.95, 0.999999, 0.02, rng.uniform(0.5001, 0.9999), rng.uniform(0.0001, 0.4999)]
+        )
+        t = rng.choice(
+            [0, 1, 9, 2**31 - 1, MEMORY - 1, int(2 ** rng.uniform(0, 32)) - 1, int(2 ** rng.uniform(3, 16))]
+        )
         share = rng.choice([0.0, 0.5, 1.0, 1 - b, b, rng.random(), rng.uniform(min(b, 1 - b), max(b, 1 - b))])
         chosen.append((int(b * 2**32), min(t, MEMORY - 1), min(int(t * share), t)))
     return chosen
@@ -177,7 +205,7 @@ def flash_bytes(elf: Path) -> int:
     with elf.open("rb") as stream:
         image = ELFFile(stream)
         total = sum(s["sh_size"] for s in image.iter_sections() if s.name in (".text", ".rodata"))
-        for symbol in image.get_section_by_name(".symtab").iter_symbols():
+        for symbol in symbols_of(image):
             if symbol.name in own or symbol.name.startswith("mcp_asdf_t_table"):
                 total -= symbol["st_size"]
     return total
@@ -190,12 +218,18 @@ def measure(cpu: str, folder: Path) -> dict[str, object]:
         f"-Wl,-u,{name}"
         for name in ("bench_init", "bench_set", "bench_robot_size", "mcp_asdf_observe", "mcp_asdf_step")
     )
-    spans, means, ram, stack = measure_core(build(cpu, "-O2", folder, "robot_main", *core_sources(), extra=keep))
+    spans, means, ram, stack = measure_core(
+        build(cpu, "-O2", folder, "robot_main", *core_sources(), extra=keep)
+    )
     plain_keep = ("-Wl,-u,plain_set", "-Wl,-u,plain_receive")
     doubles = measure_plain(build(cpu, "-O2", folder, "plain_step", plain, extra=plain_keep))
-    floats = measure_plain(build(cpu, "-O2", folder, "plain_step", plain, extra=(*plain_keep, "-DREAL=float")))
+    floats = measure_plain(
+        build(cpu, "-O2", folder, "plain_step", plain, extra=(*plain_keep, "-DREAL=float"))
+    )
     return {
-        "instructions": {n: {"min": spans[n].low, "mean": round(means[n], 1), "max": spans[n].high} for n in ROWS},
+        "instructions": {
+            n: {"min": spans[n].low, "mean": round(means[n], 1), "max": spans[n].high} for n in ROWS
+        },
         "plain double": {name: round(value) for name, value in doubles.items()},
         "plain float": {name: round(value) for name, value in floats.items()},
         "flash -Os": flash_bytes(build(cpu, "-Os", folder, "robot_main", *core_sources())),
@@ -234,7 +268,10 @@ def markdown(results: dict[str, dict[str, object]], version: str) -> str:
             ratio = r[kind]["step"] / (r["instructions"]["step"]["mean"] + r["instructions"]["x"]["mean"])  # type: ignore[index]
             cells.append(f"{r[kind]['step']}, {ratio:.1f} times as many")  # type: ignore[index]
         row(f"{kind} C instead of step and x", cells)
-    row("code, bytes of flash at -Os (-O2)", [f"{r['flash -Os']} ({r['flash -O2']})" for r in results.values()])
+    row(
+        "code, bytes of flash at -Os (-O2)",
+        [f"{r['flash -Os']} ({r['flash -O2']})" for r in results.values()],
+    )
     row("t-table, bytes of flash: 16 + 4 q", [f"{r['table']} at q = 127" for r in results.values()])
     row("RAM per robot, bytes", [str(r["ram"]) for r in results.values()])
     row("deepest stack of a tick, bytes", [str(r["stack"]) for r in results.values()])
@@ -255,10 +292,15 @@ def main() -> int:
     """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Measure what the firmware costs on two microcontrollers.")
     parser.add_argument("--json", action="store_true", help="print everything measured as JSON")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="put the table between the markers of FILE")
+    parser.add_argument(
+        "--write", type=Path, metavar="FILE", help="put the table between the markers of FILE"
+    )
     args = parser.parse_args()
     if shutil.which(COMPILER) is None:
-        print(f"cost: {COMPILER} is not installed; on Debian: apt-get install gcc-arm-none-eabi", file=sys.stderr)
+        print(
+            f"cost: {COMPILER} is not installed; on Debian: apt-get install gcc-arm-none-eabi",
+            file=sys.stderr,
+        )
         return 2
     results, version = measure_all(), compiler_version()
     table = markdown(results, version)

@@ -14,7 +14,8 @@ README = Path(__file__).parents[2] / "README.md"
 TOLERANCE = 0.02
 
 pytestmark = pytest.mark.skipif(
-    shutil.which(cost.COMPILER) is None, reason=f"{cost.COMPILER} is not installed (apt-get install gcc-arm-none-eabi)"
+    shutil.which(cost.COMPILER) is None,
+    reason=f"{cost.COMPILER} is not installed (apt-get install gcc-arm-none-eabi)",
 )
 
 
@@ -55,14 +56,20 @@ def numbers(line: str) -> list[float]:
 
 
 def test_the_readme_tells_what_is_measured(results: dict[str, dict[str, object]]) -> None:
-    committed = README.read_text(encoding="utf-8").split(cost.START)[1].split(cost.END)[0].strip().splitlines()
+    committed = (
+        README.read_text(encoding="utf-8").split(cost.START)[1].split(cost.END)[0].strip().splitlines()
+    )
     version = cost.compiler_version()
     if version not in committed[0]:
-        pytest.skip(f"the table in README.md was measured with {committed[0].split('|')[1].strip()}, not {version}")
+        pytest.skip(
+            f"the table in README.md was measured with {committed[0].split('|')[1].strip()}, not {version}"
+        )
     fresh = cost.markdown(results, version).splitlines()
     assert len(committed) == len(fresh)
     for old, new in zip(committed, fresh, strict=True):
-        assert numbers(old) == pytest.approx(numbers(new), rel=TOLERANCE), f"run make cost: {old!r} is now {new!r}"
+        assert numbers(old) == pytest.approx(numbers(new), rel=TOLERANCE), (
+            f"run make cost: {old!r} is now {new!r}"
+        )
 
 
 def test_the_rows_hold_figures_to_compare() -> None:

@@ -8,7 +8,7 @@
 #include <stdint.h>
 #include <stdio.h>
 
-#define CHECK_PRINTED 8 /* failures that are printed; all are counted */
+#define CHECK_PRINTED 8  /* failures that are printed; all are counted */
 #define CHECK_SKIPPED 77 /* exit code that CTest shows as "skipped" */
 
 #define CHECK(condition) check_that((condition), #condition, __FILE__, __LINE__)
@@ -39,7 +39,8 @@ static inline bool check_that(bool holds, const char *what, const char *file, in
     return holds;
 }
 
-static inline void check_equal(uint64_t actual, uint64_t expected, const char *what, const char *file, int line)
+static inline void check_equal(uint64_t actual, uint64_t expected, const char *what, const char *file,
+                               int line)
 {
     if (!check_that(actual == expected, what, file, line) && check_state.failures <= CHECK_PRINTED) {
         printf("    %#" PRIx64 " is not %#" PRIx64 "\n", actual, expected);

@@ -5,7 +5,8 @@
 
 static struct {
     uint32_t least, most;
-} g_shifts = {255, 0}, g_squared_shifts = {255, 0}, edge_shifts = {255, 0}, lefts = {255, 0}, rights = {255, 0};
+} g_shifts = {255, 0}, g_squared_shifts = {255, 0}, edge_shifts = {255, 0}, lefts = {255, 0},
+  rights = {255, 0};
 
 #define EXTEND(range, value)                                                                                 \
     do {                                                                                                     \
@@ -61,7 +62,7 @@ static void shifts_cover_their_ranges(void)
         check_around(power);
         check_around(power + (power >> 1));
         check_around((uint32_t)(power * UINT64_C(6074000999) >> 32)); /* sqrt(2) */
-        check_around((UINT32_C(1) << 31) - power);                     /* where g is a power of two */
+        check_around((UINT32_C(1) << 31) - power);                    /* where g is a power of two */
     }
     check_around(C_MAX);
     for (int i = 0; i < 200000; ++i) {
@@ -108,7 +109,8 @@ static void inverted_accuracies_are_alike(void)
 /* "mantissa, [2^31, 2^32), exponent, [-33, -30]" at the ends of both operands */
 static void square_of_ratio_is_normal(void)
 {
-    static const uint32_t operands[] = {0x80000000, 0x80000001, 0xB504F333, 0xB504F334, 0xFFFFFFFE, 0xFFFFFFFF};
+    static const uint32_t operands[] = {0x80000000, 0x80000001, 0xB504F333,
+                                        0xB504F334, 0xFFFFFFFE, 0xFFFFFFFF};
     for (size_t i = 0; i < COUNT(operands); ++i) {
         for (size_t j = 0; j < COUNT(operands); ++j) {
             int32_t exponent = 0;
@@ -148,7 +150,7 @@ static uint64_t grid_below(uint64_t mantissa, int32_t exponent)
 /* "mantissa in [2^22, 2^25), exponent >= -22", "bits worth less than a unit go; exponent >= -23" */
 static void alpha_bits_over_its_range(void)
 {
-    static const uint32_t mantissas[] = {0x400000,  0x400001,  0x7FFFFF,  0x800000, 0x800001,
+    static const uint32_t mantissas[] = {0x400000, 0x400001,  0x7FFFFF,  0x800000,  0x800001,
                                          0xFFFFFF, 0x1000000, 0x1000001, 0x1FFFFFF, 0x1555555};
     for (int32_t exponent = -22; exponent <= 31; ++exponent) {
         for (size_t i = 0; i < COUNT(mantissas); ++i) {

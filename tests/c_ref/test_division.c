@@ -67,8 +67,8 @@ static void check_digit(uint64_t remainder, uint32_t d, uint32_t bits)
     CHECK(estimate * d <= remainder << bits && remainder << bits < (estimate + 2) * d);
 }
 
-/* "never too large and less than 2 too small, so a remainder stays in [0, 2 divisor)"; "the product is < 2^32 for
- * remainder < 2 divisor" */
+/* "never too large and less than 2 too small, so a remainder stays in [0, 2 divisor)"; "the product is < 2^32
+ * for remainder < 2 divisor" */
 static void digit_is_less_than_two_too_small(void)
 {
     for (uint32_t i = 0; i <= ENDS; ++i) {
@@ -155,7 +155,8 @@ static void divide_at_the_ends_of_its_range(void)
 /* "rounded down and then by at most 2^3 too small", on divisors and numerators of one word. */
 static void quotient_of_one_word(void)
 {
-    static const uint32_t divisors[] = {1, 2, 3, 255, 1 << 16, TOTAL_MIN - 1, TOTAL_MIN, TOTAL_MAX, UINT32_MAX};
+    static const uint32_t divisors[] = {1,         2,         3,         255, 1 << 16, TOTAL_MIN - 1,
+                                        TOTAL_MIN, TOTAL_MAX, UINT32_MAX};
     for (size_t i = 0; i < COUNT(divisors); ++i) {
         for (int j = 0; j < 2000; ++j) {
             const uint32_t whole = (uint32_t)(check_random() % divisors[i]);

@@ -1,16 +1,18 @@
-/* White box: x_hat and alpha from t, n and b_hat, at the ends of every range. Errors against exact rationals are the
- * business of tests/firmware_py/test_mirror_exact.py, through the mirror. */
+/* White box: x_hat and alpha from t, n and b_hat, at the ends of every range. Errors against exact rationals
+ * are the business of tests/firmware_py/test_mirror_exact.py, through the mirror. */
 #include "white_box.h"
 
 static const uint32_t counts[] = {1,          2,          3,          63,         0x7FFFFFFE, 0x7FFFFFFF,
                                   0x80000000, 0x80000001, 0xC0000001, 0xFFFFFFFC, 0xFFFFFFFD};
 
 /* The smallest and the largest c, the ends of each odds_left, and the middle. */
-static const uint32_t accuracies[] = {0x1000,  0x1001,  0x16A0,  0x16A1,  0x1FFF,     0x2000,     0x2D41,  0x2D42,
-                                      0x3FFF,  0x4000,  0x5A82,  0x5A83,  0x7FFF,     0x8000,     0xB504,  0xB505,
-                                      0xFFFF,  0x10000, 0x10001, 0x40000000, 0x55555555, 0x7FF7FFFF, 0x7FF80000};
+static const uint32_t accuracies[] = {0x1000,  0x1001,     0x16A0,     0x16A1,     0x1FFF,    0x2000,
+                                      0x2D41,  0x2D42,     0x3FFF,     0x4000,     0x5A82,    0x5A83,
+                                      0x7FFF,  0x8000,     0xB504,     0xB505,     0xFFFF,    0x10000,
+                                      0x10001, 0x40000000, 0x55555555, 0x7FF7FFFF, 0x7FF80000};
 
-/* "part <= total c < 2^31 c and c <= 2^(-16) where odds_left > 0, so part 2^odds_left < 2^31", "rest >= 2^29",
+/* "part <= total c < 2^31 c and c <= 2^(-16) where odds_left > 0, so part 2^odds_left < 2^31", "rest >=
+ * 2^29",
  * "[2^22, 2^24)": at the largest part that is at the end */
 static void confidence_at_end_fits(void)
 {
@@ -22,10 +24,12 @@ static void confidence_at_end_fits(void)
             GIVEN(accuracies[i], most, accuracy.odds_left);
             CHECK(accuracy.odds_left == 0 || accuracy.c <= 0x10000);
             CHECK((uint64_t)most << accuracy.odds_left < UINT64_C(1) << 31);
-            CHECK(((uint64_t)most << accuracy.odds_left) * accuracy.odds >> accuracy.odds_right < UINT64_C(1) << 52);
+            CHECK(((uint64_t)most << accuracy.odds_left) * accuracy.odds >> accuracy.odds_right < UINT64_C(1)
+                                                                                                      << 52);
             for (size_t k = 0; k < COUNT(parts); ++k) {
                 int32_t exponent = 0;
-                const uint32_t mantissa = confidence_at_end(&accuracy, parts[k], totals[j] - parts[k], &exponent);
+                const uint32_t mantissa =
+                    confidence_at_end(&accuracy, parts[k], totals[j] - parts[k], &exponent);
                 CHECK(totals[j] - parts[k] >= UINT32_C(1) << 29);
                 CHECK(mantissa >= UINT32_C(1) << 22 && mantissa < UINT32_C(1) << 24);
             }
@@ -72,7 +76,8 @@ static void x_hat_is_one_half_for_half_blacks(void)
 
 static void check_estimate(uint32_t t, uint32_t n, uint32_t b_hat)
 {
-    mcp_asdf_t robot = robot_at(t, n, b_hat), mirrored = robot_at(t, t - n, b_hat), inverted = robot_at(t, t - n, 0 - b_hat);
+    mcp_asdf_t robot = robot_at(t, n, b_hat), mirrored = robot_at(t, t - n, b_hat),
+               inverted = robot_at(t, t - n, 0 - b_hat);
     estimate(&robot);
     estimate(&mirrored);
     estimate(&inverted);
@@ -87,8 +92,8 @@ static void check_estimate(uint32_t t, uint32_t n, uint32_t b_hat)
     CHECK(believed > t / 2 || robot.x_hat <= MCP_ASDF_HALF);
 }
 
-/* Ends of t, n and b_hat together: colours are mirror images, so are b_hat and 1 - b_hat, and only a b_hat that says
- * nothing gives no confidence. */
+/* Ends of t, n and b_hat together: colours are mirror images, so are b_hat and 1 - b_hat, and only a b_hat
+ * that says nothing gives no confidence. */
 static void estimate_at_the_ends(void)
 {
     for (size_t i = 0; i < COUNT(counts); ++i) {

@@ -1,5 +1,5 @@
-/* White box: a round's sums, the test of eq. 12 and the re-estimate of eq. 8, at the ends of their ranges. Products
- * beyond 64 bits are checked in test_wide.c. */
+/* White box: a round's sums, the test of eq. 12 and the re-estimate of eq. 8, at the ends of their ranges.
+ * Products beyond 64 bits are checked in test_wide.c. */
 #include "white_box.h"
 
 #define MOST 127
@@ -47,9 +47,10 @@ static void alpha_x_low_at_its_largest(void)
 /* Whole and, with the own estimate, 128 largest confidences: the mean of equal numbers is that number. */
 static void mean_of_equal_numbers(void)
 {
-    static const uint32_t xs[] = {0, 1, MCP_ASDF_HALF - 1, MCP_ASDF_HALF, 0x555555, MCP_ASDF_ONE - 1, MCP_ASDF_ONE};
-    static const uint32_t alphas[] = {0x33800000, 0x33FFFFFF, ALPHA_HALF, 0x3F7FFFFF, 0x437FFFFF, 0x437F0001,
-                                      0x46FFFFFF, 0x4E800000, MCP_ASDF_ALPHA_MAX};
+    static const uint32_t xs[] = {
+        0, 1, MCP_ASDF_HALF - 1, MCP_ASDF_HALF, 0x555555, MCP_ASDF_ONE - 1, MCP_ASDF_ONE};
+    static const uint32_t alphas[] = {0x33800000, 0x33FFFFFF, ALPHA_HALF, 0x3F7FFFFF,        0x437FFFFF,
+                                      0x437F0001, 0x46FFFFFF, 0x4E800000, MCP_ASDF_ALPHA_MAX};
     for (size_t i = 0; i < COUNT(xs); ++i) {
         for (size_t j = 0; j < COUNT(alphas); ++j) {
             mcp_asdf_t robot = robot_with(&white_box_config, 0xC0000000);
@@ -65,7 +66,8 @@ static void mean_of_equal_numbers(void)
     }
 }
 
-/* "the quotient's upper 23 bits are right or one too small": means just below and at each multiple of 2^-23 */
+/* "the quotient's upper 23 bits are right or one too small": means just below and at each multiple of 2^-23
+ */
 static void mean_at_multiples_of_its_unit(void)
 {
     for (uint32_t i = 0; i < 20000; ++i) {
@@ -109,8 +111,8 @@ static mcp_asdf_t with_round(uint32_t x_hat, uint8_t low, uint8_t high, uint32_t
     return robot;
 }
 
-/* One message of 0 and one of x: spread = x^2, difference = |x - 2 x_hat|, so eq. 12 is (x - 2 x_hat)^2 > k x^2.
- * With k = 4 and x_hat = 3 x / 2 both sides are equal: no rejection. One unit further rejects. */
+/* One message of 0 and one of x: spread = x^2, difference = |x - 2 x_hat|, so eq. 12 is (x - 2 x_hat)^2 > k
+ * x^2. With k = 4 and x_hat = 3 x / 2 both sides are equal: no rejection. One unit further rejects. */
 static void threshold_is_strict_at_every_fraction_bits(void)
 {
     const uint32_t x = 0x300000;
@@ -123,7 +125,8 @@ static void threshold_is_strict_at_every_fraction_bits(void)
         ++robot.x_hat;
         CHECK(test_rejects(&robot));
         make_table(2, fraction_bits, (UINT32_C(4) << fraction_bits) + 1);
-        CHECK_EQUAL(test_rejects(&robot), 8 * x + 4 > (uint64_t)x * x >> fraction_bits); /* (2x + 2)^2 - 4 x^2 */
+        CHECK_EQUAL(test_rejects(&robot),
+                    8 * x + 4 > (uint64_t)x * x >> fraction_bits); /* (2x + 2)^2 - 4 x^2 */
     }
 }
 
@@ -150,8 +153,8 @@ static void entry_is_the_one_for_m(void)
     }
 }
 
-/* "< 2^30", "< 2^60", "< 2^58", "< 2^6 2^58": m = 127, messages half 0 and half 1.0, the largest entry of each F. At
- * F = 31 no table has an entry above 2.0. */
+/* "< 2^30", "< 2^60", "< 2^58", "< 2^6 2^58": m = 127, messages half 0 and half 1.0, the largest entry of
+ * each F. At F = 31 no table has an entry above 2.0. */
 static void products_at_their_largest(void)
 {
     for (uint32_t fraction_bits = 1; fraction_bits <= 31; ++fraction_bits) {
@@ -164,7 +167,8 @@ static void products_at_their_largest(void)
         CHECK_EQUAL(spread, UINT64_C(64) * 63 << 46);
         CHECK(spread < UINT64_C(1) << 58 && (uint64_t)MOST * robot.open.x_squared < UINT64_C(1) << 60);
         CHECK(!test_rejects(&robot)); /* 64^2 < k 64 63 for every k > 64/63; here k is at least 2 - 2^-30 */
-        robot.open.x_squared = (((uint64_t)robot.open.x * robot.open.x) + MOST - 1) / MOST; /* hardly any spread */
+        robot.open.x_squared =
+            (((uint64_t)robot.open.x * robot.open.x) + MOST - 1) / MOST; /* hardly any spread */
         CHECK(test_rejects(&robot));
         make_table(2, fraction_bits, most);
         ++table[TABLE_HEADER];
@@ -200,7 +204,8 @@ static uint32_t estimate_again(uint32_t t, uint32_t n, uint32_t x_bar)
 static void reestimate_at_the_ends(void)
 {
     static const uint32_t ts[] = {1, 2, 3, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFD};
-    static const uint32_t x_bars[] = {0, 1, MCP_ASDF_HALF - 1, MCP_ASDF_HALF, MCP_ASDF_HALF + 1, MCP_ASDF_ONE - 1, MCP_ASDF_ONE};
+    static const uint32_t x_bars[] = {
+        0, 1, MCP_ASDF_HALF - 1, MCP_ASDF_HALF, MCP_ASDF_HALF + 1, MCP_ASDF_ONE - 1, MCP_ASDF_ONE};
     for (size_t i = 0; i < COUNT(ts); ++i) {
         const uint32_t t = ts[i], ns[] = {0, 1, t / 2, t - t / 2, t - 1, t};
         for (size_t j = 0; j < COUNT(ns); ++j) {

@@ -1,5 +1,5 @@
-/* White box: a member that is changed behind the robot's back is noticed where docs/invariants.md says so, and an
- * image that was damaged is refused. */
+/* White box: a member that is changed behind the robot's back is noticed where docs/invariants.md says so,
+ * and an image that was damaged is refused. */
 #include "white_box.h"
 
 static mcp_asdf_config_t config = {0, 2, 6, 1000, MCP_ASDF_OFF};
@@ -10,7 +10,7 @@ static mcp_asdf_t busy_robot(void)
     mcp_asdf_t robot;
     memset(&robot, 0x5A, sizeof robot);
     CHECK_EQUAL(mcp_asdf_init(&robot, &config, 40, 0xC0000000), MCP_ASDF_OK);
-    for (uint32_t tick = 0; tick < 37; ++tick) {
+    for (uint32_t tick = 0; tick < 38; ++tick) {
         for (uint8_t sender = 0; sender < 5; ++sender) {
             (void)mcp_asdf_receive(&robot, sender, 0x200000 + sender, sender == 2 ? 0 : 0x42000000);
         }
@@ -81,9 +81,10 @@ static void cache_follows_from_b_hat(void)
 /* I5, for the last observation's values and the settled ones alike */
 static void estimates_are_on_their_grids(void)
 {
-    static const uint32_t wrong[] = {MCP_ASDF_ALPHA_MAX + 1, 0x7F800000, 0xBF800000, 0x33000000, 0x33800001,
-                                     0x3EFFFFFF, 1,          0};
-    static const uint32_t right[] = {MCP_ASDF_ALPHA_MAX, 0x33800000, 0x34400000, 0x3EFFFFFE, 0x3F000001, 0x4E800000};
+    static const uint32_t wrong[] = {
+        MCP_ASDF_ALPHA_MAX + 1, 0x7F800000, 0xBF800000, 0x33000000, 0x33800001, 0x3EFFFFFF, 1, 0};
+    static const uint32_t right[] = {MCP_ASDF_ALPHA_MAX, 0x33800000, 0x34400000,
+                                     0x3EFFFFFE,         0x3F000001, 0x4E800000};
     for (size_t i = 0; i < COUNT(wrong); ++i) {
         GIVEN(wrong[i], 0, 0);
         BREAKS(robot.alpha = wrong[i]);
@@ -105,8 +106,10 @@ static void estimates_are_on_their_grids(void)
 static void closed_round_is_a_mean(void)
 {
     const uint64_t most = 127 * ((UINT64_C(1) << 55) - (UINT64_C(1) << 31));
-    KEEPS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0, robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE));
-    BREAKS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0, robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE + 1));
+    KEEPS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0,
+           robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE));
+    BREAKS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0,
+            robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE + 1));
     BREAKS((robot.closed_alpha = 0, robot.closed_alpha_x_high = 0, robot.closed_alpha_x_low = 1));
     BREAKS((robot.closed_alpha = 0, robot.closed_alpha_x_high = 1, robot.closed_alpha_x_low = 0));
     KEEPS((robot.closed_alpha = 512, robot.closed_alpha_x_high = 1, robot.closed_alpha_x_low = 0));
@@ -170,7 +173,8 @@ static bool same_image(const mcp_asdf_t *robot, const uint8_t *image)
     return memcmp(now, image, sizeof now) == 0;
 }
 
-/* I17: every step of the checksum is one to one, so no single damaged word can pass. The target stays as it is. */
+/* I17: every step of the checksum is one to one, so no single damaged word can pass. The target stays as it
+ * is. */
 static void every_flipped_bit_is_refused(void)
 {
     const mcp_asdf_t busy = busy_robot();
@@ -195,8 +199,9 @@ static void impossible_states_are_refused(void)
 {
     static const struct {
         uint32_t word, value;
-    } wrong[] = {{1, 1000}, {2, 38}, {3, 0xFFF}, {3, 0}, {3, 0xFFFFF001}, {4, 0x800001}, {5, 0x4F000000},
-                 {6, 0x800001}, {7, 1}, {9, 0x80000000}, {15, 0x80000000}, {23, 128}, {28, 3}, {29, 5}, {32, 0x80000000}};
+    } wrong[] = {{1, 1000},        {2, 39},         {3, 0xFFF},    {3, 0},  {3, 0xFFFFF001},
+                 {4, 0x800001},    {5, 0x4F000000}, {6, 0x800001}, {7, 1},  {9, 0x80000000},
+                 {15, 0x80000000}, {23, 128},       {28, 3},       {29, 5}, {32, 0x80000000}};
     const mcp_asdf_t busy = busy_robot();
     for (size_t i = 0; i < COUNT(wrong); ++i) {
         uint8_t image[MCP_ASDF_IMAGE_SIZE];
@@ -208,7 +213,8 @@ static void impossible_states_are_refused(void)
             for (uint32_t byte = 0; word == wrong[i].word && byte < 4; ++byte) {
                 at[byte] = (uint8_t)(wrong[i].value >> 8 * byte);
             }
-            hash = hash_word(hash, (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24);
+            hash = hash_word(hash, (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 |
+                                       (uint32_t)at[3] << 24);
         }
         for (uint32_t byte = 0; byte < 4; ++byte) {
             image[MCP_ASDF_IMAGE_SIZE - 4 + byte] = (uint8_t)(hash >> 8 * byte);

@@ -1,4 +1,5 @@
-/* White box: products beyond 64 bits against the compiler's 128-bit integers. Skipped, visibly, without them. */
+/* White box: products beyond 64 bits against the compiler's 128-bit integers. Skipped, visibly, without them.
+ */
 #include "white_box.h"
 
 #ifndef __SIZEOF_INT128__
@@ -13,7 +14,10 @@ __extension__ typedef unsigned __int128 wide_t;
 #define ONE_32 (UINT64_C(1) << 32)
 
 /* A random number below 2^bits, every length equally likely. */
-static uint64_t random_below(uint32_t bits) { return check_random() >> (64 - bits) >> (check_random() % bits); }
+static uint64_t random_below(uint32_t bits)
+{
+    return check_random() >> (64 - bits) >> (check_random() % bits);
+}
 
 static void check_quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
 {
@@ -25,8 +29,8 @@ static void check_quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
     }
 }
 
-/* The upper 31 bits of both numbers cost less than 2^32 (2^-30 + 2^-30) = 8 before the last rounding; one word more
- * or less in the divisor, and divisors around powers of two, are where bits can go wrong. */
+/* The upper 31 bits of both numbers cost less than 2^32 (2^-30 + 2^-30) = 8 before the last rounding; one
+ * word more or less in the divisor, and divisors around powers of two, are where bits can go wrong. */
 static void quotient_at_every_length(void)
 {
     for (uint32_t bit = 0; bit < 62; ++bit) {
@@ -41,15 +45,16 @@ static void quotient_at_every_length(void)
 static void check_mean(uint64_t alpha, wide_t sum)
 {
     const uint64_t high = (uint64_t)(sum >> 32), low = (uint64_t)sum & UINT32_MAX;
-    const uint64_t moved = high < 1000 ? high : random_below(29) % high; /* part of it carried by the low sum */
+    const uint64_t moved =
+        high < 1000 ? high : random_below(29) % high; /* part of it carried by the low sum */
     GIVEN(alpha, high, low);
     if (high - moved < UINT64_C(1) << 53) {
         CHECK_EQUAL(mean(alpha, moved << 32 | low, high - moved), (uint64_t)(sum / alpha));
     }
 }
 
-/* "the quotient's upper 23 bits are right or one too small; the remainder tells which": sums of every length, at random,
- * and just below, at and above each exact multiple */
+/* "the quotient's upper 23 bits are right or one too small; the remainder tells which": sums of every length,
+ * at random, and just below, at and above each exact multiple */
 static void mean_is_the_exact_quotient(void)
 {
     for (uint32_t i = 0; i < 400000; ++i) {
@@ -60,7 +65,8 @@ static void mean_is_the_exact_quotient(void)
         check_mean(alpha, exact + check_random() % alpha);
         check_mean(alpha, (wide_t)alpha * MCP_ASDF_ONE - (i & 1));
     }
-    const uint64_t most = 128 * ((UINT64_C(1) << 55) - (UINT64_C(1) << 31)); /* 127 neighbours and the robot */
+    const uint64_t most =
+        128 * ((UINT64_C(1) << 55) - (UINT64_C(1) << 31)); /* 127 neighbours and the robot */
     check_mean(most, (wide_t)most * MCP_ASDF_ONE);
     check_mean(most, (wide_t)most * MCP_ASDF_ONE - 1);
 }
@@ -79,7 +85,8 @@ static void check_test(mcp_asdf_t *robot, uint32_t fraction_bits, uint32_t k)
 {
     const int64_t difference = (int64_t)robot->open.x - (int64_t)robot->open.count * robot->x_hat;
     const wide_t square = (wide_t)((uint64_t)(difference * difference));
-    const wide_t spread = (wide_t)robot->open.count * robot->open.x_squared - (wide_t)robot->open.x * robot->open.x;
+    const wide_t spread =
+        (wide_t)robot->open.count * robot->open.x_squared - (wide_t)robot->open.x * robot->open.x;
     set_table(fraction_bits, k);
     robot->config = &adaptive;
     GIVEN(fraction_bits, k, robot->open.count);
@@ -91,7 +98,8 @@ static void check_test_at_threshold(mcp_asdf_t *robot, uint32_t fraction_bits)
 {
     const int64_t difference = (int64_t)robot->open.x - (int64_t)robot->open.count * robot->x_hat;
     const wide_t square = (wide_t)((uint64_t)(difference * difference));
-    const wide_t spread = (wide_t)robot->open.count * robot->open.x_squared - (wide_t)robot->open.x * robot->open.x;
+    const wide_t spread =
+        (wide_t)robot->open.count * robot->open.x_squared - (wide_t)robot->open.x * robot->open.x;
     const wide_t most = fraction_bits < 26 ? (UINT64_C(64) << fraction_bits) - 1 : UINT32_MAX - 1;
     const wide_t edge = spread == 0 ? most : (square << fraction_bits) / spread;
     for (uint32_t i = 0; i < 3; ++i) {
@@ -119,13 +127,15 @@ static void test_is_exact(void)
     }
 }
 
-/* Never above the exact value of eq. 8, and less than 2^-29 below it: what quotient() loses in general would be 9 units,
- * but numerator and denominator share their low bits here (see check_quotient and docs/design.md). */
+/* Never above the exact value of eq. 8, and less than 2^-29 below it: what quotient() loses in general would
+ * be 9 units, but numerator and denominator share their low bits here (see check_quotient and
+ * docs/design.md). */
 static void reestimate_is_within_its_bound(void)
 {
     for (uint32_t i = 0; i < 1000000; ++i) {
         const uint32_t t = check_random_word() % 0xFFFFFFFD + 1, rest = check_random_word() % MCP_ASDF_HALF;
-        const uint32_t n = i % 2 == 0 ? (uint32_t)(check_random() % ((uint64_t)t + 1)) : t - check_random_word() % (t / 2 + 1);
+        const uint32_t n = i % 2 == 0 ? (uint32_t)(check_random() % ((uint64_t)t + 1))
+                                      : t - check_random_word() % (t / 2 + 1);
         const int64_t numerator = (int64_t)((uint64_t)n << 23) - (int64_t)((uint64_t)t * rest);
         const uint64_t denominator = (uint64_t)t * (MCP_ASDF_ONE - 2 * rest);
         mcp_asdf_t robot = robot_at(t, n, 0xC0000000);
@@ -140,14 +150,16 @@ static void reestimate_is_within_its_bound(void)
     }
 }
 
-/* |computed 2^shift - exact| in parts of 2^-30 of the exact value, both products of docs/design.md section 7 */
+/* |computed 2^shift - exact| in parts of 2^-30 of the exact value, both products of docs/design.md section 7
+ */
 static void check_ratio(wide_t computed, wide_t exact, uint32_t below, uint32_t above)
 {
     CHECK(computed >= exact - (exact >> 30) * below - below);
     CHECK(computed <= exact + (exact >> 30) * above + above);
 }
 
-/* edge: from 5 2^-30 below to 2^-30 above (g / (1 - c))^2; odds: from 6 2^-30 below to exact ((1 - c) / c)^2 */
+/* edge: from 5 2^-30 below to 2^-30 above (g / (1 - c))^2; odds: from 6 2^-30 below to exact ((1 - c) / c)^2
+ */
 static void check_squares(uint32_t c)
 {
     const mcp_asdf_accuracy_t a = accuracy_of(c);
@@ -183,7 +195,8 @@ static void check_end(uint32_t c, uint32_t total, uint32_t part)
     }
     const uint32_t mantissa = confidence_at_end(&a, part, total - part, &exponent);
     /* (g / (1 - c))^2 (rest + ((1 - c) / c)^2 part) as a double: 53 bits are plenty for bounds of 2^-30 */
-    const double ratio = (double)(ONE_32 - 2 * (uint64_t)c) / (double)rest_c, odds = (double)rest_c / (double)c;
+    const double ratio = (double)(ONE_32 - 2 * (uint64_t)c) / (double)rest_c,
+                 odds = (double)rest_c / (double)c;
     const double exact = ratio * ratio * ((double)(total - part) + odds * odds * (double)part);
     double found = (double)mantissa * 256; /* the result's unit is 2^8 of those of total */
     for (; exponent > 0; --exponent) {
@@ -193,13 +206,15 @@ static void check_end(uint32_t c, uint32_t total, uint32_t part)
         found /= 2;
     }
     GIVEN(c, total, part);
-    CHECK(found <= exact * (1 + 1.0 / (1 << 30)) && found >= exact * (1 - 1.0 / (1 << 22) - 15.0 / (1 << 30)));
+    CHECK(found <= exact * (1 + 1.0 / (1 << 30)) &&
+          found >= exact * (1 - 1.0 / (1 << 22) - 15.0 / (1 << 30)));
 }
 
 static void confidence_at_end_is_within_its_bound(void)
 {
     for (uint32_t i = 0; i < 400000; ++i) {
-        const uint32_t c = 0x1000 + check_random_word() % (C_MAX - 0x1000), total = TOTAL_MIN + (check_random_word() & (TOTAL_MIN - 1));
+        const uint32_t c = 0x1000 + check_random_word() % (C_MAX - 0x1000),
+                       total = TOTAL_MIN + (check_random_word() & (TOTAL_MIN - 1));
         const uint32_t most = multiply_high(total, c);
         check_end(c, total, most);
         check_end(c, total, 0);

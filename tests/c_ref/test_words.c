@@ -1,9 +1,9 @@
 /* White box: the words that everything else is made of. */
 #include "white_box.h"
 
-static const uint32_t ends[] = {0,          1,          2,          0x7FFF,     0x8000,     0xFFFF,     0x10000,
-                                0x10001,    0x7FFFFFFF, 0x80000000, 0x80000001, 0xFFFF0000, 0xFFFF8000, 0xFFFFFFFE,
-                                0xFFFFFFFF, 0x0000FFFE, 0xFFFE0001};
+static const uint32_t ends[] = {0,          1,          2,          0x7FFF,     0x8000,     0xFFFF,
+                                0x10000,    0x10001,    0x7FFFFFFF, 0x80000000, 0x80000001, 0xFFFF0000,
+                                0xFFFF8000, 0xFFFFFFFE, 0xFFFFFFFF, 0x0000FFFE, 0xFFFE0001};
 
 /* "(2^16 - 1)^2 + 2^16 - 1 < 2^32", "upper word of a product < 2^64" */
 static void multiply_partial_products_fit(void)

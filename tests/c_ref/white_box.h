@@ -1,5 +1,5 @@
-/* What the white-box tests share: the core itself, with its static functions in reach. Values in tests come from
- * formulas of docs/design.md in the widest type at hand, not from the core. */
+/* What the white-box tests share: the core itself, with its static functions in reach. Values in tests come
+ * from formulas of docs/design.md in the widest type at hand, not from the core. */
 #ifndef WHITE_BOX_H
 #define WHITE_BOX_H
 
@@ -7,7 +7,7 @@
 
 #include <string.h>
 
-#if defined(TEST_WITHOUT_CLZ) && TEST_WITHOUT_CLZ /* the portable leading_zeros(), which a host would not use */
+#if TEST_WITHOUT_CLZ /* the portable leading_zeros(), which a host would not use */
 #ifdef __clang__
 #pragma clang diagnostic ignored "-Wbuiltin-macro-redefined"
 #endif

@@ -18,7 +18,6 @@ from scipy import stats  # type: ignore[import-untyped]
 from firmware_py.reference import (
     ALGORITHM_1,
     AUTHORS,
-    B_HAT_MARGIN,
     MAX_ALPHA,
     PAPER,
     UNINFORMATIVE,
@@ -34,7 +33,16 @@ from firmware_py.reference import (
     social_estimate,
     t_score,
 )
-from firmware_py.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
+from firmware_py.robot import (
+    B_HAT_MARGIN,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Robot,
+    Status,
+)
 from firmware_py.table import Table
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"

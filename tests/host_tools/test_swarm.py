@@ -35,12 +35,16 @@ from host_tools.frames import (
     Heartbeat,
     Message,
     Rejection,
+    Telemetry,
     decode,
     decode_heartbeat,
+    decode_telemetry,
     encode,
+    encode_telemetry,
     float_of,
 )
-from host_tools.live import LiveTable, parameters
+from host_tools.live import LiveTable, parameters, summary
+from host_tools.live import picture as picture_of
 from host_tools.swarm import Deployment, Settings, Swarm, SwarmError
 from host_tools.swarm_plot import draw
 from host_tools.swarm_run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
@@ -103,6 +107,7 @@ def test_every_message_reaches_every_neighbour_once(firmware: str, robots: int) 
     assert figures["heartbeats_sent"] == 6 * robots
     assert figures["heartbeats_heard"] == 6 * robots * (robots - 1)
     assert (figures["refused"], figures["strays"], figures["rejected"]) == (0, 0, {})
+    assert figures["collisions"] == {}
     assert len(frames) == 66 * robots
     for node in outcome.nodes:
         assert node.heard == robots - 1
@@ -313,8 +318,71 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
         assert np.array_equal(disturbed.history.values(quantity), undisturbed.history.values(quantity))
     figures = disturbed.results["frames"]
     assert figures["strays"] == 2 * 5
+    assert figures["collisions"] == {"1": 1}
     reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
     assert figures["rejected"] == {reason.name: 5 for reason in reasons}
+
+
+@pytest.mark.parametrize("returns_own", [False, True])
+def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
+    """The bus may also return a robot's own frames; those are no collision."""
+
+    def open_own() -> can.BusABC:
+        return can.Bus(interface="virtual", channel="shared id", receive_own_messages=returns_own)
+
+    with Swarm(small(), open_own) as swarm, can.Bus(interface="virtual", channel="shared id") as other:
+        for turn in range(4):
+            other.send(encode(Message(2, turn, turn, 30), FrameFormat()), timeout=1)
+            swarm.tick()
+        assert swarm.traffic.collisions == {2: 4}
+        run = run_swarm(swarm)
+    text = io.StringIO()
+    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    assert "another node sent 4 messages as robot 2" in text.getvalue()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> None:
+    """A frame of each robot every 7 ticks, with what the history says of that moment."""
+    updates = {0: [0] * 5}
+
+    def note(swarm: Swarm) -> None:
+        updates[swarm.ticks] = [node.robot.counters.updates for node in swarm.nodes]
+
+    silent, _ = record(small(firmware=firmware))
+    outcome, frames = record(small(firmware=firmware, telemetry_period=7), [note])
+    decoded = [decode_telemetry(frame) for frame in frames]
+    found = [each for each in decoded if isinstance(each, Telemetry)]
+    x, b_hat = (outcome.history.values(name) for name in ("x", "b_hat"))
+    assert np.array_equal(x, silent.history.values("x"))
+    assert [(each.sender, each.transfer_id) for each in found] == [
+        (robot, turn % 32) for turn in range(9) for robot in range(5)
+    ]
+    for each in found:
+        tick = 7 * each.transfer_id
+        assert each.x == int(x[tick, each.sender] * ONE)
+        assert each.b_hat == int(b_hat[tick, each.sender] * 2**24)
+        assert each.updates == updates[tick][each.sender]
+    figures = outcome.results["frames"]
+    assert (figures["telemetry_sent"], figures["telemetry_heard"]) == (9 * 5, 9 * 5 * 4)
+    assert figures["rejected"] == {}
+
+
+def test_the_picture_shows_robots_of_other_processes() -> None:
+    with Swarm(small(telemetry_period=1), open_bus) as swarm, open_bus() as other:
+        other.send(encode_telemetry(Telemetry(77, ONE // 4, 3 << 22, 12, 0)), timeout=1)
+        swarm.tick()
+        text = io.StringIO()
+        Console(file=text, width=200).print(picture_of(swarm))
+    rows = [line.split() for line in text.getvalue().splitlines()]
+    assert [row for row in rows if row and row[0] == "other"] == [["other", "77", "0.7500", "0.2500", "12"]]
+    assert len([row for row in rows if row and row[0].rstrip("*").isdigit()]) == 5
+
+
+def test_estimates_do_not_use_the_subject_of_telemetry() -> None:
+    with pytest.raises(UsageError, match="subject 3001 is that of telemetry"):
+        small(frames=FrameFormat(3001), telemetry_period=1)
+    small(frames=FrameFormat(3001))
 
 
 # Reproducibility and logs

@@ -1,0 +1,12 @@
+# What the RV32 files share: GCC without a C library, run on QEMU's board "virt". They set arch.
+set(CMAKE_SYSTEM_NAME Generic)
+set(CMAKE_SYSTEM_PROCESSOR ${arch})
+set(CMAKE_C_COMPILER riscv64-unknown-elf-gcc)
+set(CMAKE_C_FLAGS_INIT "-march=${arch} -mabi=ilp32 -mcmodel=medany -ffreestanding")
+set(CMAKE_EXE_LINKER_FLAGS_INIT -nostdlib)
+set(CMAKE_C_STANDARD_LIBRARIES_INIT -lgcc)
+set(CMAKE_TRY_COMPILE_TARGET_TYPE STATIC_LIBRARY)
+set(MCP_ASDF_CLANG_TARGET riscv32-unknown-elf)
+set(MCP_ASDF_PORT riscv/virt.c memory.c)
+set(MCP_ASDF_LINKER_SCRIPT riscv/virt.ld)
+set(CMAKE_CROSSCOMPILING_EMULATOR qemu-system-riscv32 -M virt -display none -serial stdio -bios none -kernel)

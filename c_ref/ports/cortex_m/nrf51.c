@@ -1,0 +1,29 @@
+/* UART of Nordic's nRF51, as on the BBC micro:bit. */
+#include "uart.h"
+
+#include "../port.h"
+
+#include <stdint.h>
+
+#define START_TX (*(volatile uint32_t *)0x40002008)
+#define SENT (*(volatile uint32_t *)0x4000211C)
+#define ENABLE (*(volatile uint32_t *)0x40002500)
+#define PIN_TX (*(volatile uint32_t *)0x4000250C)
+#define DATA (*(volatile uint32_t *)0x4000251C)
+#define BAUD (*(volatile uint32_t *)0x40002524)
+
+void uart_start(void)
+{
+    PIN_TX = 24;       /* the line to the interface chip's USB port */
+    BAUD = 0x01D7E000; /* 115200 */
+    ENABLE = 4;
+    START_TX = 1;
+}
+
+void port_put(char byte)
+{
+    SENT = 0;
+    DATA = (uint8_t)byte;
+    while (SENT == 0) {
+    }
+}

@@ -1,0 +1,51 @@
+/* Start and end of a program on any Cortex-M: vector table, memory, exit through a debugger or emulator. */
+#include "uart.h"
+
+#include "../port.h"
+
+#include <stdint.h>
+
+/* Set by cortex_m.ld. */
+extern uint32_t stack_top[], data_image[], data_start[], data_end[], bss_start[], bss_end[];
+
+int main(void);
+void reset(void);
+
+void reset(void)
+{
+    const uint32_t *from = data_image;
+    for (uint32_t *to = data_start; to < data_end; ++to) {
+        *to = *from++;
+    }
+    for (uint32_t *to = bss_start; to < bss_end; ++to) {
+        *to = 0;
+    }
+    uart_start();
+    port_exit(main());
+}
+
+static void fault(void) { port_exit(1); }
+
+/* The processor takes its stack and its first instruction from here. Any exception ends the program. */
+typedef struct {
+    uint32_t *stack;
+    void (*handlers[15])(void);
+} vectors_t;
+
+extern const vectors_t vectors __attribute__((section(".vectors")));
+const vectors_t vectors = {
+    stack_top,
+    {reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault},
+};
+
+/* Semihosting's SYS_EXIT_EXTENDED (0x20) with the reason "application exit" (0x20026) and the status. */
+__attribute__((naked)) void port_exit(int status __attribute__((unused))) /* in r0 */
+{
+    __asm__("mov r2, r0\n"
+            "ldr r1, =0x20026\n"
+            "push {r1, r2}\n"
+            "mov r1, sp\n"
+            "movs r0, #0x20\n"
+            "bkpt 0xAB\n"
+            "b .\n");
+}

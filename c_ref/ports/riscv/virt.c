@@ -1,0 +1,57 @@
+/* QEMU's RISC-V board "virt": start, serial line (16550) and exit (SiFive's test device). */
+#include "../port.h"
+
+#include <stdint.h>
+
+#define UART_DATA (*(volatile uint8_t *)0x10000000)
+#define UART_STATE (*(volatile uint8_t *)0x10000005)
+#define UART_ROOM 0x20
+#define TEST (*(volatile uint32_t *)0x00100000)
+#define TEST_PASS 0x5555
+#define TEST_FAIL 0x3333
+
+int main(void);
+void start(void);
+void begin(void);
+void fault(void);
+
+/* Set by virt.ld. */
+extern uint32_t bss_start[], bss_end[];
+
+/* The first instructions. All memory is RAM and holds the image, data included. The number is
+ * "csrw mtvec, t0": assemblers differ in the extension they want to be told for the name. */
+__attribute__((naked, section(".start"))) void start(void)
+{
+    __asm__(".option push\n"
+            ".option norelax\n"
+            "la gp, global_pointer\n"
+            ".option pop\n"
+            "la sp, stack_top\n"
+            "la t0, fault\n"
+            ".4byte 0x30529073\n"
+            "j begin\n");
+}
+
+__attribute__((used)) void begin(void)
+{
+    for (uint32_t *to = bss_start; to < bss_end; ++to) {
+        *to = 0;
+    }
+    port_exit(main());
+}
+
+__attribute__((used, aligned(4))) void fault(void) { port_exit(1); }
+
+void port_put(char byte)
+{
+    while ((UART_STATE & UART_ROOM) == 0) {
+    }
+    UART_DATA = (uint8_t)byte;
+}
+
+void port_exit(int status)
+{
+    TEST = status == 0 ? TEST_PASS : (uint32_t)status << 16 | TEST_FAIL;
+    for (;;) {
+    }
+}

@@ -1,0 +1,89 @@
+/* Many robots in a fully connected swarm, driven through the firmware's own functions. For PCs only.
+ *
+ * A trial is N robots that take T steps together: all observe, each hears all others, all settle (latency 0
+ * of Algorithm 1). What happens depends on the experiment, the seed and the trial's number alone, not on
+ * which trials run in one call or on which of the two functions runs them; docs/experiments.md describes the
+ * draws. Nothing here is static or shared: any number of threads may run trials at once.
+ */
+#ifndef MCP_ASDF_ENGINE_H
+#define MCP_ASDF_ENGINE_H
+
+#include <stddef.h>
+
+#include "mcp_asdf.h"
+
+#define MCP_ASDF_ENGINE_MAX_ROBOTS 128
+#define MCP_ASDF_ENGINE_CERTAIN (UINT32_C(1) << 31) /* probability 1 of an observation */
+
+/* What is run.
+ *   seed          of all draws
+ *   first_trial   number of the first of `trials` trials
+ *   robots        N, 1 .. 128
+ *   steps         T, 1 .. 2^31 - 2
+ *   configs       [N] settings by robot, all with the same comms_period, filter_period and memory
+ *   b_hat         [N] assumed accuracies at the start, as mcp_asdf_init() takes them
+ *   black         probability that a robot observes black, unit 2^-31, 0 .. MCP_ASDF_ENGINE_CERTAIN;
+ *                 black[i trial_stride + k step_stride + j robot_stride] is that of the i-th of these
+ *                 trials in step k for robot j, all from 0
+ *   thinning      record every robot each `thinning` steps; 0 for never */
+typedef struct {
+    uint64_t seed;
+    uint32_t first_trial;
+    uint32_t trials;
+    uint32_t robots;
+    uint32_t steps;
+    const mcp_asdf_config_t *const *configs;
+    const uint32_t *b_hat;
+    const uint32_t *black;
+    size_t trial_stride;
+    size_t step_stride;
+    size_t robot_stride;
+    uint32_t thinning;
+} mcp_asdf_experiment_t;
+
+/* A robot's values after a step, in the firmware's units. */
+typedef struct {
+    uint64_t beta;
+    uint32_t t;
+    uint32_t n;
+    uint32_t x_hat;
+    uint32_t alpha;
+    uint32_t x_bar;
+    uint32_t x;
+    uint32_t b_hat;
+} mcp_asdf_record_t;
+
+/* What comes out, in memory of the caller.
+ *   robots    [trials][N] at the end
+ *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 if
+ *             comms_period is 1, as all robots then have the same x to the bit, otherwise N
+ *   b_hat     [trials][T / filter_period][N] assumed accuracies after each filter step
+ *   records   [trials][T / thinning][N]; not used if thinning is 0 */
+typedef struct {
+    mcp_asdf_t *robots;
+    uint32_t *x;
+    uint32_t *b_hat;
+    mcp_asdf_record_t *records;
+} mcp_asdf_outcome_t;
+
+/* Run the trials one by one, calling the firmware for every robot and step. O(trials steps robots).
+ * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number of robots or steps out of range or
+ * settings that differ between robots where they must not. */
+mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment,
+                                      const mcp_asdf_outcome_t *outcome);
+
+/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, the same probability for every robot and
+ * trial, nothing recorded, and counts that stay within MCP_ASDF_ENGINE_LANES_MAX_COUNT. */
+bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
+
+/* The same outcome to the bit, faster: between filter steps several trials are computed side by side.
+ * Fails as mcp_asdf_engine_run() does. Needs mcp_asdf_engine_has_lanes(). */
+mcp_asdf_status_t mcp_asdf_engine_run_lanes(const mcp_asdf_experiment_t *experiment,
+                                            const mcp_asdf_outcome_t *outcome);
+
+#define MCP_ASDF_ENGINE_LANES_MAX_COUNT (UINT32_C(1) << 18)
+
+/* Four random words: Philox4x32-10 (Salmon et al., SC'11) of a counter and a key. */
+void mcp_asdf_engine_philox(const uint32_t counter[4], const uint32_t key[2], uint32_t words[4]);
+
+#endif

@@ -1,0 +1,43 @@
+/* Philox4x32-10, a counter-based generator: the words are a function of counter and key, so any draw of any
+ * trial is had without those before it. J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3",
+ * SC'11. */
+#ifndef MCP_ASDF_PHILOX_H
+#define MCP_ASDF_PHILOX_H
+
+#include <stdint.h>
+
+#define PHILOX_ROUNDS 10
+
+typedef struct {
+    uint32_t word[4];
+} philox_t;
+
+/* One round on counter `c`; the key's words grow by the last two constants from round to round. Products are
+ * exact. */
+static inline __attribute__((always_inline)) philox_t philox_round(philox_t c, uint32_t k0, uint32_t k1)
+{
+    const uint64_t first = (uint64_t)c.word[0] * UINT32_C(0xD2511F53);
+    const uint64_t second = (uint64_t)c.word[2] * UINT32_C(0xCD9E8D57);
+    return (philox_t){{(uint32_t)(second >> 32) ^ c.word[1] ^ k0, (uint32_t)second,
+                       (uint32_t)(first >> 32) ^ c.word[3] ^ k1, (uint32_t)first}};
+}
+
+static inline __attribute__((always_inline)) philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
+{
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC unroll 10 /* so that a loop over many generators has no inner loop */
+#endif
+    for (uint32_t round = 0; round < PHILOX_ROUNDS; ++round) {
+        counter = philox_round(counter, k0 + round * UINT32_C(0x9E3779B9), k1 + round * UINT32_C(0xBB67AE85));
+    }
+    return counter;
+}
+
+/* The four draws of a robot's observations in steps 4 block .. 4 block + 3 (from 0) of a trial. */
+static inline __attribute__((always_inline)) philox_t draws(uint64_t seed, uint32_t trial, uint32_t robot,
+                                                            uint32_t block)
+{
+    return philox((philox_t){{block, robot, trial, 0}}, (uint32_t)seed, (uint32_t)(seed >> 32));
+}
+
+#endif

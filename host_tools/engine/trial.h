@@ -1,0 +1,39 @@
+/* What the plain engine and the lanes share; not for others. */
+#ifndef MCP_ASDF_TRIAL_H
+#define MCP_ASDF_TRIAL_H
+
+#include "engine.h"
+#include "philox.h"
+
+/* One trial's part of the outcome; members as in mcp_asdf_outcome_t. */
+typedef mcp_asdf_outcome_t trial_t;
+
+static inline uint32_t engine_columns(const mcp_asdf_experiment_t *experiment)
+{
+    return experiment->configs[0]->comms_period == 1 ? 1 : experiment->robots;
+}
+
+static inline trial_t engine_trial(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
+                                   uint32_t index)
+{
+    const size_t count = experiment->robots, steps = experiment->steps;
+    const size_t records = experiment->thinning == 0 ? 0 : steps / experiment->thinning * count;
+    return (trial_t){outcome->robots + index * count,
+                     outcome->x + index * engine_columns(experiment) * (steps + 1),
+                     outcome->b_hat + index * (steps / experiment->configs[0]->filter_period) * count,
+                     records == 0 ? 0 : outcome->records + index * records};
+}
+
+/* Fails as mcp_asdf_engine_run() does but for what mcp_asdf_init() checks. */
+mcp_asdf_status_t engine_check(const mcp_asdf_experiment_t *experiment);
+
+/* Initialise a trial's robots and write down step 0. Fails as mcp_asdf_init(). */
+mcp_asdf_status_t engine_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial);
+
+/* One tick of all robots, which have the same periods and therefore broadcast in the same ticks. */
+void engine_tick(mcp_asdf_t *robots, uint32_t count, const uint8_t *observations);
+
+/* Write down what the outcome shows of `step`, 1 .. T. */
+void engine_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step);
+
+#endif

@@ -1,0 +1,264 @@
+"""Counting the integer operations of every call: the claims that time is O(1) and memory O(q).
+
+The mirror's code runs on integers that count what is done with them, so the count is that of the very code
+whose bits are the firmware's. It is taken over t, over the messages m of a round and over the table's q,
+with both outcomes of every decision. Integers here have no fixed size; the widest one met is
+recorded too, so that an operation is a bounded number of instructions.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from copy import copy
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, partial
+from typing import Any
+
+from firmware_py.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
+from firmware_py.mirror import MirrorRobot
+from firmware_py.robot import DEFAULT_MEMORY, MAX_ID, Config, Observation
+from firmware_py.table import MAX_Q, MIN_Q, Table
+from host_tools.tables import generate, parse_omega
+
+KINDS = {
+    "add": ("add", "radd", "sub", "rsub", "neg"),
+    "multiply": ("mul", "rmul", "pow"),
+    "divide": ("floordiv", "rfloordiv", "mod", "rmod"),
+    "shift": ("lshift", "rlshift", "rshift", "rrshift"),
+    "logic": ("and", "rand", "or", "ror", "xor", "rxor", "invert"),
+    "compare": ("lt", "le", "gt", "ge", "eq", "ne", "bool"),
+    "bit length": ("bit_length",),
+}
+"""What is counted, and the methods of ``int`` that it is."""
+
+BOUNDS = {"observe": 60, "receive": 40, "settle": 120, "step": 180, "x": 25}
+"""Most operations of a call. Written down, so that a change of the mirror's cost is a decision."""
+WIDEST = 96
+"""Most bits of any intermediate integer."""
+
+_OWN, _HEARD, _FRESH = 127, 0, 126
+
+
+class Tally:
+    """Operations counted by kind, and the bits of the widest result."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Start again."""
+        self.counts: Counter[str] = Counter()
+        self.widest = 0
+
+    def note(self, kind: str, result: int) -> None:
+        """Count an operation."""
+        self.counts[kind] += 1
+        self.widest = max(self.widest, int.bit_length(result))
+
+
+def counting_type(tally: Tally) -> type[int]:
+    """A subclass of int whose operators note themselves in ``tally`` and return its own kind."""
+    methods: dict[str, Any] = {}
+    for kind, names in KINDS.items():
+        for name in names:
+            method = name if name == "bit_length" else f"__{name}__"
+            methods[method] = _counted(getattr(int, method), kind, tally)
+    # Equality defined in a class takes the hash away.
+    methods["__hash__"] = int.__hash__
+    return type("CountingInt", (int,), methods)
+
+
+def _counted(plain: Callable[..., Any], kind: str, tally: Tally) -> Callable[..., Any]:
+    def operate(self: int, *others: int) -> Any:
+        result = plain(self, *others)
+        if result is NotImplemented:
+            return result
+        tally.note(kind, result)
+        return result if isinstance(result, bool) else type(self)(result)
+
+    return operate
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A robot about to be asked something.
+
+    Attributes:
+        t, n: Observations, the next one included, and how many were black.
+        b_hat: Assumed accuracy (raw).
+        m: Messages in its open round, which closes with the next settle and ends a filtering period, and in
+            the last closed round.
+        q: Of its table.
+        agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
+    """
+
+    t: int = 1000
+    n: int = 400
+    b_hat: int = 3 << 30
+    m: int = 20
+    q: int = MAX_Q
+    agrees: bool = False
+
+
+Axis = dict[int, tuple[int, int]]
+"""The least and the most operations of a call, by the value of t, m or q."""
+
+
+@dataclass
+class CallCount:
+    """Operations of one call.
+
+    Attributes:
+        least, most: Over everything that was tried.
+        kinds: What the most consist of.
+        widest: Bits of the widest result.
+        axes: By t, by m and by q.
+    """
+
+    least: int = 2**31
+    most: int = 0
+    widest: int = 0
+    kinds: dict[str, int] = field(default_factory=dict)
+    axes: dict[str, Axis] = field(default_factory=lambda: {"t": {}, "m": {}, "q": {}})
+
+    def add(self, axis: str, value: int, tally: Tally) -> None:
+        """Count a call made at ``value`` of ``axis``."""
+        total = tally.counts.total()
+        if total > self.most:
+            self.kinds = dict(tally.counts)
+        self.least, self.most = min(self.least, total), max(self.most, total)
+        self.widest = max(self.widest, tally.widest)
+        least, most = self.axes[axis].get(value, (total, total))
+        self.axes[axis][value] = min(least, total), max(most, total)
+
+
+def count_operations(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, CallCount]:
+    """Count the operations of every call in BOUNDS. Takes about two seconds."""
+    counts = {name: CallCount() for name in BOUNDS}
+    tally = Tally()
+    number = counting_type(tally)
+    for axis, value, situation in _situations():
+        plain = _robot(firmware, situation)
+        plain.config = _converted(plain.config, number)
+        for name, act in _acts(axis):
+            robot = copy(plain)
+            robot.s = _converted(plain.s, number)
+            tally.clear()
+            act(robot, number)
+            counts[name].add(axis, value, tally)
+    return counts
+
+
+def exceeded(counts: dict[str, CallCount]) -> list[str]:
+    """What is above its bound, a line each."""
+    return [
+        f"{name}: {count.most} operations of up to {count.widest} bits, bound {BOUNDS[name]} of {WIDEST}"
+        for name, count in counts.items()
+        if count.most > BOUNDS[name] or count.widest > WIDEST
+    ]
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Bytes.
+
+    Attributes:
+        tables: Of a table, by q.
+        images: Of the images that robots in all situations save: one size.
+    """
+
+    tables: dict[int, int]
+    images: list[int]
+
+    def problems(self) -> list[str]:
+        """What does not hold of: a table takes 16 + 4 q, a robot always the same."""
+        wrong = [
+            f"a table with q = {q} takes {size} bytes"
+            for q, size in self.tables.items()
+            if size != 16 + 4 * q
+        ]
+        return wrong + ([f"robots take {self.images} bytes"] if len(self.images) != 1 else [])
+
+
+def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> Storage:
+    """Measure all tables, and images of robots in all situations."""
+    tables = {q: 4 * len(_table(q).words()) for q in range(MIN_Q, MAX_Q + 1)}
+    images = {len(_robot(firmware, situation).save()) for _, _, situation in _situations()}
+    return Storage(tables, sorted(images))
+
+
+def _situations() -> Iterator[tuple[str, int, Situation]]:
+    """An axis, a value of it, and a situation there."""
+    powers = [1 << k for k in range(32)]
+    times = {t for power in powers for t in (power - 1, power, power + 1)} - {0} | {DEFAULT_MEMORY}
+    for t in sorted(times):
+        for b_hat in (B_HAT_MIN, 1 << 30, 1 << 31, 4080218931, B_HAT_MAX):
+            for n in sorted({0, 2 * t // 5, t // 2, t}):
+                yield "t", t, Situation(t=t, n=n, b_hat=b_hat)
+    for m in range(MAX_ID + 1):
+        for agrees in (False, True):
+            yield "m", m, Situation(m=m, agrees=agrees)
+    for q in range(MIN_Q, MAX_Q + 1):
+        for m in (2, q, min(q + 1, MAX_ID)):
+            yield "q", q, Situation(q=q, m=m)
+
+
+Act = Callable[[MirrorRobot, type[int]], object]
+
+
+def _acts(axis: str) -> Iterator[tuple[str, Act]]:
+    """The calls to count; ``receive`` has many kinds, which are tried along its own axis only."""
+    yield "step", lambda robot, number: robot.step(Observation.BLACK)
+    yield "settle", _settle
+    yield "x", lambda robot, number: robot.x_raw
+    for z in Observation:
+        yield "observe", partial(_observe, z)
+    for sender in (_FRESH, _HEARD, _OWN) if axis == "m" else (_FRESH,):
+        for alpha in (0, 0x33800000, 0x3F800000, 0x4F000000, 0x7F800000) if axis == "m" else (0x3F800000,):
+            yield "receive", partial(_receive, sender, alpha)
+
+
+def _settle(robot: MirrorRobot, number: type[int]) -> None:
+    robot.s.comms_left = number(0)
+    robot.settle()
+
+
+def _observe(z: Observation, robot: MirrorRobot, number: type[int]) -> None:
+    robot.observe(z)
+
+
+def _receive(sender: int, alpha: int, robot: MirrorRobot, number: type[int]) -> None:
+    robot.receive_raw(number(sender), number(ONE // 3), number(alpha))
+
+
+def _robot(firmware: type[MirrorRobot], situation: Situation) -> MirrorRobot:
+    """A robot in a situation, still of plain integers."""
+    robot = firmware(Config(_table(situation.q), filter_period=1), _OWN, situation.b_hat / 2**32)
+    s = robot.s
+    s.t, s.n = situation.t - 1, min(situation.n, situation.t - 1)
+    for sender in range(situation.m):
+        robot.receive_raw(sender, ONE // 3 + 1000 * sender, 0x3F800001 + sender)
+    s.x_hat = s.settled_x_hat = s.open.x // s.open.count if situation.agrees and s.open.count else ONE
+    s.alpha = s.settled_alpha = 0x3F800001
+    s.closed_alpha, s.closed_alpha_x_low = s.open.alpha, s.open.alpha_x_low
+    s.closed_alpha_x_high = s.open.alpha_x_high
+    return robot
+
+
+def _converted(value: Any, number: type[int]) -> Any:
+    """A value made of counting integers; a fresh one, so that the original does not change with it."""
+    if isinstance(value, int):
+        return number(value)
+    if isinstance(value, list | tuple):
+        return type(value)(_converted(item, number) for item in value)
+    return replace(
+        value, **{member.name: _converted(getattr(value, member.name), number) for member in fields(value)}
+    )
+
+
+@cache
+def _table(q: int) -> Table:
+    """A table with q entries of the paper's omega; only their number matters here."""
+    whole = generate(parse_omega("0.05"), MAX_Q)
+    return replace(whole, entries=whole.entries[:q])

@@ -1,0 +1,97 @@
+"""The paper's metrics: convergence step K, absolute error e, and the scores h_K, h_e and H of a trial.
+
+Section "Metrics" of the paper and its equations of the separate, the scaled and the overall score.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+DELTA = 0.01
+"""Threshold within which an estimate has settled."""
+
+_CHUNK = 4096
+
+
+def settling_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float = DELTA) -> int:
+    """K: the first step from which on the series stays within ``delta`` of its value there.
+
+    The least K with abs(x[K] - x[k]) < delta for all k >= K; the last step always is one. ``series`` is the
+    informed estimate of steps 0 .. T, in any unit that ``delta`` has too. NaN settles at the last step at the
+    earliest.
+
+    One scan from the end with the extremes so far, by chunks first: where those after a chunk are 2 delta
+    apart, no step in it can be near both. O(T), in memory of a constant size beside the series.
+    """
+    starts = np.arange(0, len(series), _CHUNK)
+    lows = np.append(_from_the_end(np.minimum, np.minimum.reduceat(series, starts)), series[-1])
+    highs = np.append(_from_the_end(np.maximum, np.maximum.reduceat(series, starts)), series[-1])
+    for start, low, high in zip(starts, lows[1:], highs[1:], strict=True):
+        if high - low < 2 * delta:
+            chunk = series[start : start + _CHUNK]
+            below = chunk - _from_the_end(np.minimum, np.minimum(chunk, low))
+            above = _from_the_end(np.maximum, np.maximum(chunk, high)) - chunk
+            near = (below < delta) & (above < delta)
+            if near.any():
+                return int(start + near.argmax())
+    return len(series) - 1
+
+
+def _from_the_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    """The extreme of each value and all after it."""
+    result: NDArray[Any] = extreme.accumulate(values[::-1])[::-1]
+    return result
+
+
+class Limits(NamedTuple):
+    """What stands for the worst: ``k_max`` steps and the error ``e_max``, both above 0."""
+
+    k_max: float
+    e_max: float
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of each trial, shape (trials,), in 0 .. 100 if no K and e is above its limit."""
+
+    h_k: NDArray[np.float64]
+    h_e: NDArray[np.float64]
+
+    @property
+    def h(self) -> NDArray[np.float64]:
+        """H, the mean of the two."""
+        return 0.5 * (self.h_k + self.h_e)
+
+
+def found_limits(settled: ArrayLike, errors: ArrayLike) -> Limits:
+    """The largest K and e found, as the paper takes them for a set of trials under one analysis.
+
+    If all are 0, which leaves nothing to compare with, 1.
+    """
+    return Limits(float(np.max(settled)) or 1.0, float(np.nanmax(errors)) or 1.0)
+
+
+def score(settled: ArrayLike, errors: ArrayLike, limits: Limits) -> Scores:
+    """Scores of trials from K and e of every robot, both of shape (trials, robots). NaN counts as e_max."""
+    k = np.asarray(settled, dtype=np.float64)
+    e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=limits.e_max)
+    return Scores(_scaled_mean(k, limits.k_max), _scaled_mean(e, limits.e_max))
+
+
+def _scaled_mean(values: NDArray[np.float64], most: float) -> NDArray[np.float64]:
+    """100 times the mean of 1 - value / most over the robots, times exp(-IQR / most)."""
+    result: NDArray[np.float64] = (
+        100.0 * (1.0 - values / most).mean(axis=1) * np.exp(-_interquartile_range(values) / most)
+    )
+    return result
+
+
+def _interquartile_range(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each row; a quartile between two values is their middle."""
+    upper, lower = np.percentile(values, [75, 25], axis=1, method="midpoint")
+    result: NDArray[np.float64] = upper - lower
+    return result

@@ -1,0 +1,271 @@
+"""The core gets into other projects: copied, added, fetched, found, and as a Python package.
+
+Every way ends in a small program whose output must be the mirror's answer for the same run.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import site
+import sys
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from support import CORE, HEADER, ROOT, TABLE, require, run
+
+from firmware_py.mirror import MirrorRobot
+from firmware_py.robot import Config, Observation
+from host_tools.tables import generate, parse_omega
+
+CONSUMER = """
+#include "mcp_asdf.h"
+
+#include <stdio.h>
+
+extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+
+int main(void)
+{
+    static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
+    mcp_asdf_t robot;
+    if (mcp_asdf_init(&robot, &config, 1, 0xC0000000) != MCP_ASDF_OK) {
+        return 1;
+    }
+    for (int tick = 0; tick < 2000; ++tick) {
+        mcp_asdf_receive(&robot, 2, MCP_ASDF_ONE / 10 * 9, 0x42000000);
+        mcp_asdf_receive(&robot, 3, MCP_ASDF_ONE / 9 * 8, 0x42000000);
+        mcp_asdf_step(&robot, tick % 3 == 0 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
+    }
+    printf("%lu %lu\\n", (unsigned long)mcp_asdf_x(&robot), (unsigned long)mcp_asdf_b_hat(&robot));
+    return 0;
+}
+"""
+
+BUILD = """
+cmake_minimum_required(VERSION 3.21)
+project(consumer LANGUAGES C)
+{}
+add_executable(consumer main.c t_table_omega05_q30.c)
+target_link_libraries(consumer PRIVATE mcp_asdf::mcp_asdf)
+install(TARGETS consumer)
+"""
+ADD = 'add_subdirectory("{}" mcp_asdf)'
+FETCH = """
+include(FetchContent)
+FetchContent_Declare(mcp_asdf SOURCE_DIR "{}")
+FetchContent_MakeAvailable(mcp_asdf)
+"""
+FIND = "find_package(mcp_asdf {} REQUIRED)"
+
+
+@pytest.fixture(scope="module")
+def expected() -> str:
+    """What the consumer prints, by the mirror; the run passes through an update of b_hat."""
+    robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), 1, 0.75)
+    for tick in range(2000):
+        robot.receive_raw(2, 2**23 // 10 * 9, 0x42000000)
+        robot.receive_raw(3, 2**23 // 9 * 8, 0x42000000)
+        robot.step(Observation(tick % 3 == 0))
+    assert robot.counters.updates == 1
+    return f"{robot.x_raw} {robot.b_hat_raw}\n"
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A folder with the consumer's sources: its program and the table that it chose."""
+    (tmp_path / "main.c").write_text(CONSUMER)
+    shutil.copy(TABLE, tmp_path)
+    return tmp_path
+
+
+def cmake(*arguments: str | Path) -> str:
+    return run(require("cmake"), *arguments)
+
+
+def build(project: Path, get: str, *options: str) -> Path:
+    """Build the consumer, which gets the library by the command ``get``; returns the build folder."""
+    (project / "CMakeLists.txt").write_text(BUILD.format(get))
+    cmake("-S", project, "-B", project / "build", "-DCMAKE_C_FLAGS=-Wall -Wextra -Werror", *options)
+    cmake("--build", project / "build")
+    return project / "build"
+
+
+@pytest.fixture(scope="module", params=[".", "c_ref"], ids=["root", "c_ref"])
+def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the library was installed to and then moved, so that nothing may name the first place."""
+    folder = tmp_path_factory.mktemp("install")
+    cmake("-S", ROOT / request.param, "-B", folder / "build")
+    cmake("--build", folder / "build", "--target", "mcp_asdf")
+    cmake("--install", folder / "build", "--prefix", folder / "first")
+    shutil.rmtree(folder / "build")
+    return (folder / "first").rename(folder / "second")
+
+
+def pkg_config(prefix: Path, *arguments: str) -> str:
+    (folder,) = (path.parent for path in prefix.rglob("mcp_asdf.pc"))
+    return run(require("pkg-config", "pkgconf"), *arguments, "mcp_asdf", PKG_CONFIG_PATH=str(folder))
+
+
+# --- Copied ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("standard", ["c99", "c11", "c17"])
+def test_two_files_and_a_table_are_all_it_takes(standard: str, project: Path, expected: str) -> None:
+    shutil.copy(CORE, project)
+    shutil.copy(HEADER, project)
+    names = {path.name for path in project.iterdir()}
+    assert names == {"main.c", "mcp_asdf.c", "mcp_asdf.h", "t_table_omega05_q30.c"}
+    sources = ("mcp_asdf.c", "t_table_omega05_q30.c", "main.c")
+    run("cc", f"-std={standard}", "-pedantic-errors", *sources, "-o", "consumer", cwd=project)
+    assert run(project / "consumer") == expected
+
+
+def test_the_header_suits_c_plus_plus(project: Path, expected: str) -> None:
+    """A C++ program with the C objects; its own copy of the table's declaration has C linkage."""
+    compiler = require("c++", "g++")
+    source = CONSUMER.replace('#include "mcp_asdf.h"', 'extern "C" {\n#include "mcp_asdf.h"', 1)
+    source = source.replace("q30[34];", "q30[34];\n}", 1).replace("#include <stdio.h>", "")
+    (project / "main.cpp").write_text("#include <stdio.h>\n" + source)
+    flags = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror", f"-I{HEADER.parent}")
+    run("cc", "-c", f"-I{HEADER.parent}", CORE, TABLE, cwd=project)
+    run(compiler, *flags, "main.cpp", "mcp_asdf.o", "t_table_omega05_q30.o", "-o", "consumer", cwd=project)
+    assert run(project / "consumer") == expected
+
+
+TARGETS = {
+    "host": ("cc", "gcc"),
+    "32-bit": ("gcc -m32", "gcc"),
+    "Cortex-M4": ("arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb", "gcc-arm-none-eabi"),
+    "Cortex-M0+": ("arm-none-eabi-gcc -mcpu=cortex-m0plus -mthumb", "gcc-arm-none-eabi"),
+    "RV32": ("riscv64-unknown-elf-gcc -march=rv32imac -mabi=ilp32", "gcc-riscv64-unknown-elf"),
+    "AVR": ("avr-gcc -mmcu=atmega328p", "gcc-avr avr-libc"),
+    "s390x": ("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross"),
+}
+WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
+MEMORY_CALLS = re.compile(r"(__aeabi_)?mem(cpy|set|clr|move)\d?")
+LONG_DIVISION = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod")
+FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
+
+
+@pytest.mark.parametrize("optimisation", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_core_stands_on_its_own(target: str, optimisation: str, tmp_path: Path) -> None:
+    """No warning on any target, no 64-bit division, no float, no library, no data that can change."""
+    (compiler, *flags), packages = TARGETS[target][0].split(), TARGETS[target][1]
+    require(compiler, packages)
+    freestanding = ("-std=c99", "-ffreestanding", optimisation, *WARNINGS)
+    run(compiler, *flags, *freestanding, "-c", CORE, "-o", "core.o", cwd=tmp_path)
+    tool = compiler.removesuffix("gcc").removesuffix("cc")
+    symbols = [line.split()[-2:] for line in run(f"{tool}nm", "core.o", cwd=tmp_path).splitlines()]
+    undefined = {name for kind, name in symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
+    foreign = {name for name in undefined if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)}
+    assert not foreign
+    assert not [name for name in undefined if LONG_DIVISION.search(name) or FLOAT.search(name)]
+    assert not [name for kind, name in symbols if kind in "bBdDcC"]
+
+
+# --- Added, fetched, found -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("folder", [ROOT, ROOT / "c_ref"], ids=["root", "c_ref"])
+@pytest.mark.parametrize("get", [ADD, FETCH], ids=["add_subdirectory", "FetchContent"])
+def test_cmake_builds_it_from_source(get: str, folder: Path, project: Path, expected: str) -> None:
+    built = build(project, get.format(folder))
+    assert run(built / "consumer") == expected
+    cmake("--install", built, "--prefix", project / "installed")
+    installed = [path.name for path in (project / "installed").rglob("*") if path.is_file()]
+    assert installed == ["consumer"], "what is embedded is not installed with the consumer"
+    assert "Total Tests: 0" in run("ctest", "-N", "--test-dir", built)
+
+
+def test_find_package_finds_it(prefix: Path, project: Path, expected: str) -> None:
+    get = FIND.format(f"{version_of_header()} EXACT")
+    assert run(build(project, get, f"-DCMAKE_PREFIX_PATH={prefix}") / "consumer") == expected
+
+
+@pytest.mark.parametrize("wanted", ["0.0.9", "0.99", "9.0"])
+def test_find_package_refuses_other_versions(wanted: str, prefix: Path, project: Path) -> None:
+    with pytest.raises(AssertionError, match="compatible with requested"):
+        build(project, FIND.format(wanted), f"-DCMAKE_PREFIX_PATH={prefix}")
+
+
+def test_pkg_config_finds_it(prefix: Path, project: Path, expected: str) -> None:
+    flags = pkg_config(prefix, "--cflags", "--libs").split()
+    run("cc", "-Wall", "-Wextra", "-Werror", "main.c", TABLE.name, *flags, "-o", "consumer", cwd=project)
+    assert run(project / "consumer") == expected
+
+
+def test_what_is_installed(prefix: Path) -> None:
+    files = {path.name for path in prefix.rglob("*") if path.is_file()}
+    config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
+    assert files == {"libmcp_asdf.a", "mcp_asdf.h", "mcp_asdf.pc"} | config
+
+
+# --- One version -----------------------------------------------------------------------------------------
+
+
+def version_of_header() -> str:
+    text = HEADER.read_text(encoding="utf-8")
+    return ".".join(
+        re.findall(rf"^#define MCP_ASDF_VERSION_{part} (\d+)$", text, re.MULTILINE)[0]
+        for part in ("MAJOR", "MINOR", "PATCH")
+    )
+
+
+def test_all_packages_state_the_header_s_version(prefix: Path) -> None:
+    (cmake_version,) = prefix.rglob("mcp_asdf-config-version.cmake")
+    assert f'set(PACKAGE_VERSION "{version_of_header()}")' in cmake_version.read_text()
+    assert pkg_config(prefix, "--modversion").strip() == version_of_header()
+    assert metadata.version("mcp-asdf") == version_of_header()
+
+
+def test_a_new_version_in_the_header_is_all_it_takes(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "c_ref", tmp_path / "c_ref")
+    header = tmp_path / "c_ref/src/mcp_asdf.h"
+    text = header.read_text()
+    for part, number in (("MAJOR", 12), ("MINOR", 34), ("PATCH", 56)):
+        text = re.sub(rf"(VERSION_{part}) \d+", rf"\1 {number}", text)
+    header.write_text(text)
+    cmake("-S", tmp_path / "c_ref", "-B", tmp_path / "build")
+    assert "CMAKE_PROJECT_VERSION:STATIC=12.34.56" in (tmp_path / "build/CMakeCache.txt").read_text()
+
+
+# --- The Python package ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    no_network = ("--no-build-isolation", "--no-deps", "--no-index", "--disable-pip-version-check")
+    run(sys.executable, "-m", "pip", "wheel", "--quiet", *no_network, "--wheel-dir", folder, ROOT)
+    (made,) = folder.iterdir()
+    return made
+
+
+def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"firmware_py", "host_tools"}
+    assert {"firmware_py/py.typed", "host_tools/py.typed", "firmware_py/native.py"} <= names
+    assert len([name for name in names if re.fullmatch(r"firmware_py/_native\..*\.so", name)]) == 1
+    for folder in ("firmware_py", "host_tools"):
+        modules = {str(path.relative_to(ROOT)) for path in (ROOT / folder).rglob("*.py")}
+        assert modules - {"firmware_py/build_native.py"} == {
+            n for n in names if re.match(rf"{folder}/.*\.py$", n)
+        }
+    assert f"mcp_asdf-{version_of_header()}-" in wheel.name
+
+
+def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> None:
+    """Unpacked on its own, without the site-packages' links to the sources."""
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    path = os.pathsep.join([str(tmp_path / "site"), *site.getsitepackages()])
+    code = "import firmware_py.native as n; print(n.__file__); print(n.lib.MCP_ASDF_ONE)"
+    where, one = run(sys.executable, "-S", "-c", code, cwd=tmp_path, PYTHONPATH=path).splitlines()
+    assert Path(where).is_relative_to(tmp_path)
+    assert int(one) == 2**23
+    shown = run(sys.executable, "-S", "-m", "host_tools.cli", "--version", cwd=tmp_path, PYTHONPATH=path)
+    assert shown == f"mcp-asdf {version_of_header()}\n"

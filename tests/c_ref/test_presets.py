@@ -1,0 +1,44 @@
+"""The C tests pass under every preset of CMakePresets.json."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+
+import pytest
+from support import ROOT, require, run
+
+PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+NAMES = [preset["name"] for preset in PRESETS["workflowPresets"]]
+
+
+def compiles(*compiler: str) -> bool:
+    """Whether the compiler makes a program with the standard library."""
+    source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
+    command = [*compiler, "-x", "c", "-", "-o", "/dev/null"]
+    done = subprocess.run(command, input=source, text=True, stderr=subprocess.DEVNULL, check=False)
+    return done.returncode == 0
+
+
+def skip_without_tools(preset: str) -> None:
+    """Skip where the preset's compiler or emulator is not installed, naming Debian's packages."""
+    if preset in ("clang", "sanitizers"):
+        require("clang", "clang")
+    if preset == "sanitizers" and not compiles("clang", "-fsanitize=address"):
+        pytest.skip("clang's sanitizers are not installed (apt-get install libclang-rt-dev)")
+    if preset == "32-bit" and not compiles("gcc", "-m32"):
+        pytest.skip("gcc makes no 32-bit programs (apt-get install gcc-12-multilib, or gcc's version)")
+    if preset == "big-endian":
+        require("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross")
+        require("qemu-s390x", "qemu-user")
+
+
+@pytest.mark.parametrize("preset", NAMES)
+def test_c_tests_pass(preset: str) -> None:
+    skip_without_tools(preset)
+    run(require("cmake"), "--workflow", "--preset", preset)
+
+
+def test_every_preset_is_run() -> None:
+    configured = {p["name"] for p in PRESETS["configurePresets"] if not p.get("hidden")}
+    assert configured == set(NAMES) >= {"gcc", "clang", "sanitizers", "32-bit", "big-endian"}

@@ -1,0 +1,1145 @@
+"""Each edge of the step on its own, for every robot that shares the meaning (docs/design.md).
+
+Expected values come from the paper's formulas on exact rationals (``tests/exact.py``). The float64 robot
+takes part where nothing is rounded to the firmware's grids, or within 1e-12. I1, I2, ... are the numbers of
+docs/invariants.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from dataclasses import astuple, replace
+from fractions import Fraction
+
+import exact
+import pytest
+from robots import (
+    ALPHA_ONE,
+    FIXED_POINT,
+    HALF,
+    IMAGE_SIZE,
+    LAYOUT,
+    ONE,
+    OWN_ID,
+    PLAIN,
+    TABLE,
+    AnyType,
+    FixedPoint,
+    FixedPointType,
+    new,
+    of_every_kind,
+    of_fixed_point,
+    pack,
+    receive_all,
+    rewritten,
+    robot_at,
+    unpack,
+    watch,
+)
+
+from firmware_py.mirror import MirrorRobot
+from firmware_py.native import NativeRobot
+from firmware_py.reference import ReferenceRobot
+from firmware_py.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status, Sums
+from firmware_py.table import FORMAT_VERSION, MAX_OMEGA_WORD, Table, checksum
+
+WHITE, BLACK, NONE = Observation.WHITE, Observation.BLACK, Observation.NONE
+ALPHA_MOST = 0x4EFFFFFF
+EPSILON = 2.0**-20
+DISTANCE = 2.0**-13
+"""Of b_hat from 1/2, from which on it says something."""
+ADAPTIVE = Config(table=TABLE, filter_period=1)
+ALWAYS = Config(filter=Filter.ALWAYS, filter_period=1)
+
+
+def check_estimate(robot: Robot, n: int, t: int, b_hat: float) -> None:
+    """x_hat and alpha are those of eq. 3 and 4, as exactly as the robot computes."""
+    b = Fraction(b_hat)
+    if isinstance(robot, ReferenceRobot) and exact.is_informative(b):
+        x, alpha = exact.x_hat(n, t, b), exact.alpha(n, t, b)
+        assert abs(robot.x_hat - x) <= 1e-12 and abs(robot.alpha - alpha) <= 1e-12 * alpha
+        return
+    least, most = exact.x_hat_limits(n, t, b)
+    assert least <= robot.x_hat <= most
+    least, most = exact.alpha_limits(n, t, b)
+    assert least <= robot.alpha <= most
+
+
+def view(robot: Robot) -> tuple[object, ...]:
+    """All that can be seen of a robot, but the counter of rejected messages."""
+    values = (robot.t, robot.n, robot.b_hat, robot.x_hat, robot.alpha, robot.x_bar, robot.beta, robot.x)
+    return (*values, replace(robot.counters, rejected=0))
+
+
+# --- Observations ----------------------------------------------------------------------------------------
+
+
+@of_every_kind
+def test_before_the_first_observation(kind: AnyType) -> None:
+    """t = 0: x_hat = 1/2, alpha = 0; ticks without a colour change nothing of that."""
+    robot = new(kind)
+    for _ in range(3):
+        assert (robot.t, robot.n, robot.x_hat, robot.alpha) == (0, 0, 0.5, 0.0)
+        assert (robot.x_bar, robot.beta, robot.x, robot.counters) == (0.5, 0.0, 0.5, Counters())
+        assert robot.step(NONE) == Status.DUE
+
+
+@of_every_kind
+@pytest.mark.parametrize("b_hat", [0.75, 0.95, 0.3, EPSILON, 1 - EPSILON, 0.5 + DISTANCE])
+@pytest.mark.parametrize(
+    ("black", "white"), [(0, 1), (1, 0), (0, 40), (40, 0), (1, 40), (40, 1), (20, 20), (13, 27)]
+)
+def test_estimates_of_few_observations(kind: AnyType, b_hat: float, black: int, white: int) -> None:
+    """n = 0, n = t, n = t / 2 and between, b_hat at both clamps and below 1/2."""
+    robot = new(kind, b_hat=b_hat)
+    watch(robot, black, white)
+    assert (robot.n, robot.t) == (black, black + white)
+    check_estimate(robot, black, black + white, b_hat)
+
+
+@of_every_kind
+@pytest.mark.parametrize("b_hat", [0.75, 0.1875, 0.5625, 1 - 2.0**-14, EPSILON, 0.5 - DISTANCE])
+def test_half_blacks_are_one_half_exactly(kind: AnyType, b_hat: float) -> None:
+    robot = new(kind, b_hat=b_hat)
+    for _ in range(50):
+        watch(robot, 1, 1)
+        assert robot.x_hat == 0.5
+
+
+@of_every_kind
+def test_x_hat_is_exact_where_its_format_can_be(kind: AnyType) -> None:
+    """(3/8 - 1/4) / (1/2) = 1/4, and its mirror image."""
+    robot = new(kind)
+    watch(robot, 3, 5)
+    assert robot.x_hat == 0.25
+    watch(robot, 7, 1)
+    assert (robot.n, robot.x_hat) == (10, 0.75)
+
+
+@of_every_kind
+def test_no_colour_is_a_tick_and_no_observation(kind: AnyType) -> None:
+    robot = new(kind, replace(PLAIN, comms_period=2, filter_period=2))
+    watch(robot, 1, 2)
+    before = view(robot)
+    assert [robot.step(NONE) for _ in range(4)] == [Status.DUE, Status.OK, Status.DUE, Status.OK]
+    assert view(robot) == before
+
+
+@of_every_kind
+@pytest.mark.parametrize("z", [3, -1, 255, 2**32, 2**40])
+def test_what_is_no_colour_is_no_tick(kind: AnyType, z: int) -> None:
+    robot = new(kind, replace(PLAIN, comms_period=2, filter_period=2))
+    watch(robot, 1, 0)
+    before = view(robot)
+    wrong: Observation = z  # type: ignore[assignment]
+    assert robot.observe(wrong) == robot.step(wrong) == Status.ERR_OBSERVATION
+    assert view(robot) == before
+    assert robot.step(WHITE) == Status.DUE, "the second tick, not the fourth"
+
+
+# --- The halving -----------------------------------------------------------------------------------------
+
+
+@of_every_kind
+@pytest.mark.parametrize("black", range(65))
+def test_halving_rounds_to_nearest_ties_to_even(kind: AnyType, black: int) -> None:
+    """At t = 64 = memory; then the estimate is of 32 observations."""
+    robot = new(kind, replace(PLAIN, memory=64))
+    watch(robot, black, 64 - black)
+    assert (robot.t, robot.n) == (32, round(Fraction(black, 2)))
+    check_estimate(robot, robot.n, 32, 0.75)
+
+
+@of_every_kind
+def test_memory_is_used_again_and_again(kind: AnyType) -> None:
+    robot, counts = new(kind, replace(PLAIN, memory=66)), []
+    for _ in range(200):
+        robot.step(BLACK)
+        assert robot.n == robot.t
+        counts.append(robot.t)
+    assert max(counts) == 65 and counts[65:67] == [33, 34] and counts.count(33) == 1 + 1 + (200 - 66) // 33
+
+
+@of_fixed_point
+@pytest.mark.parametrize(
+    ("n", "z", "halved"), [(0, 0, 0), (2**32 - 3, 1, 2**31 - 1), (5, 0, 2), (5, 1, 3), (6, 1, 4)]
+)
+def test_halving_at_the_largest_memory(kind: FixedPointType, n: int, z: int, halved: int) -> None:
+    robot = robot_at(kind, t=2**32 - 3, n=n)
+    robot.step(Observation(z))
+    assert (robot.t, robot.n) == (2**31 - 1, halved)
+    check_estimate(robot, halved, 2**31 - 1, 0.75)
+
+
+@of_fixed_point
+@pytest.mark.parametrize("t", [2**31 - 1, 2**31, 2**31 + 1, 3 * 2**30 + 1, 2**32 - 3])
+@pytest.mark.parametrize("share", [Fraction(0), Fraction(1, 4), Fraction(1, 3), Fraction(1, 2), Fraction(1)])
+@pytest.mark.parametrize("b_hat", [0.75, 0.1, 0.5 + DISTANCE, 1 - EPSILON])
+def test_estimates_where_t_fills_its_word(
+    kind: FixedPointType, t: int, share: Fraction, b_hat: float
+) -> None:
+    n = math.ceil(t * share)
+    robot = robot_at(kind, t=t - 1, n=n - (n > 0), b_hat=round(b_hat * 2**32))
+    robot.step(BLACK if n else WHITE)
+    check_estimate(robot, n, t, b_hat)
+
+
+@of_fixed_point
+@pytest.mark.parametrize("z", [WHITE, BLACK])
+@pytest.mark.parametrize("half", [2**30, 2**30 + 1, 2**30 + 2, 3 * 2**29 + 1, 2**31 - 3, 2**31 - 2])
+def test_half_of_many_blacks_are_one_half(kind: FixedPointType, half: int, z: Observation) -> None:
+    """I15: what lies in the middle is its own mirror image, where t and n lose their last bits, too."""
+    for b_hat in (0.75, 0.1, 0.5 + DISTANCE, 1 - EPSILON):
+        robot = robot_at(kind, t=2 * half - 1, n=half - z, b_hat=round(b_hat * 2**32))
+        robot.step(z)
+        assert 2 * robot.n == robot.t == 2 * half
+        assert robot.x_hat_raw == HALF
+
+
+# --- Accuracies ------------------------------------------------------------------------------------------
+
+
+@of_every_kind
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("off", [0.0, 2.0**-32, 2.0**-20, DISTANCE / 2, DISTANCE - 2.0**-32])
+def test_a_coin_says_nothing(kind: AnyType, sign: int, off: float) -> None:
+    """|2 b_hat - 1| < 2^-12: x_hat = 1/2 and alpha = 0 exactly, whatever was seen."""
+    robot = new(kind, b_hat=0.5 + sign * off)
+    for z in (BLACK, BLACK, WHITE, BLACK):
+        robot.step(z)
+        assert (robot.x_hat, robot.alpha, robot.x) == (0.5, 0.0, 0.5)
+    assert (robot.t, robot.n) == (4, 3)
+
+
+@of_every_kind
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("off", [DISTANCE, DISTANCE + 2.0**-32, 2 * DISTANCE])
+def test_just_better_than_a_coin_says_something(kind: AnyType, sign: int, off: float) -> None:
+    robot = new(kind, b_hat=0.5 + sign * off)
+    watch(robot, 1, 0)
+    assert robot.x_hat == (1.0 if sign > 0 else 0.0)
+    assert robot.alpha > 0
+    check_estimate(robot, 1, 1, 0.5 + sign * off)
+
+
+@of_every_kind
+@pytest.mark.parametrize("b_hat", [EPSILON, 0.0625, 0.3125, 0.5 - DISTANCE])
+def test_an_inverted_sensor_sees_the_colours_exchanged(kind: AnyType, b_hat: float) -> None:
+    """I16: (n, b_hat) and (t - n, 1 - b_hat) are one robot; to the bit in fixed point."""
+    robot, other = new(kind, b_hat=b_hat), new(kind, b_hat=1 - b_hat)
+    for z in (1, 1, 0, 1, 0, 0, 0, 1, 1, 1, 1, 0):
+        robot.step(Observation(z))
+        other.step(Observation(1 - z))
+        if kind is ReferenceRobot:
+            assert robot.x_hat == pytest.approx(other.x_hat, abs=1e-15)
+            assert robot.alpha == pytest.approx(other.alpha, rel=1e-12)
+        else:
+            assert (robot.x_hat, robot.alpha, robot.x) == (other.x_hat, other.alpha, other.x)
+
+
+# --- Confidences on their grid ---------------------------------------------------------------------------
+
+
+@of_fixed_point
+@pytest.mark.parametrize("b_hat", [1 - EPSILON, EPSILON])
+def test_alpha_stops_at_its_largest(kind: FixedPointType, b_hat: float) -> None:
+    """Many observations of a nearly perfect sensor; then fewer, where it is still below."""
+    raw = round(b_hat * 2**32)
+    robot = robot_at(kind, t=2**32 - 10, n=2**31, b_hat=raw)
+    robot.step(BLACK)
+    assert (robot.alpha_raw, robot.alpha) == (ALPHA_MOST, 2.0**31 - 2**7)
+    robot = robot_at(kind, t=2**29 - 2**16, n=2**28, b_hat=raw)
+    robot.step(BLACK)
+    assert robot.alpha_raw < ALPHA_MOST
+    check_estimate(robot, 2**28 + 1, 2**29 - 2**16 + 1, b_hat)
+
+
+@of_fixed_point
+def test_own_alpha_is_on_its_grid(kind: FixedPointType) -> None:
+    """Below 1/2 the last bits are worth less than 2^-24 and go; the least is 3 units."""
+    for extra in range(0, 2**20, 2**13 + 1):
+        robot = kind(PLAIN, OWN_ID, 0.5 + (2**19 + extra) / 2**32)
+        for _ in range(4):
+            robot.step(BLACK)
+            units = exact.of_bits(robot.alpha_raw) / exact.Q24
+            assert units.denominator == 1 and units >= 3
+            check_estimate(robot, robot.n, robot.t, robot.b_hat)
+
+
+RECEIVED = {
+    0x00000000: 0,
+    0x00000001: 0,
+    0x007FFFFF: 0,
+    0x00800000: 0,
+    0x337FFFFF: 0,
+    0x33800000: 1,
+    0x33FFFFFF: 1,
+    0x34000000: 2,
+    0x3EFFFFFF: 2**23 - 1,
+    0x3F000000: 2**23,
+    0x3F000001: 2**23 + 1,
+    0x4EFFFFFE: 2**55 - 2**32,
+    0x4EFFFFFF: 2**55 - 2**31,
+    0x4F000000: 2**55 - 2**31,
+    0x7F7FFFFF: 2**55 - 2**31,
+}
+"""Bits of a received alpha and what becomes of it: from 0 over the least unit and the cap to the largest."""
+
+
+@of_fixed_point
+@pytest.mark.parametrize(("bits", "units"), RECEIVED.items())
+def test_received_alphas_come_to_the_grid(kind: FixedPointType, bits: int, units: int) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    assert robot.receive_raw(1, ONE, bits) == Status.OK
+    robot.step(NONE)
+    assert robot.beta_raw == units == exact.alpha_on_grid(exact.of_bits(bits)) / exact.Q24
+    assert robot.x_bar_raw == (ONE if units else HALF)
+    assert robot.counters == Counters(accepted=1)
+
+
+# --- Messages --------------------------------------------------------------------------------------------
+
+REFUSED = {
+    Status.ERR_SENDER: [
+        (OWN_ID, 0.5, 1.0),
+        (128, 0.5, 1.0),
+        (-1, 0.5, 1.0),
+        (300, 0.5, 1.0),
+        (128, 2.0, -1.0),
+    ],
+    Status.ERR_X_HAT: [
+        (1, 1.0001, 1.0),
+        (1, -0.1, 1.0),
+        (1, math.nan, 1.0),
+        (1, math.inf, 1.0),
+        (1, 2.0, math.nan),
+    ],
+    Status.ERR_ALPHA: [(1, 0.5, bad) for bad in (-0.0, -1.0, -1e-40, math.nan, math.inf, -math.inf, 1e300)],
+}
+
+
+@of_every_kind
+@pytest.mark.parametrize(("status", "message"), [(s, m) for s, rows in REFUSED.items() for m in rows])
+def test_invalid_messages_count_and_change_nothing(
+    kind: AnyType, status: Status, message: tuple[int, float, float]
+) -> None:
+    robot = new(kind)
+    watch(robot, 2, 1)
+    robot.receive(1, 0.25, 4.0)
+    before = view(robot)
+    assert robot.receive(*message) == status
+    assert view(robot) == before
+    assert robot.counters.rejected == 1
+    assert robot.receive(message[0] % 128 + 1, 0.5, 1.0) != Status.OK or robot.counters.accepted == 2
+
+
+@of_fixed_point
+@pytest.mark.parametrize(
+    ("status", "message"),
+    [
+        (Status.ERR_X_HAT, (1, ONE + 1, ALPHA_ONE)),
+        (Status.ERR_X_HAT, (1, 2**32 - 1, 2**32 - 1)),
+        (Status.ERR_X_HAT, (1, 2**40, ALPHA_ONE)),
+        *(
+            (Status.ERR_ALPHA, (1, 0, bits))
+            for bits in (0x7F800000, 0x7F800001, 0x7FC00000, 0x80000000, 0x80000001)
+        ),
+        *((Status.ERR_ALPHA, (1, ONE, bits)) for bits in (0xBF800000, 0xFF800000, 0xFFFFFFFF, 2**32, 2**40)),
+    ],
+)
+def test_invalid_raw_messages_change_no_bit(
+    kind: FixedPointType, status: Status, message: tuple[int, int, int]
+) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    watch(robot, 2, 1)
+    robot.receive_raw(1, 7, ALPHA_ONE)
+    before = robot.state()
+    assert robot.receive_raw(*message) == status
+    assert robot.state() == {**before, "rejected": 1}
+
+
+@of_every_kind
+def test_the_first_message_of_a_sender_counts(kind: AnyType) -> None:
+    robot = new(kind)
+    assert robot.receive(1, 0.25, 1.0) == Status.OK
+    assert robot.receive(1, 0.75, 9.0) == Status.REPEATED
+    robot.step(NONE)
+    assert (robot.x_bar, robot.beta) == (0.25, 1.0)
+    assert robot.receive(1, 0.75, 9.0) == Status.OK, "a new round has begun"
+    robot.step(NONE)
+    assert (robot.x_bar, robot.beta) == (0.75, 9.0)
+    assert robot.counters == Counters(accepted=2, repeated=1)
+
+
+@of_every_kind
+def test_every_id_but_the_own_is_a_sender(kind: AnyType) -> None:
+    """m = 127, the most: ids 0 and 127 and those at the ends of words included."""
+    robot = new(kind)
+    statuses = [robot.receive(sender, 0.5, 1.0) for sender in range(128)]
+    assert [i for i, status in enumerate(statuses) if status != Status.OK] == [OWN_ID]
+    assert {robot.receive(sender, 0.5, 1.0) for sender in range(128) if sender != OWN_ID} == {Status.REPEATED}
+    robot.step(NONE)
+    assert (robot.beta, robot.x_bar) == (127.0, 0.5)
+    assert robot.counters == Counters(accepted=127, repeated=127, rejected=1)
+
+
+@of_every_kind
+def test_the_order_of_messages_does_not_matter(kind: AnyType) -> None:
+    """I12, over all orders of five messages whose float64 sums would depend on it."""
+    messages = [(1, 0.125, 3e-7), (2, 0.9, 1e9), (3, 0.3, 12345.678), (4, 1.0, 0.0), (127, 0.0, 1.5)]
+    results = set()
+    for order in itertools.permutations(messages):
+        robot = new(kind)
+        watch(robot, 2, 1)
+        for message in order:
+            robot.receive(*message)
+        robot.step(BLACK)
+        results.add(view(robot))
+    assert len(results) == 1
+
+
+# --- Rounds ----------------------------------------------------------------------------------------------
+
+
+@of_every_kind
+def test_x_bar_is_undefined_without_confidence(kind: AnyType) -> None:
+    """No message, or none with alpha > 0: beta = 0, x_bar reads 1/2, x = x_hat; nothing of the last round."""
+    robot = new(kind)
+    watch(robot, 3, 5)
+    robot.receive(1, 0.875, 64.0)
+    robot.step(NONE)
+    assert (robot.x_bar, robot.beta) == (0.875, 64.0) and robot.x > robot.x_hat
+    robot.step(NONE)
+    assert (robot.x_bar, robot.beta, robot.x) == (0.5, 0.0, robot.x_hat)
+    robot.receive(1, 0.875, 0.0)
+    robot.receive(2, 0.0, 0.0)
+    robot.step(NONE)
+    assert (robot.x_bar, robot.beta, robot.x) == (0.5, 0.0, robot.x_hat)
+    assert robot.counters.accepted == 3
+
+
+@of_every_kind
+def test_all_confidences_zero(kind: AnyType) -> None:
+    """Own and neighbours': x = x_hat = 1/2."""
+    robot = new(kind, b_hat=0.5)
+    watch(robot, 3, 0)
+    robot.receive(1, 0.875, 0.0)
+    robot.step(BLACK)
+    assert (robot.x_hat, robot.alpha, robot.beta, robot.x) == (0.5, 0.0, 0.0, 0.5)
+
+
+@of_every_kind
+def test_without_an_own_confidence_x_is_x_bar(kind: AnyType) -> None:
+    robot = new(kind)
+    robot.receive(1, 0.125, 0.5)
+    robot.receive(2, 0.375, 1.5)
+    robot.step(NONE)
+    assert robot.x == robot.x_bar == 0.3125
+
+
+@of_fixed_point
+@pytest.mark.parametrize("x_bar", [0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE])
+def test_x_bar_at_its_ends(kind: FixedPointType, x_bar: int) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    receive_all(
+        robot,
+        [
+            (sender, x_bar, bits)
+            for sender, bits in enumerate((1, 0x33800000, ALPHA_ONE, ALPHA_MOST, 0x4B000001))
+        ],
+    )
+    robot.step(NONE)
+    assert robot.x_bar_raw == robot.x_raw == x_bar
+
+
+@of_fixed_point
+def test_127_largest_messages_and_the_own(kind: FixedPointType) -> None:
+    """I7: the sums keep below 2^62, and x is still the exact mean."""
+    robot = robot_at(kind, t=2**32 - 10, n=2**31, b_hat=2**32 - 2**12)
+    robot.observe(BLACK)
+    receive_all(robot, [(sender, ONE, ALPHA_MOST) for sender in range(128)])
+    robot.settle()
+    assert robot.alpha_raw == ALPHA_MOST
+    assert robot.beta_raw == 127 * (2**55 - 2**31) < 2**62
+    assert robot.x_raw == (127 * ONE + robot.x_hat_raw) // 128
+    assert robot.holds_invariants()
+
+
+@of_every_kind
+def test_a_round_lasts_comms_period_ticks(kind: AnyType) -> None:
+    """Until it closes, x_bar, beta and x are of the last one; x follows the own x_hat in every tick."""
+    robot = new(kind, replace(PLAIN, comms_period=3, filter_period=3))
+    seen = []
+    for tick in range(1, 10):
+        due = robot.observe(BLACK)
+        assert due == (Status.DUE if tick % 3 == 0 else Status.OK)
+        assert robot.receive(1, tick / 16, 1.0) == (Status.OK if tick in (1, 4, 7) else Status.REPEATED)
+        robot.settle()
+        seen.append(robot.x_bar)
+    assert seen == [0.5, 0.5, 1 / 16, 1 / 16, 1 / 16, 4 / 16, 4 / 16, 4 / 16, 7 / 16]
+
+
+@of_fixed_point
+def test_x_is_of_the_last_settle(kind: FixedPointType) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    watch(robot, 2, 2)
+    before = robot.x_raw
+    robot.observe(BLACK)
+    assert robot.x_hat_raw != before == robot.x_raw
+    robot.settle()
+    assert robot.x_raw == robot.x_hat_raw
+
+
+@of_every_kind
+def test_observing_twice_keeps_the_broadcast_due(kind: AnyType) -> None:
+    """A host that misses a settle loses no round: it is closed by the next."""
+    robot = new(kind, replace(PLAIN, comms_period=2, filter_period=2))
+    assert [robot.observe(BLACK) for _ in range(4)] == [Status.OK, Status.DUE, Status.DUE, Status.DUE]
+    assert robot.t == 4
+    robot.receive(1, 0.25, 1.0)
+    robot.settle()
+    assert robot.beta == 1.0
+    assert [robot.observe(BLACK) for _ in range(2)] == [Status.OK, Status.DUE]
+
+
+@of_every_kind
+def test_settling_twice_closes_one_round(kind: AnyType) -> None:
+    robot = new(kind, replace(PLAIN, comms_period=1, filter_period=1))
+    assert robot.settle() == Status.OK, "nothing was due"
+    robot.observe(BLACK)
+    robot.receive(1, 0.25, 1.0)
+    assert robot.settle() == Status.OK
+    before = view(robot)
+    robot.receive(1, 0.75, 1.0)
+    assert robot.settle() == Status.OK
+    assert view(robot)[:-1] == before[:-1] and robot.counters.accepted == 2
+
+
+@of_every_kind
+def test_step_is_observe_then_settle(kind: AnyType) -> None:
+    config = replace(ALWAYS, comms_period=2, filter_period=4, memory=64)
+    robot, other = new(kind, config), new(kind, config)
+    for tick in range(300):
+        z = Observation(tick * 7 % 3)
+        for each in (robot, other):
+            each.receive(tick % 11 + 6, tick % 17 / 16, 0.75)
+        assert robot.step(z) == other.observe(z)
+        other.settle()
+        assert view(robot) == view(other)
+
+
+# --- The filter ------------------------------------------------------------------------------------------
+
+
+def meet(robot: Robot, *estimates: float, z: Observation = NONE) -> Status:
+    """A tick with messages of these estimates, all of confidence 1."""
+    robot.observe(z)
+    for sender, x_hat in enumerate(estimates, OWN_ID + 1):
+        robot.receive(sender, x_hat, 1.0)
+    return robot.settle()
+
+
+@of_every_kind
+@pytest.mark.parametrize("x_bar", [0.0, 2.0**-23, 0.25, 0.5 - 2.0**-23, 0.5 + 2.0**-23, 0.8125, 1.0])
+@pytest.mark.parametrize("black", [0, 1, 4, 7, 8])
+def test_an_update_is_eq_8(kind: AnyType, x_bar: float, black: int) -> None:
+    """Both clamps among them: x_bar = 0 and 1 with n = 0 and t, x_bar near 1/2 with any n but t / 2."""
+    robot = new(kind, ALWAYS)
+    watch(robot, black, 8 - black)
+    assert meet(robot, x_bar) == Status.UPDATED
+    least, most = exact.b_hat_limits(black, 8, Fraction(x_bar))
+    assert least - Fraction(1, 2**50) <= robot.b_hat <= most + Fraction(1, 2**50)
+    assert robot.counters.updates == 1
+
+
+@of_every_kind
+@pytest.mark.parametrize("config", [ALWAYS, ADAPTIVE])
+def test_x_bar_of_one_half_updates_nothing(kind: AnyType, config: Config) -> None:
+    robot = new(kind, config)
+    watch(robot, 8, 0)
+    before = robot.counters
+    assert meet(robot, 0.5, 0.5) == Status.OK
+    assert (robot.b_hat, robot.counters.updates) == (0.75, 0)
+    assert robot.counters.tests == before.tests + (config.filter == Filter.ADAPTIVE)
+
+
+@of_every_kind
+def test_an_undefined_x_bar_updates_nothing(kind: AnyType) -> None:
+    robot = new(kind, ALWAYS)
+    watch(robot, 8, 0)
+    robot.receive(1, 1.0, 0.0)
+    assert robot.settle() == Status.OK
+    assert meet(robot) == Status.OK
+    assert (robot.b_hat, robot.counters.updates) == (0.75, 0)
+
+
+@of_every_kind
+@pytest.mark.parametrize("config", [ALWAYS, ADAPTIVE])
+def test_without_observations_there_is_no_filter(kind: AnyType, config: Config) -> None:
+    robot = new(kind, config)
+    assert meet(robot, 0.0, 0.0, 0.0) == Status.OK
+    assert robot.counters == Counters(accepted=3)
+
+
+@of_every_kind
+def test_off_never_updates(kind: AnyType) -> None:
+    robot = new(kind, replace(PLAIN, filter_period=1))
+    watch(robot, 8, 0)
+    assert meet(robot, 0.0, 0.0, 0.0) == Status.OK
+    assert (robot.b_hat, robot.counters) == (0.75, Counters(accepted=3))
+
+
+@of_every_kind
+def test_always_asks_no_test(kind: AnyType) -> None:
+    """m = 1 is enough, and equal estimates are."""
+    robot = new(kind, ALWAYS)
+    watch(robot, 8, 0)
+    assert meet(robot, 1.0) == Status.UPDATED
+    assert robot.counters == Counters(accepted=1, updates=1)
+
+
+@of_every_kind
+@pytest.mark.parametrize("estimates", [(), (0.0,)])
+def test_fewer_than_two_messages_are_no_test(kind: AnyType, estimates: tuple[float, ...]) -> None:
+    robot = new(kind, ADAPTIVE)
+    watch(robot, 8, 0)
+    robot.observe(NONE)
+    robot.receive(100, 0.0, 0.0)  # says nothing, so is none of the m
+    robot.receive(101, 0.0, 0.0)
+    robot.settle()
+    assert meet(robot, *estimates) == Status.OK
+    assert (robot.counters.tests, robot.counters.updates) == (0, 0)
+
+
+@of_every_kind
+@pytest.mark.parametrize("m", [2, 4, 5, 127])
+def test_agreement_rejects_nothing(kind: AnyType, m: int) -> None:
+    """S = 0 and all equal to the own estimate: eq. 12 is strict."""
+    robot = new(kind, ADAPTIVE)
+    watch(robot, 3, 5)
+    robot.observe(NONE)
+    for sender in [i for i in range(128) if i != OWN_ID][:m]:
+        robot.receive(sender, robot.x_hat, 1.0)
+    assert robot.settle() == Status.OK
+    assert (robot.b_hat, robot.counters.updates) == (0.75, 0)
+    assert robot.counters.tests == 1
+
+
+@of_fixed_point
+@pytest.mark.parametrize("off", [-1, 1])
+def test_the_least_difference_from_an_agreement_rejects(kind: FixedPointType, off: int) -> None:
+    robot = robot_at(kind, ADAPTIVE, t=8, n=3, x_hat=HALF // 2, alpha=ALPHA_ONE)
+    robot.observe(NONE)
+    receive_all(robot, [(1, HALF // 2 + off, ALPHA_ONE), (2, HALF // 2 + off, ALPHA_ONE)])
+    assert robot.settle() == Status.UPDATED
+
+
+def spread_out(m: int) -> list[int]:
+    """m estimates of two kinds, as even as can be."""
+    return [HALF // 2 + (i % 2) * 2**15 for i in range(m)]
+
+
+def decides(kind: FixedPointType, own: int, xs: list[int]) -> bool:
+    """Whether a robot of this x_hat that hears these estimates re-estimates b_hat."""
+    robot = robot_at(kind, ADAPTIVE, t=8, n=3, x_hat=own, alpha=ALPHA_ONE)
+    robot.observe(NONE)
+    receive_all(
+        robot, [(s, x, ALPHA_ONE) for s, x in zip((i for i in range(128) if i != OWN_ID), xs, strict=False)]
+    )
+    status = robot.settle()
+    assert robot.counters.tests == 1
+    return status == Status.UPDATED
+
+
+@of_fixed_point
+@pytest.mark.parametrize(("m", "k"), [(2, 9), (3, 4), (4, 2), (5, 1), (6, 1), (127, 1)])
+def test_the_entry_for_m_decides(kind: FixedPointType, m: int, k: int) -> None:
+    """m = 2, q - 1, q, q + 1 and 127 for q = 4: on both sides of the threshold, to the bit."""
+    xs = spread_out(m)
+    entry = Fraction(TABLE.entries[min(m, 5) - 2], 1 << TABLE.fraction_bits)
+    assert round(entry) == k
+    low, high = min(xs), ONE
+    while high - low > 1:  # where exact arithmetic turns from "as the others" to "differs"
+        middle = (low + high) // 2
+        differs = exact.rejects(middle * exact.Q23, [x * exact.Q23 for x in xs], entry)
+        low, high = (low, middle) if differs else (middle, high)
+    assert not decides(kind, low, xs)
+    assert decides(kind, high, xs)
+
+
+@of_every_kind
+def test_the_filter_runs_every_filter_period(kind: AnyType) -> None:
+    """comms_period 2, tau 6: at ticks 6, 12 and 18, on the round that closes there."""
+    robot = new(kind, replace(ALWAYS, comms_period=2, filter_period=6))
+    statuses = [meet(robot, 0.9375 - tick / 64, z=BLACK) for tick in range(1, 19)]
+    assert [tick for tick, status in enumerate(statuses, 1) if status == Status.UPDATED] == [6, 12, 18]
+    assert robot.counters.updates == 3
+
+
+@of_every_kind
+def test_the_test_takes_the_round_that_closes(kind: AnyType) -> None:
+    """Not one before: agreement in the round that closes at tau stands against earlier disagreement."""
+    robot = new(kind, replace(ADAPTIVE, filter_period=2))
+    watch(robot, 3, 5)
+    meet(robot, 1.0, 1.0)
+    assert meet(robot, 0.25, 0.25) == Status.OK
+    meet(robot, 0.25, 0.25)
+    assert meet(robot, 1.0, 1.0) == Status.UPDATED
+    assert robot.counters.tests == 2
+
+
+@of_every_kind
+def test_a_new_accuracy_shows_at_the_next_observation(kind: AnyType) -> None:
+    robot = new(kind, ALWAYS)
+    watch(robot, 6, 2)
+    before = robot.x_hat, robot.alpha
+    assert meet(robot, 0.9375) == Status.UPDATED
+    assert (robot.x_hat, robot.alpha) == before and robot.b_hat != 0.75
+    robot.observe(NONE)
+    assert (robot.x_hat, robot.alpha) == before
+    b_hat = robot.b_hat
+    robot.observe(BLACK)
+    check_estimate(robot, 7, 9, b_hat)
+
+
+# --- Counters --------------------------------------------------------------------------------------------
+
+
+@of_fixed_point
+def test_counters_stop_at_65535(kind: FixedPointType) -> None:
+    """I18: each from 65534 by one, then no further; accepted counts a whole round at once, too."""
+    config, full = (
+        replace(ADAPTIVE, filter_period=1),
+        dict.fromkeys(("accepted", "repeated", "rejected", "tests", "updates"), 65534),
+    )
+    robot = robot_at(kind, config, t=8, n=3, x_hat=0, alpha=ALPHA_ONE, **full)
+    for expected in (65535, 65535, 65535):
+        robot.observe(NONE)
+        robot.receive_raw(1, ONE, ALPHA_ONE)
+        robot.receive_raw(1, ONE, ALPHA_ONE)
+        robot.receive_raw(OWN_ID, ONE, ALPHA_ONE)
+        robot.receive_raw(2, ONE, ALPHA_ONE)
+        assert robot.counters.accepted == 65535
+        assert robot.settle() == Status.UPDATED
+        assert astuple(robot.counters) == (expected,) * 5
+    assert robot.holds_invariants()
+
+
+# --- Saving ----------------------------------------------------------------------------------------------
+
+
+def busy_robot(kind: FixedPointType) -> FixedPoint:
+    """In the middle of a round, with something in every field of the state."""
+    robot = kind(replace(ADAPTIVE, comms_period=2, filter_period=6), OWN_ID, 0.7)
+    for tick in range(43):
+        robot.observe(Observation(tick % 3))
+        receive_all(robot, [(i * 13 % 128, 2**20 * i, ALPHA_ONE + i) for i in range(tick % 7)])
+        receive_all(robot, [(9, 5, 0), (OWN_ID, 5, 0), (9, 5, 0)])
+        robot.settle()
+    receive_all(
+        robot, [(40, 2**21, 0x4B123456), (70, 2**21 + 9, 0x4B123456), (100, 3, 0x42000000), (127, 7, 0)]
+    )
+    return robot
+
+
+@of_fixed_point
+def test_an_image_holds_every_field(kind: FixedPointType) -> None:
+    """The image is the one docs/design.md describes, field by field."""
+    robot = busy_robot(kind)
+    image, state = robot.save(), robot.state()
+    fields = unpack(image)
+    assert len(image) == IMAGE_SIZE == 136
+    assert fields.pop("magic") == 0x4D435301
+    assert fields == {name: value for name, value in state.items() if not name.startswith("accuracy_")}
+    assert pack(unpack(image)) == image
+
+
+@pytest.mark.parametrize(("source", "target"), list(itertools.product(FIXED_POINT, repeat=2)))
+def test_images_are_the_same_everywhere(source: FixedPointType, target: FixedPointType) -> None:
+    robot = busy_robot(source)
+    restored = target.restore(robot.config, robot.save())
+    assert restored.state() == robot.state()
+    assert restored.save() == robot.save()
+
+
+MOMENTS = [
+    "new",
+    "due",
+    "messages while due",
+    "settled",
+    "open round",
+    "halved",
+    "updated",
+    "silent",
+    "unsettled",
+]
+
+
+def robot_at_moment(kind: FixedPointType, moment: str) -> FixedPoint:
+    robot = kind(replace(ALWAYS, comms_period=2, filter_period=4, memory=64), OWN_ID, 0.8)
+    ticks = {"new": 0, "halved": 64, "updated": 4}.get(moment, 11)
+    for tick in range(ticks):
+        robot.receive_raw(9, 2**21 + tick, ALPHA_ONE)
+        robot.step(BLACK if tick % 3 else WHITE)
+    if moment in ("due", "messages while due", "unsettled"):
+        assert robot.observe(BLACK) == Status.DUE
+    if moment in ("messages while due", "open round"):
+        receive_all(robot, [(1, 3, ALPHA_ONE), (127, ONE, ALPHA_MOST)])
+    if moment == "silent":
+        receive_all(robot, [(1, 3, 0), (2, 3, 1)])
+    if moment == "unsettled":
+        robot.observe(WHITE)
+    return robot
+
+
+@of_fixed_point
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_restored_at_any_moment_it_goes_on_the_same(kind: FixedPointType, moment: str) -> None:
+    """I17"""
+    robot = robot_at_moment(kind, moment)
+    copy = kind.restore(robot.config, robot.save())
+    assert (moment == "halved") == (robot.t == 32)
+    for tick in range(70):
+        assert copy.state() == robot.state()
+        assert copy.holds_invariants()
+        for each in (robot, copy):
+            receive_all(each, [(tick % 5, 2**22 + 2**14 * tick, ALPHA_ONE), (1, 0, ALPHA_MOST)])
+        assert copy.step(Observation(tick % 3)) == robot.step(Observation(tick % 3))
+        assert copy.x_raw == robot.x_raw
+
+
+def check_refused(kind: FixedPointType, config: Config, image: bytes) -> None:
+    with pytest.raises(FirmwareError) as caught:
+        kind.restore(config, image)
+    assert caught.value.status == Status.ERR_IMAGE
+
+
+@of_fixed_point
+def test_every_flipped_bit_of_an_image_is_refused(kind: FixedPointType) -> None:
+    """I17"""
+    robot = busy_robot(kind)
+    image = robot.save()
+    for bit in range(8 * len(image)):
+        damaged = bytearray(image)
+        damaged[bit // 8] ^= 1 << bit % 8
+        check_refused(kind, robot.config, bytes(damaged))
+    assert robot.save() == image
+
+
+@of_fixed_point
+def test_images_of_another_size_or_make_are_refused(kind: FixedPointType) -> None:
+    robot = busy_robot(kind)
+    image = robot.save()
+    for size in (0, 4, 132, 135):
+        check_refused(kind, robot.config, image[:size])
+    check_refused(kind, robot.config, image + b"\0")
+    check_refused(kind, robot.config, bytes(136))
+    check_refused(kind, robot.config, b"\xff" * 136)
+    check_refused(kind, robot.config, image[::-1])
+    for magic in (0x4D435300, 0x4D435302, 0x4D435054, 0):
+        check_refused(kind, robot.config, rewritten(image, magic=magic))
+    check_refused(kind, robot.config, rewritten(image)[:-4] + struct.pack("<I", checksum([0])))
+
+
+IMPOSSIBLE = {
+    "I1": [{"id": 128}, {"id": 255}],
+    "I2": [{"t": 100}, {"t": 0, "n": 1}, {"n": 2**32 - 1}],
+    "I3": [{"b_hat": 2**12 - 1}, {"b_hat": 2**32 - 2**12 + 1}, {"b_hat": 0}],
+    "I5": [
+        {"x_hat": ONE + 1},
+        {"settled_x_hat": ONE + 1},
+        {"alpha": ALPHA_MOST + 1},
+        {"alpha": 0x33800001},
+        {"settled_alpha": 0xBF800000},
+        {"x_hat": HALF + 1, "alpha": 0},
+        {"settled_x_hat": 0, "settled_alpha": 0},
+    ],
+    "I6": [
+        {"closed_alpha": 0, "closed_alpha_x_low": 1, "closed_alpha_x_high": 0},
+        {"closed_alpha": 3, "closed_alpha_x_low": 3 * ONE + 1, "closed_alpha_x_high": 0},
+        {"closed_alpha": 127 * (2**55 - 2**31) + 1},
+        {"closed_alpha": 2**61, "closed_alpha_x_high": 2**53},
+        {"closed_alpha": 2**61, "closed_alpha_x_low": 2**62},
+    ],
+    "I7": [
+        {"open_alpha": 2**62},
+        {"open_x": 4 * ONE},
+        {"open_x_squared": 2**53},
+        {"open_alpha_x_low": 2**62},
+        {"open_alpha_x_high": 2**53},
+        {"open_count": 128},
+        {"open_count": 0},
+    ],
+    "I8": [
+        {"silent": 0},
+        {"silent": 125},
+        {"heard_0": 0xFF},
+        {"heard_0": 1 << OWN_ID},
+        {"heard_3": 2**32 - 1},
+    ],
+    "I9": [{"comms_left": 3}, {"comms_left": 2**32 - 1}],
+    "I10": [{"filter_left": 0}, {"filter_left": 1}, {"filter_left": 8}, {"filter_left": 2**32 - 1}],
+}
+"""Fields of the busy robot's image that no sequence of calls can have, by the invariant they break."""
+
+
+@of_fixed_point
+@pytest.mark.parametrize(("invariant", "fields"), [(i, f) for i, rows in IMPOSSIBLE.items() for f in rows])
+def test_impossible_states_are_refused(kind: FixedPointType, invariant: str, fields: dict[str, int]) -> None:
+    """With a right checksum, so the invariants themselves must refuse."""
+    robot = busy_robot(kind)
+    config = replace(robot.config, memory=100)
+    kind.restore(config, robot.save())
+    check_refused(kind, config, rewritten(robot.save(), **fields))
+
+
+@of_fixed_point
+def test_an_image_must_fit_its_new_config(kind: FixedPointType) -> None:
+    robot = robot_at(kind, replace(PLAIN, comms_period=4, filter_period=8), t=80, comms_left=3, filter_left=8)
+    image = robot.save()
+    kind.restore(replace(PLAIN, comms_period=4, filter_period=16, memory=82), image)
+    check_refused(kind, replace(PLAIN, comms_period=4, filter_period=8, memory=80), image)
+    check_refused(kind, replace(PLAIN, comms_period=2, filter_period=8), image)
+    check_refused(kind, replace(PLAIN, comms_period=4, filter_period=4), image)
+    check_refused(kind, replace(PLAIN, comms_period=5, filter_period=10), image)
+
+
+# --- Sums of a round at once -----------------------------------------------------------------------------
+
+ONE_MESSAGE = Sums(alpha=2**24, alpha_x_low=2**47, alpha_x_high=0, x_squared=2**46, x=2**23, count=1)
+TWO_MESSAGES = Sums(
+    alpha=2**25, alpha_x_low=3 * 2**46, alpha_x_high=0, x_squared=9 * 2**43, x=3 * 2**22, count=2
+)
+
+
+@of_fixed_point
+def test_sums_of_messages_are_taken(kind: FixedPointType) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    assert robot.add_round(ONE_MESSAGE, 1) == robot.add_round(TWO_MESSAGES, 5) == Status.OK
+    assert robot.add_round(Sums(), 0) == Status.OK
+    assert robot.counters.accepted == 6
+    robot.step(NONE)
+    assert (robot.beta, robot.x_bar_raw) == (3.0, ONE * 5 // 6)
+
+
+@of_fixed_point
+@pytest.mark.parametrize(
+    ("sums", "messages"),
+    [
+        (ONE_MESSAGE, 0),
+        (Sums(), 128),
+        (replace(ONE_MESSAGE, alpha=2**55), 1),
+        (replace(ONE_MESSAGE, alpha_x_low=2**56), 1),
+        (replace(ONE_MESSAGE, alpha_x_high=2**47), 1),
+        (replace(ONE_MESSAGE, x_squared=2**46 + 1), 1),
+        (replace(ONE_MESSAGE, x=2**23 + 1), 1),
+        (replace(ONE_MESSAGE, count=0), 1),
+        (replace(ONE_MESSAGE, count=128), 127),
+    ],
+)
+def test_sums_too_large_for_their_messages_are_refused(
+    kind: FixedPointType, sums: Sums, messages: int
+) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    before = robot.state()
+    assert robot.add_round(sums, messages) == Status.ERR_SUMS
+    assert robot.state() == before
+
+
+CONTRADICTIONS = {
+    "mean above 1": replace(ONE_MESSAGE, alpha_x_low=2**47 + 1),
+    "mean far above 1": replace(ONE_MESSAGE, alpha=1),
+    "no weight": replace(ONE_MESSAGE, alpha=0),
+    "mean of two above 1": replace(TWO_MESSAGES, alpha=3 * 2**23 - 1),
+    "variance below 0": replace(TWO_MESSAGES, x_squared=9 * 2**43 - 1),
+    "no squares": replace(TWO_MESSAGES, x_squared=0),
+}
+"""Sums that are each small enough for their messages, but that no messages can give together."""
+
+
+@of_fixed_point
+@pytest.mark.parametrize("sums", CONTRADICTIONS.values(), ids=CONTRADICTIONS)
+def test_contradicting_sums_break_nothing(kind: FixedPointType, sums: Sums) -> None:
+    """I11: refused, or without a state that the invariants exclude, now and after the round closes."""
+    robot = kind(replace(ADAPTIVE, filter_period=2), OWN_ID, 0.75)
+    robot.add_round(sums, sums.count)
+    for z in (BLACK, WHITE):
+        assert robot.holds_invariants()
+        robot.step(z)
+    assert robot.holds_invariants()
+    assert robot.x_bar_raw <= ONE
+
+
+@pytest.mark.parametrize("sums", CONTRADICTIONS.values(), ids=CONTRADICTIONS)
+def test_contradicting_sums_are_the_same_to_all(sums: Sums) -> None:
+    """I23, with the test of eq. 12 run on them."""
+    robots = [kind(ADAPTIVE, OWN_ID, 0.75) for kind in FIXED_POINT]
+    for robot in robots:
+        robot.observe(BLACK)
+        robot.add_round(sums, sums.count)
+        robot.settle()
+    assert robots[0].state() == robots[1].state()
+    assert robots[0].x_bar_raw == robots[1].x_bar_raw
+
+
+@of_fixed_point
+def test_a_round_full_of_sums_has_no_room_for_messages(kind: FixedPointType) -> None:
+    """I8, I11: 127 messages at once and then further senders, whatever receive() says to them."""
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    most = Sums(alpha=127 << 24, alpha_x_low=127 << 47, x_squared=127 << 46, x=127 << 23, count=127)
+    assert robot.add_round(most, 127) == Status.OK
+    receive_all(robot, [(sender, ONE, ALPHA_ONE if sender % 2 else 0) for sender in range(128)])
+    assert robot.holds_invariants()
+
+
+# --- Settings --------------------------------------------------------------------------------------------
+
+
+def check_not_made(
+    kind: AnyType, status: Status, config: Config, robot_id: int = OWN_ID, b_hat: float = 0.75
+) -> None:
+    with pytest.raises(FirmwareError) as caught:
+        kind(config, robot_id, b_hat)
+    assert caught.value.status == status
+
+
+@of_every_kind
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"comms_period": 0},
+        {"comms_period": -1},
+        {"comms_period": 2**32},
+        {"filter_period": 0},
+        {"filter_period": 2**32},
+        {"comms_period": 3, "filter_period": 1000},
+        {"comms_period": 2000, "filter_period": 1000},
+        {"memory": 62},
+        {"memory": 65},
+        {"memory": 0},
+        {"memory": 2**32 - 1},
+        {"memory": 2**32},
+        {"filter": 3},
+        {"filter": -1},
+        {"filter": 256},
+    ],
+    ids=str,
+)
+def test_config_errors(kind: AnyType, wrong: dict[str, int]) -> None:
+    values: dict[str, object] = {"filter": Filter.OFF, **wrong}
+    check_not_made(kind, Status.ERR_CONFIG, Config(**values))  # type: ignore[arg-type]
+
+
+@of_every_kind
+def test_the_ends_of_the_settings_are_legal(kind: AnyType) -> None:
+    kind(replace(PLAIN, comms_period=2**32 - 1, filter_period=2**32 - 1, memory=2**32 - 2), 127, EPSILON)
+    kind(replace(PLAIN, comms_period=1, filter_period=1, memory=64), 0, 1 - EPSILON)
+    kind(Config(table=None, filter=Filter.ALWAYS), 1, 0.5)
+
+
+@of_every_kind
+@pytest.mark.parametrize("robot_id", [-1, 128, 255, 256])
+def test_id_errors(kind: AnyType, robot_id: int) -> None:
+    check_not_made(kind, Status.ERR_ID, PLAIN, robot_id)
+
+
+@of_every_kind
+@pytest.mark.parametrize(
+    "b_hat", [EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-33, 0.0, 1.0, -0.5, 2.0, math.nan, math.inf]
+)
+def test_b_hat_errors(kind: AnyType, b_hat: float) -> None:
+    check_not_made(kind, Status.ERR_B_HAT, PLAIN, b_hat=b_hat)
+
+
+GOOD = Table(omega_word=1 << 30, fraction_bits=26, entries=((64 << 26) - 2, 3 << 26, (1 << 26) + 1))
+BAD_TABLES = {
+    "none": None,
+    "omega 0": replace(GOOD, omega_word=0),
+    "omega above 0.9": replace(GOOD, omega_word=MAX_OMEGA_WORD + 1),
+    "F = 0": replace(GOOD, fraction_bits=0, entries=(3, 2)),
+    "F = 32": replace(GOOD, fraction_bits=32, entries=(2**32 - 2, 2**32 - 3)),
+    "q = 1": replace(GOOD, entries=GOOD.entries[:1]),
+    "q = 128": replace(GOOD, entries=tuple(range((9 << 26) + 128, 9 << 26, -1))),
+    "no entries": replace(GOOD, entries=()),
+    "rising": replace(GOOD, entries=(3 << 26, (3 << 26) + 1)),
+    "equal": replace(GOOD, entries=(3 << 26, 3 << 26)),
+    "1.0": replace(GOOD, entries=(3 << 26, 1 << 26)),
+    "below 1.0": replace(GOOD, entries=(3 << 26, 1)),
+    "64.0": replace(GOOD, fraction_bits=25, entries=(64 << 25, 2 << 25)),
+    "far above 64.0": replace(GOOD, fraction_bits=1, entries=(2**31, 2**30)),
+}
+
+
+@of_every_kind
+@pytest.mark.parametrize("fault", BAD_TABLES)
+def test_table_errors(kind: AnyType, fault: str) -> None:
+    check_not_made(kind, Status.ERR_TABLE, Config(table=BAD_TABLES[fault]))
+
+
+@of_every_kind
+@pytest.mark.parametrize(
+    "table",
+    [
+        GOOD,
+        replace(GOOD, omega_word=1),
+        replace(GOOD, omega_word=MAX_OMEGA_WORD),
+        replace(GOOD, fraction_bits=25, entries=((64 << 25) - 1, 2 << 25)),
+        replace(GOOD, fraction_bits=1, entries=(127, 3)),
+        replace(GOOD, fraction_bits=31, entries=(2**32 - 2, 2**31 + 1)),
+        replace(GOOD, entries=tuple(range((9 << 26) + 127, 9 << 26, -1))),
+    ],
+)
+def test_the_ends_of_a_table_s_fields_are_legal(kind: AnyType, table: Table) -> None:
+    kind(Config(table=table), OWN_ID, 0.75)
+
+
+@pytest.mark.parametrize("fraction_bits", range(26, 32))
+def test_the_largest_word_is_refused_or_taken_by_all(fraction_bits: int) -> None:
+    """2^32 - 1 as an entry: below 64.0, but the C has no word above it to compare with."""
+    config = Config(table=replace(GOOD, fraction_bits=fraction_bits, entries=(2**32 - 1, 2**32 - 2)))
+    made = set()
+    for kind in (MirrorRobot, NativeRobot):
+        try:
+            kind(config, OWN_ID, 0.75)
+            made.add(True)
+        except FirmwareError:
+            made.add(False)
+    assert len(made) == 1
+
+
+@of_every_kind
+def test_a_table_is_not_needed_without_a_test(kind: AnyType) -> None:
+    for mode in (Filter.ALWAYS, Filter.OFF):
+        kind(Config(table=BAD_TABLES["rising"], filter=mode), OWN_ID, 0.75)
+
+
+@of_every_kind
+def test_the_first_error_is_told(kind: AnyType) -> None:
+    """Config, table, id, b_hat, in this order."""
+    bad_table = Config(table=None)
+    check_not_made(kind, Status.ERR_CONFIG, replace(bad_table, memory=1), 200, 0.0)
+    check_not_made(kind, Status.ERR_TABLE, bad_table, 200, 0.0)
+    check_not_made(kind, Status.ERR_ID, PLAIN, 200, 0.0)
+
+
+@of_fixed_point
+def test_a_bad_config_restores_nothing(kind: FixedPointType) -> None:
+    image = kind(PLAIN, OWN_ID, 0.75).save()
+    for config, status in (
+        (replace(PLAIN, memory=1), Status.ERR_CONFIG),
+        (Config(table=None), Status.ERR_TABLE),
+    ):
+        with pytest.raises(FirmwareError) as caught:
+            kind.restore(config, image)
+        assert caught.value.status == status
+
+
+def test_the_table_s_checksum_is_fnv_1a_over_words() -> None:
+    words = GOOD.words()
+    value = 0x811C9DC5
+    for word in (*words[:3], *words[4:]):
+        value = (value ^ word) * 0x01000193 % 2**32
+    assert words[3] == value and words[1] >> 24 == FORMAT_VERSION
+    assert set(LAYOUT.values()) == {8, 16, 32, 64}

@@ -1,0 +1,900 @@
+"""The cross-check: it finds nothing, it would find a single wrong bit, and its oracles are right.
+
+Faults are planted in copies of the mirror (its source with one constant changed) and in tables; each must be
+caught by comparison with the C, and those in the arithmetic also without it, by exact arithmetic.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+import random
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import firmware_py.mirror
+from firmware_py.fixed_point import ALPHA_MAX, HALF, ONE, bits_to_alpha
+from firmware_py.mirror import MirrorRobot
+from firmware_py.native import NativeRobot
+from firmware_py.robot import Config, Observation, Status
+from host_tools import audit as audit_module
+from host_tools import cli, exact
+from host_tools.audit import REGIONS, Audit, Errors
+from host_tools.commands import crosscheck as command
+from host_tools.crosscheck import Check, Finding, Firmware, Subject, compare, crosscheck, differences, shrink
+from host_tools.errors import UsageError
+from host_tools.exact import exact_b_hat, exact_estimate
+from host_tools.operation_count import (
+    BOUNDS,
+    WIDEST,
+    CallCount,
+    Storage,
+    Tally,
+    count_operations,
+    counting_type,
+    exceeded,
+    measure_storage,
+)
+from host_tools.scenario_source import TABLES, random_scenario, round_at_threshold
+from host_tools.scenarios import Call, Scenario, TableChoice, build_table, parse_scenario
+
+SOURCE = Path(firmware_py.mirror.__file__).read_text(encoding="utf-8")
+SEED = 1
+CALLS = 40_000
+"""What a fault may take to be caught; most take a few hundred."""
+
+
+def silent(done: int) -> None:
+    """Report nothing."""
+
+
+def judged(left: Firmware, right: Firmware) -> Check:
+    """A check that compares two firmwares and audits them."""
+    audit = Audit()
+    return lambda scenario: compare(scenario, left, right, audit.follow(scenario.setup))
+
+
+def caught(check: Check, calls: int = CALLS) -> Scenario | None:
+    """The first scenario in which the check finds something."""
+    return crosscheck(check, SEED, calls, silent).failing
+
+
+def copy_of_mirror(source: str | ast.Module) -> Firmware:
+    """The robot of a changed mirror."""
+    module = ModuleType(firmware_py.mirror.__name__)
+    exec(compile(source, "changed mirror", "exec"), vars(module))
+    return cast(Firmware, module.MirrorRobot)
+
+
+# --- Nothing is found ------------------------------------------------------------------------------------
+
+
+def test_native_and_mirror_agree_and_keep_every_limit() -> None:
+    check = judged(NativeRobot, MirrorRobot)
+    failing = caught(check, calls=10_000)
+    assert failing is None, f"mcp-asdf crosscheck --replay {shrink(failing, check)}"
+
+
+@cache
+def seen() -> tuple[Counter[str], Counter[str]]:
+    """What 600 scenarios bring about: outcomes of calls, and states."""
+    outcomes, states = Counter[str](), Counter[str]()
+    for number in range(600):
+        scenario = random_scenario(SEED, number)
+        subject = Subject(MirrorRobot, scenario.setup)
+        outcomes[subject.last.outcome] += 1
+        for call in scenario.calls if subject.last.state else ():
+            before, after = subject.last, subject.apply(call)
+            outcomes[f"{call.name} {after.outcome}"] += 1
+            states.update(traits(call, before.state, after.state))
+    return outcomes, states
+
+
+def traits(call: Call, before: dict[str, int], after: dict[str, int]) -> Iterator[str]:
+    """Names of what is remarkable about a call."""
+    b, alpha, m = after["b_hat"], after["alpha"], before["open_count"]
+    if call.name == "restore" and after != before:
+        yield "restored"
+    if call.name in ("observe", "step") and call.numbers[0] < 2:
+        yield "halved" if after["t"] < before["t"] else "counted"
+        yield "late" if after["t"] >= 2**31 else "early"
+        yield "capped" if alpha == ALPHA_MAX else "fine" if alpha >= 0x3F000000 else "coarse"
+        yield "end" if after["x_hat"] in (0, ONE) else "half" if after["x_hat"] == HALF else "inside"
+        yield "inverted" if after["accuracy_inverted"] else "upright"
+        yield "nothing" if after["accuracy_g_shift"] == 255 else "something"
+    if after["tests"] > before["tests"]:
+        yield f"test {min(m, 3)}, {'rejects' if after['updates'] > before['updates'] else 'accepts'}"
+        yield "test 127" if m == 127 else "test fewer"
+    if after["updates"] > before["updates"]:
+        yield f"update {'to the least' if b == 2**12 else 'to the most' if b == 2**32 - 2**12 else 'inside'}"
+
+
+@pytest.mark.parametrize(
+    "outcome",
+    [
+        *("OK", "ERR_CONFIG", "ERR_TABLE", "ERR_ID", "ERR_B_HAT"),
+        *(
+            "observe OK",
+            "observe DUE",
+            "observe ERR_OBSERVATION",
+            "step OK",
+            "step DUE",
+            "step ERR_OBSERVATION",
+        ),
+        *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT", "receive ERR_ALPHA"),
+        *("settle OK", "settle UPDATED", "add OK", "add ERR_SUMS"),
+        *("restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
+    ],
+)
+def test_scenarios_bring_about_every_status(outcome: str) -> None:
+    assert seen()[0][outcome] >= 1
+
+
+@pytest.mark.parametrize(
+    "trait",
+    [
+        *("restored", "halved", "late", "early", "capped", "fine", "coarse", "end", "half", "inside"),
+        *("inverted", "upright", "nothing", "something", "test 127"),
+        *(f"test {m}, {verdict}" for m in (2, 3) for verdict in ("rejects", "accepts")),
+        *("update to the least", "update to the most", "update inside"),
+    ],
+)
+def test_scenarios_reach_every_kind_of_state(trait: str) -> None:
+    assert seen()[1][trait] >= 1
+
+
+@pytest.mark.parametrize("choice", [TableChoice(*table) for table in TABLES], ids=str)
+def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> None:
+    source, table, sides = random.Random(5), build_table(choice), Counter[bool]()
+    for _ in range(400):
+        m = source.randint(2, 127)
+        x_hats, own = round_at_threshold(source, table, m)
+        assert len(x_hats) == m
+        assert all(0 <= x <= ONE for x in (*x_hats, own))
+        left = (sum(x_hats) - m * own) ** 2 << table.fraction_bits
+        right = table.entry(m) * (m * sum(x * x for x in x_hats) - sum(x_hats) ** 2)
+        if right and abs(left - right) * 2**24 < right:
+            sides[left > right] += 1
+    assert min(sides[False], sides[True]) > 20
+
+
+def test_a_scenario_is_a_function_of_seed_and_number() -> None:
+    lines = [str(random_scenario(seed, number)) for seed in (0, 1) for number in range(20)]
+    assert len(set(lines)) == len(lines)
+    assert lines == [str(random_scenario(seed, number)) for seed in (0, 1) for number in range(20)]
+
+
+# --- Lines of text ---------------------------------------------------------------------------------------
+
+
+def test_lines_read_back() -> None:
+    for number in range(300):
+        scenario = random_scenario(7, number)
+        assert parse_scenario(str(scenario)) == scenario, scenario
+
+
+def test_lines_need_no_quotes() -> None:
+    assert all(shlex.quote(line) == line for line in (str(random_scenario(7, n)) for n in range(50)))
+
+
+ROBOT = "robot:2:1:1:64:0:2147483648"
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("", "starts with"),
+        ("observe:1", "starts with"),
+        ("table:0.05:30", "starts with"),
+        ("table:0.05,robot:0:1:1:64:0:1", "table:0.05 needs omega and q"),
+        ("table:1.5:30,robot:0:1:1:64:0:1", "omega is 1.5"),
+        ("table:0.05:1,robot:0:1:1:64:0:1", "neighbours is 1"),
+        ("table:0.05:2:6:1,robot:0:1:1:64:0:1", "1 to 5"),
+        ("table:0.05:2:5,robot:0:1:1:64:0:1", "pairs"),
+        ("robot:0:1:1:64:0", "takes 6"),
+        ("robot:0:1:1:64:256:1", "256 is too large"),
+        (f"{ROBOT},leave:1", "'leave:1' is no call"),
+        (f"{ROBOT},{ROBOT}", "is no call"),
+        (f"{ROBOT},observe", "takes 1"),
+        (f"{ROBOT},observe:1:1", "takes 1"),
+        (f"{ROBOT},observe:-1", "'-1' is no whole number"),
+        (f"{ROBOT},observe:0x1", "'0x1' is no whole number"),
+        (f"{ROBOT},observe:²", "'²' is no whole number"),
+        (f"{ROBOT},observe:", "'' is no whole number"),
+        (f"{ROBOT},observe:{'1' * 5000}", "is no whole number"),
+        (f"{ROBOT},receive:1:4294967296:0", "4294967296 is too large"),
+        (f"{ROBOT},restore:1", "pairs"),
+        (f"{ROBOT},restore:0:1", "1 to 32"),
+        (f"{ROBOT},restore:33:1", "1 to 32"),
+        (f"{ROBOT},restore:1:4294967296", "32-bit"),
+        (f"{ROBOT},damage:136:1", "136 is too large"),
+    ],
+)
+def test_a_line_that_will_not_do_is_explained(line: str, complaint: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(complaint)):
+        parse_scenario(line)
+
+
+# --- Planted faults --------------------------------------------------------------------------------------
+
+FAULTS = {
+    "estimate: 1/g rounded down": ("(1 << 62) // mantissa + 1", "(1 << 62) // mantissa + 0"),
+    "estimate: what says nothing": ("INFORMATIVE_G = 1 << 20", "INFORMATIVE_G = 1 << 21"),
+    "estimate: mirror image": ("return ONE - x_hat if mirrored", "return (ONE ^ 1) - x_hat if mirrored"),
+    "alpha at an end": ("mantissa * accuracy.edge >> 40", "(mantissa | 1) * accuracy.edge >> 40"),
+    "alpha inside": ("scale = total * accuracy.g_squared", "scale = total * (accuracy.g_squared ^ 1)"),
+    "alpha_bits: cap": ("if exponent > SHIFT_MAX:", "if exponent > SHIFT_MAX ^ 1:"),
+    "alpha_bits: grid": ("mantissa >> -exponent << -exponent", "mantissa >> -exponent << -exponent | 1"),
+    "received alpha below the grid": ("if shift >= -23 else 0", "if shift >= -22 else 0"),
+    "sums": ("sums.x_squared += x_hat * x_hat", "sums.x_squared += x_hat * x_hat ^ 1"),
+    "mean": (
+        "((alpha_x_high << 32) + alpha_x_low) // alpha",
+        "((alpha_x_high << 32) + alpha_x_low) // (alpha ^ 1)",
+    ),
+    "test": ("table.entry(m) * spread", "(table.entry(m) ^ 1) * spread"),
+    "test: fewest messages": ("if s.open.count < 2:", "if s.open.count < 3:"),
+    "re-estimate": ("((denominator >> shift) + 1)", "((denominator >> shift) + 0)"),
+    "halving: ties to even": ("half + (half & s.n & 1)", "half + (half & s.n & 0)"),
+    "counters": ("COUNTER_MAX = 0xFFFF", "COUNTER_MAX = 0xFFFE"),
+    "senders": ("1 << (sender & 31)", "1 << (sender & 30)"),
+    "save": ("s.repeated << 16 | s.accepted", "s.repeated << 17 | s.accepted"),
+    "restore": ("repeated=words[30] >> 16", "repeated=words[30] >> 16 & 0x7FFF"),
+    "invariants": ("1 <= s.filter_left", "0 <= s.filter_left"),
+}
+"""Lines of the mirror, and the same with one bit wrong."""
+
+
+def planted(fault: str) -> Firmware:
+    """A copy of the mirror with one of FAULTS."""
+    right, wrong = FAULTS[fault]
+    assert SOURCE.count(right) == 1, f"the mirror's source has changed: plant {fault!r} anew"
+    return copy_of_mirror(SOURCE.replace(right, wrong))
+
+
+def assert_minimal(scenario: Scenario, check: Check) -> None:
+    """Nothing can be left out: no call, and no word that a restore replaces."""
+    finding = check(scenario)
+    assert finding is not None
+    assert finding.calls == len(scenario.calls), "the finding is not at the end"
+    for at, call in enumerate(scenario.calls):
+        before, behind = scenario.calls[:at], scenario.calls[at + 1 :]
+        assert check(scenario.with_calls(before + behind)) is None, f"{scenario} does not need {call}"
+        for pair in range(0, len(call.numbers), 2) if call.name == "restore" else ():
+            fewer = Call("restore", call.numbers[:pair] + call.numbers[pair + 2 :])
+            calls = (*before, fewer, *behind)
+            assert check(scenario.with_calls(calls)) is None, f"{scenario} does not need all of {call}"
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_caught_and_shown_by_a_minimal_scenario(fault: str) -> None:
+    check = judged(NativeRobot, planted(fault))
+    failing = caught(check)
+    assert failing is not None
+    least = shrink(failing, check)
+    assert_minimal(least, check)
+    assert check(parse_scenario(str(least))) == check(least)
+    assert judged(NativeRobot, MirrorRobot)(least) is None, "it is not the fault that shows"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        *("estimate: what says nothing", "alpha_bits: cap", "mean", "test: fewest messages", "re-estimate"),
+        *("estimate: mirror image", "sums", "invariants"),
+    ],
+)
+def test_what_both_do_wrong_is_caught_by_exact_arithmetic(fault: str) -> None:
+    wrong = planted(fault)
+    assert caught(lambda scenario: compare(scenario, wrong, wrong), calls=2000) is None
+    assert caught(judged(wrong, wrong)) is not None
+
+
+def functions() -> dict[str, list[tuple[int, int]]]:
+    """Integer constants of the mirror: name of the function, or "module", to lines and columns."""
+    tree, places = ast.parse(SOURCE), dict[str, list[tuple[int, int]]]()
+    owners: list[tuple[str, ast.AST]] = [
+        ("module", node) for node in tree.body if isinstance(node, ast.Assign)
+    ]
+    owners += [(node.name, node) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    for name, owner in owners:
+        texts = {
+            id(part) for node in ast.walk(owner) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)
+        }
+        places[name] = places.get(name, []) + [
+            (node.lineno, node.col_offset)
+            for node in ast.walk(owner)
+            if isinstance(node, ast.Constant) and type(node.value) is int and id(node) not in texts
+        ]
+    return {name: found for name, found in places.items() if found}
+
+
+EQUIVALENT = {
+    ("alpha_bits", "if exponent < 0:"): "a shift by 0 changes nothing",
+    ("alpha_units", "if shift >= 0:"): "a shift by 0 changes nothing",
+    ("upper_quotient", "if shift < 0:"): "both branches agree at 0",
+    ("restore", "else (0,)"): "neither is the magic word",
+    ("_state_from", "words[9:22:2]"): "a slice of every second word may end one later",
+}
+"""Constants whose last bit makes no difference."""
+
+
+@pytest.mark.parametrize("function", functions())
+def test_the_last_bit_of_every_constant_of_the_mirror_matters(function: str) -> None:
+    survivors = []
+    for line, column in functions()[function]:
+        tree, text = ast.parse(SOURCE), SOURCE.splitlines()[line - 1]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and (node.lineno, node.col_offset) == (line, column):
+                node.value = cast(int, node.value) ^ 1
+        if any(name == function and part in text for name, part in EQUIVALENT):
+            continue
+        changed = copy_of_mirror(tree)
+        if caught(lambda scenario, changed=changed: compare(scenario, NativeRobot, changed)) is None:  # type: ignore[misc]
+            survivors.append(f"line {line}, column {column}: {text.strip()}")
+    assert survivors == []
+
+
+class TamperedRobot(MirrorRobot):
+    """A mirror whose table has one bit wrong in one entry, where it has the given q."""
+
+    q, entry, bit = 30, 0, 0
+
+    @classmethod
+    def tampered(cls, config: Config) -> Config:
+        if config.table is None or config.table.q != cls.q:
+            return config
+        entries = list(config.table.entries)
+        entries[cls.entry] ^= 1 << cls.bit
+        return replace(config, table=replace(config.table, entries=tuple(entries)))
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(self.tampered(config), robot_id, b_hat)
+
+    @classmethod
+    def restore(cls, config: Config, image: bytes) -> MirrorRobot:
+        return super().restore(cls.tampered(config), image)
+
+
+@pytest.mark.parametrize(
+    ("q", "entry", "bit"), [(30, 0, 0), (30, 28, 1), (30, 29, 0), (127, 125, 0), (2, 0, 3)]
+)
+def test_one_bit_of_a_table_entry_is_caught(q: int, entry: int, bit: int) -> None:
+    robot = type("Robot", (TamperedRobot,), {"q": q, "entry": entry, "bit": bit})
+    check = judged(NativeRobot, cast(Firmware, robot))
+    failing = caught(check)
+    assert failing is not None
+    least = shrink(failing, check)
+    assert_minimal(least, check)
+    assert build_table(cast(TableChoice, least.setup.table)).q == q
+
+
+def test_a_table_that_is_wrong_for_both_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(choice: TableChoice, m: int) -> int:
+        return round(exact.true_threshold(choice, m) * (1 + 2.0**-20))
+
+    assert caught(judged(MirrorRobot, MirrorRobot), calls=5000) is None
+    monkeypatch.setattr(audit_module, "true_threshold", wrong)
+    failing = caught(judged(MirrorRobot, MirrorRobot), calls=5000)
+    assert failing is not None
+    finding = judged(MirrorRobot, MirrorRobot)(failing)
+    assert finding is not None
+    assert "the true threshold" in finding.problems[0]
+
+
+class BrokenRobot(MirrorRobot):
+    """Fails in a way no firmware may."""
+
+    def settle(self) -> Status:
+        raise ZeroDivisionError("in settle")
+
+
+def test_an_exception_is_a_difference() -> None:
+    scenario = parse_scenario(f"{ROBOT},observe:1,settle")
+    finding = compare(scenario, NativeRobot, BrokenRobot)
+    assert finding is not None
+    assert (finding.calls, finding.problems[0]) == (2, "status: OK, ZeroDivisionError: in settle")
+
+
+class SilentlyWrongRobot(MirrorRobot):
+    """Has a wrong member that no output shows."""
+
+    def state(self) -> dict[str, int]:
+        return super().state() | {"silent": 7}
+
+
+def test_a_hidden_difference_of_state_is_found_at_once() -> None:
+    finding = compare(parse_scenario(ROBOT), NativeRobot, SilentlyWrongRobot)
+    assert finding == Finding(0, ("silent: 0, 7",))
+
+
+def test_a_robot_that_only_one_firmware_makes_is_a_difference() -> None:
+    class Choosy(MirrorRobot):
+        def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+            super().__init__(config, robot_id + 128, b_hat)
+
+    assert compare(parse_scenario(ROBOT), NativeRobot, Choosy) == Finding(0, ("status: OK, ERR_ID",))
+
+
+def test_differences_name_words_of_the_image() -> None:
+    one, other = (Subject(MirrorRobot, parse_scenario(ROBOT).setup) for _ in range(2))
+    other.apply(Call("restore", (1, 5)))
+    assert list(differences(one.last, other.last)) == [
+        "t: 0, 5",
+        "t(): 0, 5",
+        "save(), word 1: 0x00000000, 0x00000005",
+        f"save(), word 33: {int.from_bytes(one.last.image[-4:], 'little'):#010x}, "
+        f"{int.from_bytes(other.last.image[-4:], 'little'):#010x}",
+    ]
+
+
+@settings(deadline=None, database=None, derandomize=True)
+@given(st.lists(st.integers(0, 2), max_size=30), st.sets(st.integers(0, 29), min_size=1, max_size=4))
+def test_shrinking_leaves_exactly_what_is_needed(zs: list[int], needed: set[int]) -> None:
+    """Whatever calls a finding needs, those are left, in order."""
+    setup = parse_scenario(ROBOT).setup
+    calls = tuple(Call("receive", (at, 0, z)) for at, z in enumerate(zs))
+    assume(max(needed) < len(calls))
+
+    def check(scenario: Scenario) -> Finding | None:
+        missing = set(needed)
+        for made, call in enumerate(scenario.calls, start=1):
+            missing.discard(call.numbers[0])
+            if not missing:
+                return Finding(made, ("all there",))
+        return None
+
+    assert shrink(Scenario(setup, calls), check).calls == tuple(calls[at] for at in sorted(needed))
+
+
+def test_shrinking_what_is_sound_changes_nothing() -> None:
+    scenario = random_scenario(SEED, 3)
+    assert shrink(scenario, lambda candidate: None) == scenario
+
+
+def test_a_run_stops_after_the_calls_asked_for() -> None:
+    heard: list[int] = []
+    outcome = crosscheck(lambda scenario: None, SEED, 1234, heard.append)
+    assert (outcome.calls, outcome.failing, outcome.interrupted) == (1234, None, False)
+    assert heard == sorted(heard)
+    assert heard[-1] == 1234
+
+
+# --- The oracles -----------------------------------------------------------------------------------------
+
+b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32)
+counts = st.integers(1, 2**32 - 2).flatmap(lambda t: st.tuples(st.integers(0, t), st.just(t)))
+oracle = settings(deadline=None, database=None, derandomize=True, max_examples=200)
+
+
+@oracle
+@given(counts, b_hats)
+def test_exact_alpha_is_the_papers_formula(count: tuple[int, int], b: Fraction) -> None:
+    """Eq. 4 as printed, with its differences in the first two cases."""
+    (n, t), d = count, 2 * b - 1
+    assume(abs(d) >= Fraction(1, 2**12))
+    x_hat, alpha = exact_estimate(n, t, b)
+    if x_hat == 0:
+        printed = d**2 * (t * b**2 - d * (t - n)) / (b**2 * (b - 1) ** 2)
+    elif x_hat == 1:
+        printed = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
+    else:
+        printed = d**2 * Fraction(t**3, n * (t - n))
+    assert alpha == min(printed, exact.LARGEST_ALPHA)
+
+
+@oracle
+@given(counts, b_hats)
+def test_exact_estimates_maximise_the_likelihood(count: tuple[int, int], b: Fraction) -> None:
+    """No x beside x_hat makes n black among t more likely; P(black) = b x + (1 - b)(1 - x)."""
+    n, t = count
+    assume(abs(2 * b - 1) >= Fraction(1, 2**12))
+    x_hat, _ = exact_estimate(n, t, b)
+    chance = b * x_hat + (1 - b) * (1 - x_hat)
+    slope = (n - t * chance) * (2 * b - 1)  # of the log-likelihood, up to a positive factor
+    assert slope == 0 if 0 < x_hat < 1 else slope <= 0 if x_hat == 0 else slope >= 0
+
+
+@oracle
+@given(counts, b_hats)
+def test_exact_re_estimate_inverts_the_estimate(count: tuple[int, int], b: Fraction) -> None:
+    n, t = count
+    assume(abs(2 * b - 1) >= Fraction(1, 2**12))
+    x_hat, _ = exact_estimate(n, t, b)
+    assume(0 < x_hat < 1 and x_hat != Fraction(1, 2))
+    assert exact_b_hat(n, t, x_hat) == b
+
+
+def test_exact_values_where_nothing_is_known() -> None:
+    assert exact_estimate(3, 7, Fraction(1, 2)) == (Fraction(1, 2), Fraction(0))
+    assert exact_estimate(3, 7, Fraction(1, 2) + Fraction(1, 2**13))[1] > 0
+
+
+@pytest.mark.parametrize(("name", "excess"), [("x_hat", 1), ("x_hat", -1), ("alpha", 4), ("b_hat", 4)])
+def test_a_value_beyond_its_limit_is_told(name: str, excess: int) -> None:
+    """Some units more than the right value, in a state that is right otherwise."""
+    scenario = parse_scenario("robot:1:1:1:64:0:3221225472,receive:1:3000000:1065353216,step:1,step:0,step:0")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    for call in scenario.calls:
+        before, after = subject.last, subject.apply(call)
+        changed = replace(after, state=after.state | {name: after.state[name] + 2 * excess})
+        watched = call.name == "step" and (
+            name != "b_hat" or after.state["updates"] > before.state["updates"]
+        )
+        told = [problem for problem in follow(call, before, changed) if problem.startswith(f"{name} is off")]
+        # A b_hat that changes in silence is told as an update that should not be.
+        assert bool(told) == watched or name == "b_hat"
+
+
+@pytest.mark.parametrize("name", ["x()", "x_bar()"])
+def test_the_last_bit_of_a_mean_is_told(name: str) -> None:
+    scenario = parse_scenario(f"{ROBOT},receive:1:3000000:1065353216,receive:2:3000001:1065353217,settle")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    subject.apply(Call("restore", (28, 0)))
+    for call in scenario.calls:
+        before, after = subject.last, subject.apply(call)
+    assert follow(call, before, after) == []
+    changed = replace(after, state=after.state | {name: after.state[name] ^ 1})
+    assert [problem.split()[0] for problem in follow(call, before, changed)] == [name]
+
+
+def test_limits_are_not_idle() -> None:
+    """The errors of some x_hat and of some alpha come within a factor of four of what they may be."""
+    shares: dict[str, list[Fraction]] = {"x_hat": [], "alpha": []}
+    for number in range(100):
+        scenario = random_scenario(SEED, number)
+        subject = Subject(MirrorRobot, scenario.setup)
+        for call in scenario.calls if subject.last.state else ():
+            before, state = subject.last.state, subject.apply(call).state
+            if call.name in ("observe", "step") and call.numbers[0] < 2:
+                b, n, t = Fraction(before["b_hat"], 2**32), state["n"], state["t"]
+                x_hat, alpha = exact_estimate(n, t, b)
+                if alpha:
+                    error = abs(Fraction(state["x_hat"], ONE) - x_hat)
+                    shares["x_hat"].append(error / exact.x_hat_limit(b))
+                    error = abs(Fraction(bits_to_alpha(state["alpha"])) - alpha)
+                    shares["alpha"].append(error / exact.alpha_limit(n, t, b, alpha))
+    for name, found in shares.items():
+        assert Fraction(1, 4) < max(found) <= 1, name
+
+
+@oracle
+@given(st.lists(st.one_of(st.just(0.0), st.floats(1e-12, 1e3)), min_size=1, max_size=3000))
+def test_percentiles_are_within_a_bin(errors: list[float]) -> None:
+    tally = Errors()
+    for error in errors:
+        tally.add(-error)
+    true = sorted(errors)[len(errors) - 1 - len(errors) // 1000]
+    assert tally.count == len(errors)
+    assert tally.largest == max(errors)
+    assert true <= tally.percentile * (1 + 1e-12)
+    assert tally.percentile <= true * 2 ** (1 / 16) * (1 + 1e-12)
+
+
+def test_regions_cover_the_whole_range() -> None:
+    for value, expected in [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]:
+        assert audit_module.region_of(Fraction(value)) == expected
+    assert REGIONS[-1][0] == math.inf
+
+
+# --- Counting operations ---------------------------------------------------------------------------------
+
+
+@cache
+def operations() -> dict[str, CallCount]:
+    return count_operations()
+
+
+def test_counting_integers_count_and_compute() -> None:
+    tally = Tally()
+    number = counting_type(tally)
+    a, b = number(12), number(5)
+    result = ((a + 1) * b - 3 // b << 2) % 7 & -a | b ^ 2
+    assert result == ((12 + 1) * 5 - 3 // 5 << 2) % 7 & -12 | 5 ^ 2
+    assert type(result) is number
+    assert tally.counts == {"add": 3, "multiply": 1, "divide": 2, "shift": 1, "logic": 3, "compare": 1}
+    tally.clear()
+    assert not (max(a, 1) is not a or min(1, a) is a or not a)
+    assert tally.counts == {"compare": 3}
+    assert int((1 << b).bit_length()) + int(a**2) == 150
+    assert (tally.counts["shift"], tally.counts["bit length"], tally.counts["multiply"]) == (1, 1, 1)
+    assert tally.widest == 8
+
+
+def test_every_arithmetic_method_of_int_is_counted() -> None:
+    """Whatever int offers that returns a number and takes at most one other."""
+    tally = Tally()
+    number = counting_type(tally)
+    exempt = {
+        "__new__",
+        "__getnewargs__",
+        "__sizeof__",
+        "__class__",
+        "__dir__",
+        "__format__",
+        "__repr__",
+        "__str__",
+    }
+    exempt |= {"__hash__", "__init__", "__reduce__", "__reduce_ex__", "__init_subclass__", "__subclasshook__"}
+    # Reading a number as another type is no arithmetic, and neither are these used on the firmware's way.
+    exempt |= {
+        "__int__",
+        "__index__",
+        "__trunc__",
+        "__floor__",
+        "__ceil__",
+        "__float__",
+        "__round__",
+        "__pos__",
+    }
+    exempt |= {"__truediv__", "__rtruediv__", "__rpow__", "__divmod__", "__rdivmod__", "__abs__"}
+    exempt |= {"__getattribute__", "__setattr__", "__delattr__", "__doc__", "__getstate__"}
+    counted = {name for name in vars(number) if name in dir(int)}
+    assert {name for name in dir(int) if name.startswith("__")} - exempt - counted == set()
+    assert not re.search(
+        r"\babs\(|\bdivmod\(|(?<!/)/(?!/)", re.sub(r'""".*?"""|#.*|f?".*?"', "", SOURCE, flags=re.S)
+    )
+
+
+def test_a_counting_robot_computes_the_same() -> None:
+    plain, tally = MirrorRobot(Config(build_table(TableChoice("0.05", 30)), filter_period=1), 0, 0.7), Tally()
+    counting, number = MirrorRobot(plain.config, 0, 0.7), counting_type(tally)
+    for t in range(40):
+        for robot, kind in ((plain, int), (counting, number)):
+            robot.receive_raw(kind(1 + t % 3), kind(ONE // 3 + t), kind(0x3F800000 + t))
+            robot.receive_raw(kind(9), kind(ONE // 2), kind(0x40000000))
+            robot.step(Observation(t % 2))
+    assert plain.state() == counting.state()
+    assert tally.counts.total() > 1000
+
+
+def test_operations_are_bounded_whatever_t_m_and_q() -> None:
+    assert exceeded(operations()) == []
+    for name, count in operations().items():
+        assert count.most > 0.7 * BOUNDS[name], f"{name}: the bound says nothing"
+        assert count.widest > 0.5 * WIDEST
+
+
+def test_operations_are_counted_over_the_whole_range() -> None:
+    for count in operations().values():
+        assert {1, 2, 2**31, 2**32 - 2} <= count.axes["t"].keys()
+        assert count.axes["m"].keys() == set(range(128))
+        assert count.axes["q"].keys() == set(range(2, 128))
+
+
+@pytest.mark.parametrize("axis", ["t", "m", "q"])
+def test_operations_do_not_grow(axis: str) -> None:
+    """The later half of an axis has nothing above the earlier half."""
+    for name, count in operations().items():
+        most = [most for _, (_, most) in sorted(count.axes[axis].items())]
+        half = len(most) // 2
+        assert max(most[half:]) <= max(most[:half]), name
+
+
+class GrowingRobot(MirrorRobot):
+    """Sums a round's messages when it closes, as a simple program would."""
+
+    def settle(self) -> Status:
+        total = self.s.t
+        for _ in range(self.s.open.count):
+            total = total + 1
+        return super().settle()
+
+
+class WideRobot(MirrorRobot):
+    """Uses an integer of more bits than a few words hold."""
+
+    @property
+    def x_raw(self) -> int:
+        return super().x_raw << 100 >> 100
+
+
+class LargeRobot(MirrorRobot):
+    """Saves all that it has heard."""
+
+    def save(self) -> bytes:
+        return super().save() + bytes(self.s.open.count)
+
+
+def test_operations_that_grow_are_caught() -> None:
+    assert [problem.split(":")[0] for problem in exceeded(count_operations(GrowingRobot))] == [
+        "settle",
+        "step",
+    ]
+
+
+def test_integers_that_are_too_wide_are_caught() -> None:
+    assert [problem.split(":")[0] for problem in exceeded(count_operations(WideRobot))] == ["x"]
+
+
+def test_storage() -> None:
+    storage = measure_storage()
+    assert storage.problems() == []
+    assert storage.images == [136]
+    assert storage.tables[30] == 136
+    assert storage.tables.keys() == set(range(2, 128))
+    assert len(measure_storage(LargeRobot).problems()) == 1
+    assert len(Storage({2: 25}, [136]).problems()) == 1
+
+
+# --- The command -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count operations once for all tests."""
+    monkeypatch.setattr(command, "count_operations", operations)
+
+
+def use_mirror(monkeypatch: pytest.MonkeyPatch, mirror: Firmware) -> None:
+    """Let the command load another mirror."""
+    monkeypatch.setattr(command, "load_firmware", {"native": NativeRobot, "mirror": mirror}.__getitem__)
+
+
+def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(["crosscheck", *arguments])
+    return code, *capsys.readouterr()
+
+
+def test_the_command_reports_everything(quick: None, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = main(capsys, "--steps", "3000", "--json")
+    report = json.loads(out)
+    assert code == 0
+    assert (report["ok"], report["steps"], report["seed"], report["failure"]) == (True, 3000, SEED, None)
+    assert {row["quantity"] for row in report["errors"]} == set(audit_module.QUANTITIES)
+    assert all(row["exact"]["p99.9"] <= row["exact"]["max"] for row in report["errors"])
+    assert report["decisions"]["m <= q"]["tests"] > 20
+    assert report["operations"]["x"]["axes"]["t"]["1"] == [19, 19]
+    assert report["storage"]["images"] == [136]
+
+
+def test_the_command_speaks_to_people(quick: None, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = main(capsys, "--steps", "2000", "--seed", "4")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[-2:] == [lines[-2], "native and mirror agree in every bit"]
+    assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", lines[-2])
+    assert max(map(len, lines)) <= 100
+    assert "…" not in out
+
+
+def test_a_failure_is_printed_with_a_line_that_replays_it(
+    quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, planted("halving: ties to even"))
+    code, out, _ = main(capsys, "--steps", "30000")
+    *_, last = out.splitlines()
+    assert code == 1
+    assert last.startswith("replay: mcp-asdf crosscheck --replay ")
+    replay = shlex.split(last)[3:]
+    code, again, _ = main(capsys, *replay)
+    assert code == 1
+    assert out.endswith(again), "the replay shows something else"
+    code, report, _ = main(capsys, *replay, "--json")
+    assert code == 1
+    assert json.loads(report)["failure"]["replay"] == replay[1]
+    calls = parse_scenario(replay[1]).calls
+    monkeypatch.undo()
+    code, out, _ = main(capsys, *replay)
+    assert (code, out) == (0, f"native and mirror agree in every bit over {len(calls)} calls\n")
+
+
+def test_a_failure_as_json(
+    quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, planted("counters"))
+    code, out, _ = main(capsys, "--steps", "30000", "--json")
+    report = json.loads(out)
+    assert (code, report["ok"]) == (1, False)
+    assert report["failure"]["problems"]
+    assert parse_scenario(report["failure"]["replay"])
+
+
+def test_a_claim_that_does_not_hold_fails_the_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow = operations() | {"x": replace(operations()["x"], most=1000)}
+    monkeypatch.setattr(command, "count_operations", lambda: slow)
+    code, out, _ = main(capsys, "--steps", "10")
+    assert code == 1
+    assert "FAILED: x: 1000 operations" in out
+
+
+class InterruptedRobot(MirrorRobot):
+    """Ctrl-C comes while it works."""
+
+    calls = 0
+
+    def observe(self, z: Observation) -> Status:
+        InterruptedRobot.calls += 1
+        if InterruptedRobot.calls > 50:
+            raise KeyboardInterrupt
+        return super().observe(z)
+
+
+def test_an_interrupt_reports_what_was_done(
+    quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, InterruptedRobot)
+    InterruptedRobot.calls = 0
+    code, out, _ = main(capsys, "--steps", "100000", "--json")
+    report = json.loads(out)
+    assert code == 130
+    assert report["interrupted"]
+    assert 0 < report["steps"] < 1000
+    InterruptedRobot.calls = 0
+    code, out, _ = main(capsys, "--steps", "100000")
+    assert code == 130
+    assert ", interrupted\n" in out
+
+
+def test_an_interrupt_while_shrinking_still_prints_a_replay(
+    quick: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(scenario: Scenario, check: Check) -> Scenario:
+        raise KeyboardInterrupt
+
+    use_mirror(monkeypatch, planted("counters"))
+    monkeypatch.setattr(command, "shrink", interrupted)
+    code, out, err = main(capsys, "--steps", "30000")
+    assert code == 1
+    assert "interrupted" in err
+    code, again, _ = main(capsys, *shlex.split(out.splitlines()[-1])[3:])
+    assert code == 1
+    assert out.endswith(again)
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_the_plot_is_drawn(
+    quick: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    path = tmp_path / f"operations.{suffix}"
+    assert main(capsys, "--steps", "10", "--plot", str(path))[0] == 0
+    first = path.read_bytes()
+    assert main(capsys, "--steps", "10", "--plot", str(path))[0] == 0
+    assert path.read_bytes() == first
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_the_plot_shows_every_count() -> None:
+    from host_tools.operation_plot import draw  # noqa: PLC0415
+
+    panels = draw(operations()).axes
+    for axes, axis in zip(panels, ("t", "m", "q"), strict=True):
+        assert len(axes.lines) == len(BOUNDS)
+        for line, count in zip(axes.lines, operations().values(), strict=True):
+            points = sorted(count.axes[axis].items())
+            assert list(map(float, np.asarray(line.get_xdata()))) == [value for value, _ in points]
+            assert list(map(float, np.asarray(line.get_ydata()))) == [most for _, (_, most) in points]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--steps", "0"], "--steps is 0"),
+        (["--seed", "-1"], "--seed is -1"),
+        (["--plot", "operations.txt"], "operations.txt"),
+        (["--plot", "no/such/folder/operations.png"], "folder does not exist"),
+        (["--replay", "nonsense"], "starts with"),
+        (["--replay", ROBOT, "--steps", "5"], "--replay runs one scenario"),
+        (["--replay", ROBOT, "--seed", "5"], "--replay runs one scenario"),
+        (["--replay", ROBOT, "--plot", "a.png"], "--replay runs one scenario"),
+    ],
+)
+def test_bad_usage(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = main(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert complaint in err

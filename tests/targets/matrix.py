@@ -1,0 +1,240 @@
+"""Build the golden vectors' player for every target and run it under emulation: every compiler, every level.
+
+    python tests/targets/matrix.py [--target NAME ...]
+
+Prints a line for each build: what it took in flash and the verdict, or why it was left out. Exits with 1
+if one failed, 2 for bad usage. Takes minutes; the test suite runs one build of each target (test_targets.py).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import Symbol, SymbolTableSection
+
+HERE = Path(__file__).resolve().parent
+TOOLCHAINS = HERE.parents[1] / "c_ref" / "cmake"
+IMAGE = "golden_vectors"
+
+VERDICT = re.compile(r"PASS scenarios (\d+) calls (\d+) ticks (\d+)")
+"""What an image prints last if all is well."""
+
+_ANSI = re.compile(r"\x1b\[\d+m")
+_BY_COMPILERS = r"memcpy|memset"
+_ON_ARM = r"|__aeabi_(lmul|llsl|llsr|uidiv|uidivmod|uldivmod)|__gnu_thumb1_case_\w+"
+_ON_RISCV = r"|__(ashl|lshr|mul)di3"
+_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mulsi3|__mulohisi3|__umulsidi3|__udivmodsi4"
+
+
+class BuildError(Exception):
+    """A tool failed; the message holds what it said."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A microcontroller or machine.
+
+    Attributes:
+        name: Of the preset and of the toolchain file.
+        tools: Its compiler and its emulator.
+        packages: Debian packages with what it needs.
+        helpers: Regular expression of what the core may leave to the compiler's own library: integer helpers.
+        bare: Whether it has no operating system.
+        clang: Whether Clang builds for it (version 14 runs out of registers on an AVR).
+    """
+
+    name: str
+    tools: tuple[str, str]
+    packages: str
+    helpers: str
+    bare: bool = True
+    clang: bool = True
+
+    def missing(self, *more: str) -> str:
+        """Why it cannot be built or run here, naming the packages; empty if it can."""
+        absent = [tool for tool in (*self.tools, *more) if shutil.which(tool) is None]
+        return f"no {' and no '.join(absent)}: apt-get install {self.packages}" if absent else ""
+
+
+def _cortex_m(name: str) -> Target:
+    tools = ("arm-none-eabi-gcc", "qemu-system-arm")
+    return Target(name, tools, "gcc-arm-none-eabi qemu-system-arm", _BY_COMPILERS + _ON_ARM)
+
+
+def _riscv(name: str) -> Target:
+    tools = ("riscv64-unknown-elf-gcc", "qemu-system-riscv32")
+    return Target(name, tools, "gcc-riscv64-unknown-elf qemu-system-misc", _BY_COMPILERS + _ON_RISCV)
+
+
+TARGETS = (
+    Target("avr", ("avr-gcc", "simavr"), "gcc-avr avr-libc simavr", _BY_COMPILERS + _ON_AVR, clang=False),
+    *map(_cortex_m, ("cortex-m0", "cortex-m3", "cortex-m4")),
+    *map(_riscv, ("rv32imc", "rv32imac")),
+    Target(
+        "cortex-a8",
+        ("arm-linux-gnueabihf-gcc", "qemu-arm"),
+        "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user",
+        _BY_COMPILERS + _ON_ARM,
+        bare=False,
+    ),
+    Target(
+        "s390x-linux-gnu",
+        ("s390x-linux-gnu-gcc", "qemu-s390x"),
+        "gcc-s390x-linux-gnu libc6-dev-s390x-cross qemu-user",
+        _BY_COMPILERS,
+        bare=False,
+    ),
+)
+
+LEVELS = {
+    "-O0": ("Debug", "OFF"),
+    "-Os": ("MinSizeRel", "OFF"),
+    "-O2": ("RelWithDebInfo", "OFF"),
+    "-O3": ("Release", "OFF"),
+    "-O2 LTO": ("RelWithDebInfo", "ON"),
+}
+"""CMake's name of the level, and whether the linker optimises."""
+
+
+def build(preset: str, folder: Path, *settings: str) -> Path:
+    """Build the player in ``folder``; returns the image. Raises BuildError with all that was said."""
+    _tool("cmake", "--preset", preset, "-B", str(folder), *(f"-D{setting}" for setting in settings))
+    _tool("cmake", "--build", str(folder))
+    return folder / IMAGE
+
+
+def run(folder: Path) -> tuple[bool, str]:
+    """Run the image built in ``folder`` on its emulator: whether it passed, and what both printed."""
+    command = ["ctest", "--test-dir", str(folder), "--verbose"]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    lines = [line[3:] for line in done.stdout.splitlines() if line.startswith("1: ")]
+    return done.returncode == 0, _ANSI.sub("", "\n".join(lines))
+
+
+def _tool(*command: str) -> str:
+    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise BuildError(f"{' '.join(command)}\n{done.stdout}\n{done.stderr}")
+    return done.stdout
+
+
+def link_core_alone(target: Target, folder: Path) -> Path:
+    """Link the core built in ``folder`` by GCC with nothing else: no start-up code, no library."""
+    core, linked = folder / "core" / "libmcp_asdf.a", folder / "core_alone.elf"
+    cache = (folder / "CMakeCache.txt").read_text(encoding="utf-8")
+    match = re.search(r"^CMAKE_C_FLAGS:STRING=(.*)$", cache, re.MULTILINE)
+    flags = match[1].split() if match else []
+    whole = ("-Wl,--whole-archive", str(core), "-Wl,--no-whole-archive")
+    _tool(target.tools[0], *flags, "-nostdlib", "-r", *whole, "-o", str(linked))
+    return linked
+
+
+def core_object(folder: Path) -> Path:
+    """The core as it was compiled in ``folder``."""
+    (found,) = folder.glob("core/**/mcp_asdf.c.o*")
+    return found
+
+
+def symbols(elf: Path) -> list[Symbol]:
+    """The symbols of an object or image, names of source files among them."""
+    with elf.open("rb") as stream:
+        table = ELFFile(stream).get_section_by_name(".symtab")
+        assert isinstance(table, SymbolTableSection)
+        return list(table.iter_symbols())
+
+
+def needed_symbols(elf: Path) -> set[str]:
+    """Symbols that an object uses and does not have."""
+    return {symbol.name for symbol in symbols(elf) if symbol["st_shndx"] == "SHN_UNDEF"} - {""}
+
+
+def ram_sections(elf: Path, *more: str) -> dict[str, int]:
+    """Bytes of every section that takes RAM: the writable ones, and those whose names start with ``more``."""
+    with elf.open("rb") as stream:
+        return {
+            section.name: section["sh_size"]
+            for section in ELFFile(stream).iter_sections()
+            if section["sh_size"] > 0
+            and section["sh_flags"] & SH_FLAGS.SHF_ALLOC
+            and (section["sh_flags"] & SH_FLAGS.SHF_WRITE or section.name.startswith(more or ("\0",)))
+        }
+
+
+def flash(image: Path) -> int:
+    """Bytes that the image puts into flash: what is loaded from the file."""
+    with image.open("rb") as stream:
+        return sum(segment["p_filesz"] for segment in ELFFile(stream).iter_segments("PT_LOAD"))
+
+
+def settings_of(target: Target, compiler: str, level: str) -> Iterator[str]:
+    """CMake's settings for one cell of the matrix."""
+    kind, optimising_linker = LEVELS[level]
+    yield f"CMAKE_BUILD_TYPE={kind}"
+    yield f"CMAKE_INTERPROCEDURAL_OPTIMIZATION={optimising_linker}"
+    if compiler == "clang":
+        yield f"CMAKE_TOOLCHAIN_FILE={TOOLCHAINS / 'clang.cmake'}"
+        yield f"MCP_ASDF_TARGET={target.name}"
+    if target.name == "avr" and level != "-Os":
+        yield "MCP_ASDF_AVR=atmega1284p"  # 32 KB hold the core and the vectors at -Os alone
+
+
+def cell(target: Target, compiler: str, level: str) -> tuple[bool, str]:
+    """Build and run one cell: whether it is as it should be, and what to print."""
+    if compiler == "clang" and not target.clang:
+        return True, "left out: clang does not build for it"
+    missing = target.missing(*(("clang", "ld.lld") if compiler == "clang" else ()))
+    if missing:
+        return True, f"left out, {missing}{' clang lld' if compiler == 'clang' else ''}"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            image = build(target.name, folder, *settings_of(target, compiler, level))
+        except BuildError as error:
+            return False, str(error)
+        odd = set() if "LTO" in level else _unexpected(target, folder)
+        if odd:
+            return False, f"the core needs {', '.join(sorted(odd))}"
+        passed, printed = run(folder)
+        verdict = VERDICT.search(printed)
+        return passed, f"{flash(image):7} bytes  {verdict[0]}" if verdict else printed
+
+
+def _unexpected(target: Target, folder: Path) -> set[str]:
+    return {name for name in needed_symbols(core_object(folder)) if not re.fullmatch(target.helpers, name)}
+
+
+def main() -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description="Run the golden vectors on every target with every compiler."
+    )
+    names = [target.name for target in TARGETS]
+    parser.add_argument("--target", choices=names, action="append", help="only this one (may be repeated)")
+    chosen = parser.parse_args().target or names
+    targets = [target for target in TARGETS if target.name in chosen]
+    cells = list(product(targets, ("gcc", "clang"), LEVELS))
+    failed = 0
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = pool.map(cell, *zip(*cells, strict=True))
+        for (target, compiler, level), (good, text) in zip(cells, results, strict=True):
+            print(f"{target.name:16} {compiler:6} {level:8} {'' if good else 'FAILED: '}{text}", flush=True)
+            failed += not good
+    print(f"{len(cells) - failed} of {len(cells)} as they should be")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

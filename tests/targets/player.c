@@ -1,0 +1,343 @@
+/* Plays the golden vectors on the firmware of this image and prints the verdict; docs/targets.md has their
+ * format. host_tools/golden_vectors.py is the same player in Python, function by function. A scenario's
+ * digest covers every call; where it is not the expected one the scenario is played again with a line for
+ * every call, and `python -m host_tools.golden_vectors --explain` tells from these lines which call differed
+ * first. */
+#include "mcp_asdf.h"
+#include "port.h"
+
+#define MAGIC UINT32_C(0x5647434D)
+#define STATE_WORDS (MCP_ASDF_IMAGE_SIZE / 4U)
+
+enum { END, OBSERVE, STEP, SETTLE, RECEIVE, ADD, RESTORE, DAMAGE, RUN };
+enum { TABLE_NONE, TABLE_SOUND, TABLE_SPOILT };
+
+extern const uint8_t golden_vectors[]; /* files one behind the other, then a word that starts none */
+extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+
+static mcp_asdf_config_t config;
+static mcp_asdf_t robot;
+static uint8_t image[MCP_ASDF_IMAGE_SIZE];
+static const uint8_t *next; /* in golden_vectors */
+static uint32_t digest, number, calls, ticks, randomness;
+static bool alive;   /* there is a robot */
+static bool telling; /* a line for every call */
+
+/* ---- Printing ---- */
+
+static void print(const char *text)
+{
+    while (*text != 0) {
+        port_put(*text++);
+    }
+}
+
+static void print_number(const char *name, uint32_t value)
+{
+    char digits[11] = "";
+    uint8_t at = sizeof digits - 1;
+    do {
+        digits[--at] = (char)('0' + value % 10);
+        value /= 10;
+    } while (value > 0);
+    print(name);
+    print(digits + at);
+}
+
+/* ---- Reading ---- */
+
+static uint32_t take(uint8_t bytes)
+{
+    uint32_t value = 0;
+    for (uint8_t i = 0; i < bytes; ++i) {
+        value |= (uint32_t)MCP_ASDF_READ_BYTE(next) << 8 * i;
+        ++next;
+    }
+    return value;
+}
+
+static uint64_t take_double(void)
+{
+    const uint32_t low = take(4);
+    return (uint64_t)take(4) << 32 | low;
+}
+
+static uint32_t image_word(uint8_t index)
+{
+    const uint8_t *const at = &image[4U * index];
+    return (uint32_t)at[3] << 24 | (uint32_t)at[2] << 16 | (uint32_t)at[1] << 8 | at[0];
+}
+
+static void set_image_word(uint8_t index, uint32_t value)
+{
+    for (uint8_t i = 0; i < 4; ++i) {
+        image[4U * index + i] = (uint8_t)(value >> 8 * i);
+    }
+}
+
+/* ---- The digest ---- */
+
+static uint32_t mix(uint32_t hash, uint32_t word)
+{
+    hash = (hash ^ word) * UINT32_C(0x9E3779B1);
+    return hash ^ hash >> 15;
+}
+
+static uint32_t digest_of_state(void)
+{
+    uint32_t hash = mix(mix(0, mcp_asdf_x(&robot)), mcp_asdf_x_bar(&robot));
+    mcp_asdf_save(&robot, image);
+    for (uint8_t i = 0; i < STATE_WORDS; ++i) {
+        hash = mix(hash, image_word(i));
+    }
+    return hash;
+}
+
+static void tell(uint32_t status, uint32_t state)
+{
+    print_number("call ", number);
+    print_number(" status ", status);
+    print_number(" x ", alive ? mcp_asdf_x(&robot) : 0);
+    print_number(" x_bar ", alive ? mcp_asdf_x_bar(&robot) : 0);
+    print_number(" state ", state);
+    print("\n");
+}
+
+/* Take a call's outcome into the digest: its status and, where `whole`, all that can be seen of the robot. */
+static void note(int32_t status, bool whole)
+{
+    const uint32_t state = alive && (whole || telling) ? digest_of_state() : 0;
+    digest = mix(digest, (uint32_t)status);
+    if (whole) {
+        digest = mix(digest, state);
+    }
+    if (telling) {
+        tell((uint32_t)status, state);
+    }
+    ++number;
+}
+
+/* ---- Calls ---- */
+
+static void observe(mcp_asdf_observation_t z)
+{
+    note(mcp_asdf_observe(&robot, z), true);
+    ++ticks;
+}
+
+static void step(mcp_asdf_observation_t z)
+{
+    note(mcp_asdf_step(&robot, z), true);
+    ++ticks;
+}
+
+static void settle(void) { note(mcp_asdf_settle(&robot), true); }
+
+static void receive(uint8_t sender, uint32_t x_hat, uint32_t alpha)
+{
+    note(mcp_asdf_receive(&robot, sender, x_hat, alpha), false);
+}
+
+static void play_receive(void)
+{
+    const uint8_t sender = (uint8_t)take(1);
+    const uint32_t x_hat = take(4);
+    receive(sender, x_hat, take(4));
+}
+
+static void play_add(void)
+{
+    mcp_asdf_sums_t sums;
+    const uint8_t messages = (uint8_t)take(1);
+    sums.alpha = take_double();
+    sums.alpha_x_low = take_double();
+    sums.alpha_x_high = take_double();
+    sums.x_squared = take_double();
+    sums.x = take(4);
+    sums.count = take(4);
+    note(mcp_asdf_add_round(&robot, &sums, messages), true);
+}
+
+/* Replace words of the robot's image and make its checksum right again; the robot becomes what it says. */
+static void play_restore(void)
+{
+    mcp_asdf_save(&robot, image);
+    for (uint32_t left = take(1); left > 0; --left) {
+        const uint8_t index = (uint8_t)take(1);
+        set_image_word(index, take(4));
+    }
+    uint32_t hash = UINT32_C(0x811C9DC5);
+    for (uint8_t i = 0; i < STATE_WORDS - 1; ++i) {
+        hash = (hash ^ image_word(i)) * UINT32_C(0x01000193);
+    }
+    set_image_word(STATE_WORDS - 1, hash);
+    note(mcp_asdf_restore(&robot, &config, image), true);
+}
+
+static void play_damage(void)
+{
+    mcp_asdf_save(&robot, image);
+    uint8_t *const byte = &image[take(1)];
+    *byte = (uint8_t)(*byte ^ take(1));
+    note(mcp_asdf_restore(&robot, &config, image), true);
+}
+
+/* ---- Runs: many ticks from a few numbers ---- */
+
+static uint32_t draw(void)
+{
+    randomness ^= randomness << 13;
+    randomness ^= randomness >> 17;
+    randomness ^= randomness << 5;
+    return randomness;
+}
+
+static void receive_drawn(uint32_t centre, uint8_t spread)
+{
+    const uint32_t who = draw();
+    const uint8_t stranger = (who & 31) == 0 ? 128 : 0;
+    const uint32_t x_hat = centre + (draw() >> spread) - (UINT32_C(0x80000000) >> spread);
+    const uint32_t alpha = draw();
+    receive((uint8_t)(who >> 25 | stranger), x_hat,
+            (alpha & 7) == 0 ? draw() : UINT32_C(0x33000000) + (alpha >> 3));
+}
+
+static void tick_drawn(uint8_t black)
+{
+    const uint32_t bits = draw();
+    const uint8_t rare = bits >> 8 & 63;
+    uint8_t z = (bits & 255) < black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
+    if (rare < 2) { /* none, and an error */
+        z = (uint8_t)(MCP_ASDF_NONE + rare);
+    }
+    if ((bits >> 14 & 1) != 0) {
+        step((mcp_asdf_observation_t)z);
+        return;
+    }
+    observe((mcp_asdf_observation_t)z);
+    if ((bits >> 15 & 15) != 0) {
+        settle();
+    }
+}
+
+static void play_run(void)
+{
+    randomness = take(4);
+    uint32_t left = take(2);
+    const uint8_t black = (uint8_t)take(1), messages = (uint8_t)take(1), spread = (uint8_t)take(1);
+    const uint32_t centre = take(4);
+    for (; left > 0; --left) {
+        for (uint32_t more = (draw() >> 16) * (messages + UINT32_C(1)) >> 16; more > 0; --more) {
+            receive_drawn(centre, spread);
+        }
+        tick_drawn(black);
+    }
+}
+
+/* ---- Scenarios ---- */
+
+static void make_robot(void)
+{
+    const uint32_t *const table = mcp_asdf_t_table_omega05_q30;
+    config.filter = (uint8_t)take(1);
+    const uint8_t kind = (uint8_t)take(1), id = (uint8_t)take(1);
+    config.table =
+        kind == TABLE_NONE ? 0 : table + (kind == TABLE_SPOILT); /* spoilt: its header is missing */
+    config.comms_period = take(4);
+    config.filter_period = take(4);
+    config.memory = take(4);
+    const mcp_asdf_status_t status = mcp_asdf_init(&robot, &config, id, take(4));
+    alive = status == MCP_ASDF_OK;
+    note(status, true);
+}
+
+/* Play a call or a run; false at the end of the scenario. */
+static bool play_item(void)
+{
+    switch (take(1)) {
+    case OBSERVE:
+        observe((mcp_asdf_observation_t)take(1));
+        return true;
+    case STEP:
+        step((mcp_asdf_observation_t)take(1));
+        return true;
+    case SETTLE:
+        settle();
+        return true;
+    case RECEIVE:
+        play_receive();
+        return true;
+    case ADD:
+        play_add();
+        return true;
+    case RESTORE:
+        play_restore();
+        return true;
+    case DAMAGE:
+        play_damage();
+        return true;
+    case RUN:
+        play_run();
+        return true;
+    default:
+        return false;
+    }
+}
+
+/* The last outcome of a scenario, in place of a status: messages accepted, and whether the invariants hold.
+ */
+static void finish(void)
+{
+    const int32_t accepted = alive ? mcp_asdf_counters(&robot).accepted : 0;
+    note(2 * accepted + (alive && mcp_asdf_invariants_hold(&robot)), true);
+}
+
+static void play(void)
+{
+    digest = 0;
+    number = 0;
+    make_robot();
+    while (play_item()) {
+    }
+    finish();
+    calls += number;
+}
+
+static bool scenario_passes(uint32_t index)
+{
+    const uint32_t expected = take(4);
+    const uint8_t *const start = next;
+    play();
+    if (digest == expected) {
+        return true;
+    }
+    print_number("scenario ", index);
+    print_number(" expected ", expected);
+    print_number(" found ", digest);
+    print("\n");
+    next = start;
+    telling = true;
+    play();
+    return false;
+}
+
+int main(void)
+{
+    uint32_t scenarios = 0;
+    next = golden_vectors;
+    while (take(4) == MAGIC) {
+        for (uint32_t left = take(2); left > 0; --left) {
+            if (!scenario_passes(scenarios)) {
+                print("FAIL\n");
+                port_exit(1);
+            }
+            ++scenarios;
+        }
+    }
+    print_number("PASS scenarios ", scenarios);
+    print_number(" calls ", calls);
+    print_number(" ticks ", ticks);
+    print("\n");
+    port_exit(0);
+    return 0;
+}
