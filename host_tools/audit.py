@@ -184,10 +184,18 @@ class _Follower:
         if after.outcome.startswith("ERR"):
             return problems
         if call.name in ("observe", "step") and call.numbers[0] < 2:
+            problems += self._counted(call.numbers[0], before.state, after.state)
             problems += self._estimated(before.state["b_hat"], after.state)
         if call.name in ("settle", "step"):
             problems += self._informed(after.state) + self._settled(call, before.state, after)
         return problems
+
+    def _counted(self, black: int, before: State, state: State) -> list[str]:
+        """Check t and n, which are halved when t reaches the memory."""
+        t, n = before["t"] + 1, before["n"] + black
+        if t == self._setup.memory:
+            t, n = t // 2, round(Fraction(n, 2))  # round() takes ties to even
+        return _equal("t", state["t"], t) + _equal("n", state["n"], n)
 
     def _estimated(self, raw: int, state: State) -> list[str]:
         """Compare x_hat and alpha, which were formed with the b_hat ``raw``."""

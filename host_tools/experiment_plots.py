@@ -16,8 +16,9 @@ from host_tools.errors import UsageError
 from host_tools.results import Trials
 from host_tools.scores import Limits, score
 
-# Colours that stay apart for the colour-blind.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222")
+# The first eight stay apart for the colour-blind.
+_MORE = ("#999999", "#f0e442", "#6a3d9a", "#7a5230")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222", *_MORE)
 _FLAWED, _OTHER, _TRUTH = COLOURS[1], COLOURS[0], COLOURS[7]
 
 _PANEL = ("fill_ratio", "true_accuracy", "flawed_accuracy")

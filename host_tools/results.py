@@ -140,7 +140,8 @@ def experiments_in(table: pa.Table) -> list[Trials]:
     groups: dict[str, list[int]] = {}
     for index, row in enumerate(table.select(_PARAMETERS).to_pylist()):
         groups.setdefault(json.dumps(row), []).append(index)
-    return [_trials(json.loads(key), table.take(indices)) for key, indices in groups.items()]
+    whole = table.combine_chunks()  # rows picked from many small pieces take long
+    return [_trials(json.loads(key), whole.take(indices)) for key, indices in groups.items()]
 
 
 def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:

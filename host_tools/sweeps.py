@@ -75,7 +75,8 @@ class Store:
         self.experiments = list(dict.fromkeys(experiments))
         self._thinning = thinning
         self._names = {experiment: identity(experiment, thinning) for experiment in self.experiments}
-        self._done: dict[tuple[str, int], pa.Table] = {}
+        self._tables: list[pa.Table] = []
+        self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
         if not output.resolve().parent.is_dir():
             raise UsageError(f"cannot write {output}: its folder does not exist; make it first")
         for path in [*sorted(self.parts.glob("*.parquet")), output]:
@@ -85,7 +86,7 @@ class Store:
     def missing(self, experiment: Experiment) -> list[int]:
         """The trials of an experiment that have no results yet."""
         return [
-            trial for trial in range(experiment.trials) if (self._names[experiment], trial) not in self._done
+            trial for trial in range(experiment.trials) if (self._names[experiment], trial) not in self._rows
         ]
 
     def add(self, job: Job, measured: Measured) -> None:
@@ -101,20 +102,18 @@ class Store:
 
     def finish(self) -> pa.Table:
         """Write the one file, in the order of the experiments, and remove the parts. Needs all trials."""
-        table = pa.concat_tables(self._rows_of(experiment) for experiment in self.experiments)
+        wanted = [(each, trial) for each in self.experiments for trial in range(each.trials)]
+        rows = [self._rows[self._names[experiment], trial] for experiment, trial in wanted]
+        table = pa.concat_tables(self._tables).combine_chunks().take(rows)
+        column = table.column_names.index("trials")  # there may have been fewer when a row was made
+        trials = pa.array([experiment.trials for experiment, _ in wanted], pa.uint64())
+        table = table.set_column(column, "trials", trials)
         write_table(self.output, table)
         for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
             path.unlink(missing_ok=True)
         with suppress(OSError):  # absent, or somebody keeps something else there
             self.parts.rmdir()
         return table
-
-    def _rows_of(self, experiment: Experiment) -> pa.Table:
-        own = pa.concat_tables(
-            self._done[self._names[experiment], trial] for trial in range(experiment.trials)
-        )
-        column = own.column_names.index("trials")  # there may have been fewer when a row was made
-        return own.set_column(column, "trials", pa.array([experiment.trials] * len(own), pa.uint64()))
 
     def _take_file(self, path: Path) -> None:
         table = read_table(path)
@@ -139,8 +138,10 @@ class Store:
 
     def _take(self, table: pa.Table, names: Sequence[str]) -> None:
         """Remember each row of a table."""
-        for index, trial in enumerate(table["trial"].to_pylist()):
-            self._done[names[index], trial] = table.slice(index, 1)
+        start = sum(map(len, self._tables))
+        self._tables.append(table)
+        for index, (name, trial) in enumerate(zip(names, table["trial"].to_pylist(), strict=True)):
+            self._rows[name, trial] = start + index
 
 
 def jobs_of(store: Store, thinning: int = 0) -> Iterator[Job]:

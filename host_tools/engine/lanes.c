@@ -27,7 +27,6 @@
 typedef struct {
     uint32_t n[LANES];
     uint32_t inverted[LANES];
-    uint32_t informative[LANES];
     uint32_t c[LANES];
     uint32_t inverse_g[LANES];
     uint32_t g_squared[LANES];
@@ -177,8 +176,7 @@ INLINE void observe_and_add(robot_lanes_t *robot, const uint32_t *black, const s
         const confidence_t chosen = {
             choose(at_end, end.mantissa, confidence.mantissa),
             (int32_t)choose(at_end, (uint32_t)end.exponent, (uint32_t)confidence.exponent)};
-        const uint64_t alpha =
-            units(chosen, 33 - (int32_t)step->shift) & (0 - (uint64_t)robot->informative[l]);
+        const uint64_t alpha = units(chosen, 33 - (int32_t)step->shift);
         const uint32_t x = choose(at_end, 0, inside), mirrored = (blacks < whites) == robot->inverted[l];
         const uint32_t x_hat = choose(mirrored, MCP_ASDF_ONE - x, x);
         sums->alpha[l] += alpha;
@@ -265,14 +263,13 @@ static void load(robot_lanes_t *lanes, uint32_t l, const mcp_asdf_t *robot)
 {
     const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     lanes->n[l] = robot->n;
-    lanes->informative[l] = accuracy->g_shift != MCP_ASDF_UNINFORMATIVE;
     lanes->inverted[l] = accuracy->inverted;
     lanes->c[l] = accuracy->c;
     lanes->inverse_g[l] = accuracy->inverse_g;
     lanes->g_squared[l] = accuracy->g_squared;
     lanes->edge[l] = accuracy->edge;
     lanes->odds[l] = accuracy->odds;
-    lanes->g_shift[l] = accuracy->g_shift & 31;
+    lanes->g_shift[l] = accuracy->g_shift & 31; /* any where b_hat says nothing: edge and so alpha are 0 */
     lanes->odds_left[l] = accuracy->odds_left;
     lanes->odds_right[l] = accuracy->odds_right;
     lanes->g_squared_shift[l] = accuracy->g_squared_shift;

@@ -3,8 +3,8 @@
     python tests/benchmarks/cost.py [--json] [--write README.md]
 
 Builds the core with arm-none-eabi-gcc, runs it under Unicorn, which counts every instruction of a call,
-helpers of the compiler included, and prints a table. Nothing is timed, so the figures are the same on any machine with the
-same compiler. Each call is measured at many moments: t from 1 to 2**32 - 2, both ends and the inside of the
+helpers of the compiler included, and prints a table. Nothing is timed, so the figures are the same on any
+machine with the same compiler. Each call is measured at many moments: t from 1 to 2**32 - 2, both ends and the inside of the
 scale, rounds of 0 to 127 messages, halvings, accuracies on both sides of 1/2. The baseline is plain C of the
 same equations in double and in float, without checks, in the same run.
 """
@@ -199,7 +199,7 @@ def measure_plain(elf: Path) -> dict[str, float]:
 
 
 def flash_bytes(elf: Path) -> int:
-    """Bytes of code and constants that a robot links, the table and the benchmark's own functions left out."""
+    """Bytes of code and constants that a robot links, without the table and the benchmark's functions."""
     own = {"robot_main", "memset", "memcpy"}
     total = 0
     with elf.open("rb") as stream:

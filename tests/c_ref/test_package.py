@@ -202,7 +202,7 @@ def test_pkg_config_finds_it(prefix: Path, project: Path, expected: str) -> None
 def test_what_is_installed(prefix: Path) -> None:
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
     config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
-    assert files == {"libmcp_asdf.a", "mcp_asdf.h", "mcp_asdf.pc"} | config
+    assert files == {"libmcp_asdf.a", "mcp_asdf.h", "mcp_asdf_frame.h", "mcp_asdf.pc"} | config
 
 
 # --- One version -----------------------------------------------------------------------------------------

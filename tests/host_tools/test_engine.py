@@ -6,9 +6,11 @@ import random
 from collections.abc import Iterator
 from dataclasses import replace
 from decimal import Decimal
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support import CORE, ROOT, require, run
 
 from firmware_py.robot import B_HAT_MARGIN, FirmwareError
 from host_tools import _engine, draws
@@ -89,6 +91,15 @@ def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> 
     return plain
 
 
+RARE = Experiment(
+    robots=3,
+    flawed=0,
+    fill_ratio=0.99999,
+    true_accuracy=1.0,
+    mode=Mode.NONE,
+    steps=200_000,
+    filter_period=200_000,
+)
 EDGES = {
     "one robot": replace(SHORT, robots=1, flawed=1),
     "two robots": replace(SHORT, robots=2, flawed=1),
@@ -109,6 +120,8 @@ EDGES = {
     "filter every step": replace(SHORT, filter_period=1, steps=90),
     "longer period than the trial": replace(SHORT, filter_period=1000),
     "one step": replace(SHORT, steps=1),
+    "confidence at its largest": replace(RARE, true_accuracy=1.0, fill_ratio=0.99998),
+    "rare white under a nearly perfect sensor": replace(RARE, flawed_accuracy=1 - 2**-17, flawed=3),
     "linear drift": replace(SHORT, drift=Drift.LINEAR, drift_rate=-5e-4),
     "stepped drift": replace(SHORT, drift=Drift.STEPPED, drift_rate=-5e-4, drift_period=150),
 }
@@ -238,3 +251,12 @@ def test_a_refusal_of_the_firmware_is_told() -> None:
     for lanes in (False, True):
         with pytest.raises(FirmwareError, match="ERR_B_HAT"):
             native.run(Refused(steps=10), 0, 1, lanes=lanes)
+
+
+def test_divisions_in_lanes_are_exact(tmp_path: Path) -> None:
+    engine, core = ROOT / "host_tools/engine", CORE.parent
+    sources = (Path(__file__).with_name("lanes_check.c"), engine / "engine.c", core / "mcp_asdf.c")
+    program = tmp_path / "lanes_check"
+    options = ("-std=c99", "-O2", "-DLANES_ONE_TARGET", f"-I{engine}", f"-I{core}")
+    run(require("gcc", "gcc"), *options, *sources, "-o", program)
+    run(program)

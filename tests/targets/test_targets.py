@@ -45,6 +45,12 @@ def totals(few: bool) -> list[int]:
     return [len(played), 2 * len(played) + len(names), names.count("observe") + names.count("step")]
 
 
+def test_the_documentation_shows_what_a_target_prints() -> None:
+    scenarios, calls, ticks = totals(few=False)
+    page = (ROOT / "docs/targets.md").read_text(encoding="utf-8")
+    assert f"PASS scenarios {scenarios} calls {calls} ticks {ticks}\n" in page
+
+
 def difference(printed: str) -> str:
     return explain(printed, SCENARIOS) if "found" in printed else f"the image did not finish:\n{printed}"
 

@@ -1,4 +1,5 @@
-/* The baseline: the same equations as one would write them down, in REAL (float or double), without checks. */
+/* The baseline: the same equations as one would write them down, in REAL (float or double), without checks.
+ */
 #include <stdint.h>
 
 #ifndef REAL
