@@ -8,7 +8,7 @@ BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmw
               $(wildcard host_tools/engine/*.c host_tools/engine/*.h)
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
-.PHONY: help setup swarm test lint format crosscheck cost docs clean
+.PHONY: help setup swarm test lint format crosscheck cost targets docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -35,6 +35,9 @@ crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exa
 
 cost: .venv/ready-to-test ## measure instructions, bytes and stack again and write them into the README
 	@$(BIN)/python tests/benchmarks/cost.py --write README.md
+
+targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
+	@$(BIN)/python tests/targets/matrix.py
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --quiet --strict --config-file .ci/mkdocs.yml

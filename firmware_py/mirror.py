@@ -218,15 +218,27 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
     return min(max(upper_quotient(whole - offset, denominator), B_HAT_MIN), B_HAT_MAX)
 
 
+def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
+    """Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
+    return (
+        alpha <= MAX_ID * 0xFFFFFF << SHIFT_MAX
+        and 0 <= alpha_x_low < 1 << 62
+        and 0 <= alpha_x_high < 1 << 53
+        and (alpha_x_high << 32) + alpha_x_low <= alpha * ONE
+    )
+
+
 def sums_possible(sums: Sums) -> bool:
     """Whether ``count`` messages can have given these sums."""
     return (
-        sums.count <= MAX_ID
-        and sums.x <= sums.count * ONE
+        0 <= sums.count <= MAX_ID
+        and 0 <= sums.x <= sums.count * ONE
         and sums.x_squared <= sums.x * ONE
-        and sums.alpha <= sums.count * 0xFFFFFF << SHIFT_MAX
+        and sums.count * sums.x_squared >= sums.x * sums.x
+        and 0 <= sums.alpha <= sums.count * 0xFFFFFF << SHIFT_MAX
         and sums.alpha_x_low <= sums.x * MASK_32
         and sums.alpha_x_high <= sums.x * 0x7FFFFF
+        and mean_possible(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
     )
 
 
@@ -319,6 +331,9 @@ class MirrorRobot(FixedPointView):
         if s.heard[word] & bit:
             s.repeated = min(s.repeated + 1, COUNTER_MAX)
             return Status.REPEATED
+        if s.open.count >= MAX_ID:  # add_round has filled the round
+            s.rejected = min(s.rejected + 1, COUNTER_MAX)
+            return Status.ERR_SUMS
         s.heard[word] |= bit
         if not sums_add(s.open, x_hat, alpha):
             s.silent += 1
@@ -334,11 +349,17 @@ class MirrorRobot(FixedPointView):
     def add_round(self, sums: Sums, messages: int) -> Status:
         """Add the exact sums of ``messages`` messages at once to the open round."""
         s = self.s
-        if sums.count > messages or messages + s.open.count + s.silent > MAX_ID or not sums_possible(sums):
+        silent = s.silent + messages - sums.count
+        if (
+            not sums_possible(sums)
+            or sums.count > messages
+            or s.open.count + sums.count > MAX_ID
+            or silent > MAX_ID
+        ):
             return Status.ERR_SUMS
         for name in (member.name for member in fields(Sums)):
             setattr(s.open, name, getattr(s.open, name) + getattr(sums, name))
-        s.silent += messages - sums.count
+        s.silent = silent
         return Status.OK
 
     def settle(self) -> Status:
@@ -463,7 +484,7 @@ class MirrorRobot(FixedPointView):
             and s.accuracy == accuracy_of(s.b_hat)
             and estimate_possible(s.x_hat, s.alpha)
             and estimate_possible(s.settled_x_hat, s.settled_alpha)
-            and self._closed_possible()
+            and mean_possible(s.closed_alpha, s.closed_alpha_x_low, s.closed_alpha_x_high)
             and sums_possible(s.open)
             and self._senders_possible()
             and s.comms_left <= config.comms_period
@@ -471,19 +492,11 @@ class MirrorRobot(FixedPointView):
             and s.filter_left % config.comms_period == 0
         )
 
-    def _closed_possible(self) -> bool:
-        s = self.s
-        return (
-            s.closed_alpha <= MAX_ID * 0xFFFFFF << SHIFT_MAX
-            and s.closed_alpha_x_high < 1 << 53
-            and (s.closed_alpha_x_high << 32) + s.closed_alpha_x_low <= s.closed_alpha * ONE
-        )
-
     def _senders_possible(self) -> bool:
         s = self.s
         messages = s.open.count + s.silent
         heard = sum(word.bit_count() for word in s.heard)
-        return messages <= MAX_ID and heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
+        return s.silent <= 2 * MAX_ID and heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
 
     def save(self) -> bytes:
         """The state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum."""

@@ -126,13 +126,14 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     At an end of the scale (p <= c) 2**-30 above: edge is formed with (1 - c) rounded down.
 
     Inside, p (1 - p) in units of 2**-32, s exactly, is up to 2 too small: floor of p, then of the product.
-    So alpha is up to 2 / (s - 2) too large: 2**-11 at p = c = 2**-20, 2**-21 from p (1 - p) = 2**-10 on.
+    So alpha is up to 2 / (s - 2) too large: 2**-21 from p (1 - p) = 2**-10 on, and 2**-15.5 at the rarest
+    colour whose alpha is below the cap, as p >= 1 / t and t / p < 2**31.
 
     From t = 2**31 on, the lost bits of t and m put p off by -2 .. 1 units of 2**-32 and t by one in 2**31.
     Inside, p (1 - p) is from 1 unit too large to 4 too small; near p = c the two formulas may change places,
     which adds at most 2 / s. At an end a lost bit of m takes odds / t, odds = ((1 - c) / c)**2. Where that is
     much, alpha is near its cap: what is left, (g / (1 - c))**2 t, is at most 2 c / (1 - c) below it. The
-    smaller of the two is 2**-9.5 at the worst c.
+    smaller of the two is 2**-9.67 at the worst c, 2**-10.67.
     """
     p, c = _rarer(n, t, b)
     always, s = Fraction(1, 2**22) + Fraction(1, 2**26), max(p, c) * (1 - max(p, c)) / Q32

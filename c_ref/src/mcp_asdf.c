@@ -420,7 +420,7 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
 HOT mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     if (!add_off_grid(&robot->open, x_hat, alpha)) {
-        ++robot->silent; /* <= 127, as there are no more senders */
+        ++robot->silent; /* <= 254: 127 senders, and as many in add_round() */
     }
     return MCP_ASDF_OK;
 }
@@ -438,6 +438,10 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
         robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
         return MCP_ASDF_REPEATED;
     }
+    if (robot->open.count >= MCP_ASDF_MAX_ID) { /* add_round() has filled the round */
+        robot->counters.rejected = add_saturating(robot->counters.rejected, 1);
+        return MCP_ASDF_ERR_SUMS;
+    }
     *word |= bit;
     if (!on_grid(alpha)) {
         return receive_off_grid(robot, x_hat, alpha);
@@ -446,22 +450,36 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     return MCP_ASDF_OK;
 }
 
-/* Whether `count` messages can have given these sums. */
+/* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0, as quotient() needs.
+ */
+static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
+{
+    const uint64_t middle = alpha_x_high + high_word(alpha_x_low);
+    const uint64_t most = alpha >> 9; /* of middle, where the mean is 1.0 */
+    return alpha <= multiply(MCP_ASDF_MAX_ID, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
+           alpha_x_low < UINT64_C(1) << 62 && alpha_x_high < UINT64_C(1) << 53 &&
+           (middle < most || (middle == most && low_word(alpha_x_low) <= low_word(alpha) << 23));
+}
+
+/* Whether `count` messages can have given these sums: none too large, no mean above 1.0, no variance below 0.
+ */
 static bool sums_possible(const mcp_asdf_sums_t *sums)
 {
     const uint32_t m = sums->count;
     return m <= MCP_ASDF_MAX_ID && sums->x <= m * MCP_ASDF_ONE &&
            sums->x_squared <= multiply(sums->x, MCP_ASDF_ONE) &&
+           m * sums->x_squared >= multiply(sums->x, sums->x) && /* < 2^60 */
            sums->alpha <= multiply(m, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
            sums->alpha_x_low <= multiply(sums->x, UINT32_MAX) &&
-           sums->alpha_x_high <= multiply(sums->x, UINT32_C(0x7FFFFF));
+           sums->alpha_x_high <= multiply(sums->x, UINT32_C(0x7FFFFF)) &&
+           mean_possible(sums->alpha, sums->alpha_x_low, sums->alpha_x_high);
 }
 
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages)
 {
     mcp_asdf_sums_t *const open = &robot->open;
-    if (sums->count > messages || messages + open->count + robot->silent > MCP_ASDF_MAX_ID ||
-        !sums_possible(sums)) {
+    if (!sums_possible(sums) || sums->count > messages || open->count + sums->count > MCP_ASDF_MAX_ID ||
+        robot->silent + (messages - sums->count) > MCP_ASDF_MAX_ID) {
         return MCP_ASDF_ERR_SUMS;
     }
     open->alpha += sums->alpha;
@@ -645,10 +663,10 @@ static bool table_valid(const uint32_t *table)
         return false;
     }
     uint32_t hash = hash_word(hash_word(hash_word(HASH_START, TABLE_MAGIC), shape), omega);
-    uint32_t previous = fraction_bits < 26 ? UINT32_C(1) << (fraction_bits + 6) : UINT32_MAX;
+    uint32_t previous = 0;
     for (uint32_t i = 0; i < q; ++i) {
         const uint32_t k = MCP_ASDF_READ_WORD(&table[TABLE_HEADER + i]);
-        if (k >= previous) {
+        if ((i > 0 && k >= previous) || k >> fraction_bits >= 64) {
             return false;
         }
         previous = k;
@@ -719,17 +737,6 @@ static bool estimate_possible(uint32_t x_hat, uint32_t alpha)
     return x_hat <= MCP_ASDF_ONE && alpha <= MCP_ASDF_ALPHA_MAX && on_grid;
 }
 
-/* The mean of the closed round is at most 1.0, as quotient() needs. */
-static bool closed_possible(const mcp_asdf_t *robot)
-{
-    const uint64_t middle = robot->closed_alpha_x_high + high_word(robot->closed_alpha_x_low);
-    const uint64_t most = robot->closed_alpha >> 9; /* of middle, where the mean is 1.0 */
-    return robot->closed_alpha <= multiply(MCP_ASDF_MAX_ID, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
-           robot->closed_alpha_x_high < UINT64_C(1) << 53 &&
-           (middle < most ||
-            (middle == most && low_word(robot->closed_alpha_x_low) <= low_word(robot->closed_alpha) << 23));
-}
-
 static bool senders_possible(const mcp_asdf_t *robot)
 {
     const uint32_t messages = robot->open.count + robot->silent;
@@ -737,7 +744,7 @@ static bool senders_possible(const mcp_asdf_t *robot)
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) {
         heard += robot->heard[id >> 5] >> (id & 31) & 1;
     }
-    return messages <= MCP_ASDF_MAX_ID && heard <= messages &&
+    return robot->silent <= 2 * MCP_ASDF_MAX_ID && heard <= messages &&
            (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
 }
 
@@ -747,7 +754,8 @@ bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
     return robot->id <= MCP_ASDF_MAX_ID && robot->t < config->memory && robot->n <= robot->t &&
            robot->b_hat >= MCP_ASDF_B_HAT_MIN && robot->b_hat <= MCP_ASDF_B_HAT_MAX &&
            accuracy_current(robot) && estimate_possible(robot->x_hat, robot->alpha) &&
-           estimate_possible(robot->settled_x_hat, robot->settled_alpha) && closed_possible(robot) &&
+           estimate_possible(robot->settled_x_hat, robot->settled_alpha) &&
+           mean_possible(robot->closed_alpha, robot->closed_alpha_x_low, robot->closed_alpha_x_high) &&
            sums_possible(&robot->open) && senders_possible(robot) &&
            robot->comms_left <= config->comms_period && robot->filter_left != 0 &&
            robot->filter_left <= config->filter_period && robot->filter_left % config->comms_period == 0;

@@ -203,7 +203,8 @@ mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z);
  * then 0 is accepted and enters no sum. Returns MCP_ASDF_REPEATED, and counts `repeated`, for a sender
  * heard in this round already.
  * Fails if sender > 127 or is the robot's own id (ERR_SENDER), x_hat > 1.0 (ERR_X_HAT), or alpha has its
- * sign bit set, is infinite or is no number (ERR_ALPHA): counts `rejected`. */
+ * sign bit set, is infinite or is no number (ERR_ALPHA), or add_round() has filled the round with 127
+ * messages (ERR_SUMS): counts `rejected`. */
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha);
 
 /* Second half of a tick: if a broadcast was due, close the round and, every filter_period ticks, run the
@@ -232,8 +233,9 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha);
 
 /* Add the sums of many messages to the open round at once: what receiving `messages` messages from
  * different senders would do, the memory of who was heard apart. For simulators.
- * Fails if the open round would hold more than 127 messages, sums->count exceeds messages, or a sum is
- * larger than that many messages can give (ERR_SUMS). */
+ * Fails if the open round would hold more than 127 messages with alpha > 0 or more than 127 without,
+ * sums->count exceeds messages, or that many messages cannot give these sums: one is too large, their mean
+ * is above 1.0, or their variance below 0 (ERR_SUMS). */
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages);
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum. */

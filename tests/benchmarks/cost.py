@@ -4,9 +4,9 @@
 
 Builds the core with arm-none-eabi-gcc, runs it under Unicorn, which counts every instruction of a call,
 helpers of the compiler included, and prints a table. Nothing is timed, so the figures are the same on any
-machine with the same compiler. Each call is measured at many moments: t from 1 to 2**32 - 2, both ends and the inside of the
-scale, rounds of 0 to 127 messages, halvings, accuracies on both sides of 1/2. The baseline is plain C of the
-same equations in double and in float, without checks, in the same run.
+machine with the same compiler. Each call is measured at many moments: t from 1 to 2**32 - 2, both ends
+and the inside of the scale, rounds of 0 to 127 messages, halvings, accuracies on both sides of 1/2. The
+baseline is plain C of the same equations in double and in float, without checks, in the same run.
 """
 
 from __future__ import annotations

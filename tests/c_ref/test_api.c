@@ -155,6 +155,7 @@ static void table_fields_have_ranges(void)
 
 static void table_entries_fall(void)
 {
+    static const uint32_t entries[] = {3, 2}; /* would be entries in units of 2^0 */
     const uint32_t *const good = mcp_asdf_t_table_omega05_q30;
     check_word(4, UINT32_MAX - 1, WORDS, MCP_ASDF_OK); /* F = 30: far below 64.0 */
     check_word(10, good[9], WORDS, MCP_ASDF_ERR_TABLE);
@@ -164,6 +165,15 @@ static void table_entries_fall(void)
     check_word(WORDS - 1, 1U << 30, WORDS, MCP_ASDF_ERR_TABLE); /* 1.0 */
     check_word(WORDS - 1, (1U << 30) + 1, WORDS, MCP_ASDF_OK);
     check_word(WORDS - 1, good[WORDS - 2], WORDS, MCP_ASDF_ERR_TABLE);
+    for (uint32_t fraction_bits = 0; fraction_bits < 2; ++fraction_bits) {
+        memcpy(table, good, sizeof table);
+        memcpy(&table[4], entries, sizeof entries);
+        table[1] = 1U << 24 | 2U << 16 | fraction_bits << 8;
+        table[5] += fraction_bits; /* 3.0 and 2.0 or, in units of 1/2, 2.5 and 1.5 */
+        table[4] += 2 * fraction_bits;
+        seal(4 + 2);
+        check_init(&with_table, ID, B_HAT, fraction_bits == 0 ? MCP_ASDF_ERR_TABLE : MCP_ASDF_OK);
+    }
 }
 
 static void every_flipped_bit_of_a_table_is_refused(void)
@@ -238,6 +248,50 @@ static void observe_refuses_what_is_no_colour(void)
         CHECK_EQUAL(mcp_asdf_step(&robot, (mcp_asdf_observation_t)wrong[i]), MCP_ASDF_ERR_OBSERVATION);
         CHECK(same(&robot, &other));
     }
+}
+
+/* An error while a round waits to be settled: it goes on waiting. */
+static void an_error_settles_nothing(void)
+{
+    mcp_asdf_t robot = robot_from(0xA5, &plain), other;
+    (void)mcp_asdf_step(&robot, MCP_ASDF_BLACK);
+    CHECK_EQUAL(mcp_asdf_observe(&robot, MCP_ASDF_BLACK), MCP_ASDF_DUE);
+    (void)mcp_asdf_receive(&robot, 1, 0, ALPHA_ONE);
+    other = robot;
+    CHECK_EQUAL(mcp_asdf_step(&robot, (mcp_asdf_observation_t)3), MCP_ASDF_ERR_OBSERVATION);
+    CHECK(same(&robot, &other));
+    CHECK_EQUAL(mcp_asdf_observe(&robot, MCP_ASDF_NONE), MCP_ASDF_DUE); /* still */
+    (void)mcp_asdf_settle(&robot);
+    CHECK(mcp_asdf_beta(&robot) != 0 && mcp_asdf_invariants_hold(&robot));
+    CHECK_EQUAL(mcp_asdf_observe(&robot, MCP_ASDF_NONE), MCP_ASDF_OK);
+}
+
+/* memory is 64: 32 observations stay, half of the black ones to nearest, ties to even */
+static void halving_takes_ties_to_even(void)
+{
+    for (uint32_t black = 0; black <= 64; ++black) {
+        mcp_asdf_t robot = robot_from(0xA5, &plain);
+        for (uint32_t tick = 0; tick < 64; ++tick) {
+            (void)mcp_asdf_step(&robot, tick < black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
+        }
+        GIVEN(black, 0, 0);
+        CHECK_EQUAL(mcp_asdf_t_count(&robot), 32);
+        CHECK_EQUAL(mcp_asdf_n_count(&robot), black / 2 + (black % 4 == 3));
+    }
+}
+
+static void no_filter_without_observations(void)
+{
+    static const mcp_asdf_config_t always = {0, 1, 1, 64, MCP_ASDF_ALWAYS};
+    mcp_asdf_t robot = robot_from(0xA5, &always);
+    (void)mcp_asdf_receive(&robot, 1, 0, ALPHA_ONE);
+    (void)mcp_asdf_observe(&robot, MCP_ASDF_NONE);
+    CHECK_EQUAL(mcp_asdf_settle(&robot), MCP_ASDF_OK);
+    CHECK_EQUAL(mcp_asdf_b_hat(&robot), B_HAT);
+    (void)mcp_asdf_receive(&robot, 1, 0, ALPHA_ONE);
+    (void)mcp_asdf_observe(&robot, MCP_ASDF_BLACK);
+    CHECK_EQUAL(mcp_asdf_settle(&robot), MCP_ASDF_UPDATED);
+    CHECK_EQUAL(mcp_asdf_b_hat(&robot), MCP_ASDF_B_HAT_MIN); /* all black where none is */
 }
 
 /* ---- Saving, and rounds from sums ---- */
@@ -350,6 +404,9 @@ int main(void)
     receive_refuses_what_is_no_message();
     receive_takes_any_other_alpha();
     observe_refuses_what_is_no_colour();
+    an_error_settles_nothing();
+    halving_takes_ties_to_even();
+    no_filter_without_observations();
     restored_robots_go_on_alike();
     an_image_must_fit_the_config();
     add_round_is_receiving_one_by_one();

@@ -66,6 +66,25 @@ static void mean_of_equal_numbers(void)
     }
 }
 
+/* The own confidence is one unit, has no bits above or none below bit 32, or is the largest. */
+static void own_confidence_of_every_size(void)
+{
+    static const uint32_t alphas[] = {0x33800000, 0x3EFFFFFE, ALPHA_HALF,
+                                      0x437FFFFF, 0x4E800000, MCP_ASDF_ALPHA_MAX};
+    static const uint64_t units[] = {1, 0x7FFFFF, 0x800000, 0xFFFFFF00, UINT64_C(1) << 54, 0x7FFFFF80000000};
+    for (size_t i = 0; i < COUNT(alphas); ++i) {
+        mcp_asdf_t robot = robot_with(&white_box_config, 0xC0000000);
+        robot.settled_x_hat = MCP_ASDF_ONE;
+        robot.settled_alpha = alphas[i];
+        robot.closed_alpha = units[i]; /* as much for 0 as for 1 */
+        GIVEN(alphas[i], units[i], 0);
+        CHECK_EQUAL(mcp_asdf_x(&robot), MCP_ASDF_HALF);
+        robot.closed_alpha = units[i] + 1;
+        CHECK_EQUAL(mcp_asdf_x(&robot),
+                    (units[i] >> 24 != 0) ? MCP_ASDF_HALF - 1 : (units[i] << 23) / (2 * units[i] + 1));
+    }
+}
+
 /* "the quotient's upper 23 bits are right or one too small": means just below and at each multiple of 2^-23
  */
 static void mean_at_multiples_of_its_unit(void)
@@ -86,15 +105,15 @@ static void mean_at_multiples_of_its_unit(void)
 static uint32_t table[TABLE_HEADER + MCP_ASDF_MAX_ID];
 static const mcp_asdf_config_t adaptive = {table, 1, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE};
 
-/* A table whose entries fall by one from `first`. */
-static void make_table(uint32_t q, uint32_t fraction_bits, uint32_t first)
+/* A table whose entries fall from `first` by `step`. */
+static void make_table(uint32_t q, uint32_t fraction_bits, uint32_t first, uint32_t step)
 {
     table[0] = TABLE_MAGIC;
     table[1] = TABLE_VERSION << 24 | q << 16 | fraction_bits << 8;
     table[2] = 1;
     uint32_t hash = hash_word(hash_word(hash_word(HASH_START, table[0]), table[1]), table[2]);
     for (uint32_t i = 0; i < q; ++i) {
-        table[TABLE_HEADER + i] = first - i;
+        table[TABLE_HEADER + i] = first - i * step;
         hash = hash_word(hash, table[TABLE_HEADER + i]);
     }
     table[3] = hash;
@@ -117,38 +136,54 @@ static void threshold_is_strict_at_every_fraction_bits(void)
 {
     const uint32_t x = 0x300000;
     for (uint32_t fraction_bits = 1; fraction_bits <= 29; ++fraction_bits) {
-        make_table(2, fraction_bits, UINT32_C(4) << fraction_bits);
+        make_table(2, fraction_bits, UINT32_C(4) << fraction_bits, 1);
         mcp_asdf_t robot = with_round(3 * x / 2, 1, 1, x);
         GIVEN(fraction_bits, 0, 0);
         CHECK(table_valid(table));
         CHECK(!test_rejects(&robot));
         ++robot.x_hat;
         CHECK(test_rejects(&robot));
-        make_table(2, fraction_bits, (UINT32_C(4) << fraction_bits) + 1);
+        make_table(2, fraction_bits, (UINT32_C(4) << fraction_bits) + 1, 1);
         CHECK_EQUAL(test_rejects(&robot),
                     8 * x + 4 > (uint64_t)x * x >> fraction_bits); /* (2x + 2)^2 - 4 x^2 */
     }
 }
 
-/* The entries for m = 2, q, q + 1 and 127 are those at their places in the table. */
+/* The largest root with root^2 <= value < 2^60. */
+static uint64_t root_of(uint64_t value)
+{
+    uint64_t root = 0;
+    for (uint64_t bit = UINT64_C(1) << 29; bit != 0; bit >>= 1) {
+        root += (root + bit) * (root + bit) <= value ? bit : 0;
+    }
+    return root;
+}
+
+/* A round of m with a spread of about 2^24: the largest difference that does not reject under k, and the
+ * next. */
+static void check_entry(uint32_t m, uint32_t k)
+{
+    mcp_asdf_t robot = robot_with(&adaptive, 0xC0000000);
+    robot.x_hat = 0x1000;
+    robot.open.count = m;
+    for (uint32_t more = 0; more < 2; ++more) {
+        const uint64_t difference = root_of(k) + more, x = m * UINT64_C(0x1000) + difference;
+        robot.open.x = (uint32_t)x;
+        robot.open.x_squared = (x * x + (UINT32_C(1) << 24)) / m; /* spread is at most m - 1 below 2^24 */
+        const uint64_t spread = m * robot.open.x_squared - x * x;
+        CHECK_EQUAL(test_rejects(&robot), difference * difference > k * spread >> 24);
+    }
+}
+
+/* The entries for m = 2, q, q + 1 and 127 are those at their places; neighbours differ by a 1/32 and more. */
 static void entry_is_the_one_for_m(void)
 {
     for (uint32_t q = 2; q <= 127; q += q == 2 ? 1 : 31) {
-        make_table(q, 24, (UINT32_C(5) << 24) + 126);
+        make_table(q, 24, UINT32_C(6) << 24, UINT32_C(1) << 19);
+        CHECK(table_valid(table));
         for (uint32_t m = 2; m <= 127; ++m) {
-            const uint32_t k = table[TABLE_HEADER + (m <= q ? m - 2 : q - 1)], half = m / 2;
-            mcp_asdf_t robot = robot_with(&adaptive, 0xC0000000);
-            const uint64_t unit = UINT64_C(1) << 24;
-            robot.open.count = m;
-            robot.open.x = half * 4096 * m; /* spread 2^24, difference half 2^12 m - m x_hat */
-            robot.open.x_squared = ((uint64_t)robot.open.x * robot.open.x + unit) / m;
-            const uint64_t spread = m * robot.open.x_squared - (uint64_t)robot.open.x * robot.open.x;
-            for (uint32_t distance = 0; distance < 12000; distance += 97) {
-                const uint64_t difference = (uint64_t)m * distance;
-                robot.x_hat = half * 4096 + distance;
-                GIVEN(q, m, distance);
-                CHECK_EQUAL(test_rejects(&robot), difference * difference > (k * spread >> 24));
-            }
+            GIVEN(q, m, 0);
+            check_entry(m, table[TABLE_HEADER + (m <= q ? m - 2 : q - 1)]);
         }
     }
 }
@@ -159,7 +194,7 @@ static void products_at_their_largest(void)
 {
     for (uint32_t fraction_bits = 1; fraction_bits <= 31; ++fraction_bits) {
         const uint32_t most = fraction_bits < 26 ? (UINT32_C(1) << (fraction_bits + 6)) - 1 : UINT32_MAX - 1;
-        make_table(2, fraction_bits, most);
+        make_table(2, fraction_bits, most, 1);
         mcp_asdf_t robot = with_round(MCP_ASDF_ONE, 64, 63, MCP_ASDF_ONE);
         const uint64_t spread = MOST * robot.open.x_squared - (uint64_t)robot.open.x * robot.open.x;
         GIVEN(fraction_bits, most, spread);
@@ -170,7 +205,7 @@ static void products_at_their_largest(void)
         robot.open.x_squared =
             (((uint64_t)robot.open.x * robot.open.x) + MOST - 1) / MOST; /* hardly any spread */
         CHECK(test_rejects(&robot));
-        make_table(2, fraction_bits, most);
+        make_table(2, fraction_bits, most, 1);
         ++table[TABLE_HEADER];
         CHECK(!table_valid(table)); /* one more is out of range, or breaks the checksum */
     }
@@ -179,10 +214,10 @@ static void products_at_their_largest(void)
 static void first_entry_stays_below_64(void)
 {
     for (uint32_t fraction_bits = 1; fraction_bits < 26; ++fraction_bits) {
-        make_table(2, fraction_bits, (UINT32_C(64) << fraction_bits) - 1);
+        make_table(2, fraction_bits, (UINT32_C(64) << fraction_bits) - 1, 1);
         GIVEN(fraction_bits, 0, 0);
         CHECK(table_valid(table));
-        make_table(2, fraction_bits, UINT32_C(64) << fraction_bits);
+        make_table(2, fraction_bits, UINT32_C(64) << fraction_bits, 1);
         CHECK(!table_valid(table));
     }
 }
@@ -229,6 +264,7 @@ int main(void)
     sums_of_127_largest_messages();
     alpha_x_low_at_its_largest();
     mean_of_equal_numbers();
+    own_confidence_of_every_size();
     mean_at_multiples_of_its_unit();
     threshold_is_strict_at_every_fraction_bits();
     entry_is_the_one_for_m();

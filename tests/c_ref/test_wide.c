@@ -210,6 +210,40 @@ static void check_end(uint32_t c, uint32_t total, uint32_t part)
           found >= exact * (1 - 1.0 / (1 << 22) - 15.0 / (1 << 30)));
 }
 
+/* Eq. 4 inside, for n / t = nu exactly: from 2^-22 + 2^-28 below to one unit of nu (1 - nu) above. */
+static void check_inside(uint32_t c, uint32_t total, uint32_t nu)
+{
+    const mcp_asdf_accuracy_t a = accuracy_of(c);
+    if (a.g_shift == MCP_ASDF_UNINFORMATIVE) {
+        return;
+    }
+    int32_t exponent = 0;
+    const uint32_t mantissa = confidence_inside(&a, nu, total, &exponent);
+    const double g = 1 - (double)c / (double)(ONE_32 / 2), share = (double)nu / (double)ONE_32;
+    const double exact = g * g * total / (share * (1 - share)),
+                 unit = 1 / (share * (double)(ONE_32 - nu) - 1);
+    double found = (double)mantissa * 256; /* the result's unit is 2^8 of those of total */
+    for (; exponent > 0; --exponent) {
+        found *= 2;
+    }
+    for (; exponent < 0; ++exponent) {
+        found /= 2;
+    }
+    GIVEN(c, total, nu);
+    CHECK(found <= exact * (1 + unit) && found >= exact * (1 - 1.0 / (1 << 22) - 1.0 / (1 << 28)));
+}
+
+static void confidence_inside_is_within_its_bound(void)
+{
+    for (uint32_t i = 0; i < 400000; ++i) {
+        const uint32_t c = 0x1000 + check_random_word() % (C_MAX - 0x1000);
+        const uint32_t total = TOTAL_MIN + (check_random_word() & (TOTAL_MIN - 1));
+        check_inside(c, total, c);
+        check_inside(c, total, UINT32_C(1) << 31);
+        check_inside(c, total, c + check_random_word() % ((UINT32_C(1) << 31) - c));
+    }
+}
+
 static void confidence_at_end_is_within_its_bound(void)
 {
     for (uint32_t i = 0; i < 400000; ++i) {
@@ -230,6 +264,7 @@ int main(void)
     reestimate_is_within_its_bound();
     squares_are_within_their_bounds();
     confidence_at_end_is_within_its_bound();
+    confidence_inside_is_within_its_bound();
     return check_report();
 }
 #endif
