@@ -331,9 +331,6 @@ class MirrorRobot(FixedPointView):
         if s.heard[word] & bit:
             s.repeated = min(s.repeated + 1, COUNTER_MAX)
             return Status.REPEATED
-        if s.open.count >= MAX_ID:  # add_round has filled the round
-            s.rejected = min(s.rejected + 1, COUNTER_MAX)
-            return Status.ERR_SUMS
         s.heard[word] |= bit
         if not sums_add(s.open, x_hat, alpha):
             s.silent += 1
@@ -344,7 +341,9 @@ class MirrorRobot(FixedPointView):
             return Status.ERR_SENDER
         if not 0 <= x_hat <= ONE:
             return Status.ERR_X_HAT
-        return Status.OK if 0 <= alpha < ALPHA_INFINITE else Status.ERR_ALPHA
+        if not 0 <= alpha < ALPHA_INFINITE:
+            return Status.ERR_ALPHA
+        return Status.ERR_SUMS if self.s.open.count >= MAX_ID else Status.OK  # filled by add_round
 
     def add_round(self, sums: Sums, messages: int) -> Status:
         """Add the exact sums of ``messages`` messages at once to the open round."""
@@ -496,7 +495,7 @@ class MirrorRobot(FixedPointView):
         s = self.s
         messages = s.open.count + s.silent
         heard = sum(word.bit_count() for word in s.heard)
-        return s.silent <= 2 * MAX_ID and heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
+        return heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
 
     def save(self) -> bytes:
         """The state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum."""

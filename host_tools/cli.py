@@ -89,10 +89,7 @@ def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
 def _show_overview(arguments: Sequence[str]) -> int:
     """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
     parser = argparse.ArgumentParser(
-        prog=PROGRAM,
-        description="Collective perception with self-calibrating robots.",
-        allow_abbrev=False,
-        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=32),
+        prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     listing = parser.add_subparsers(metavar="COMMAND", title="commands (each has its own --help)")

@@ -414,7 +414,10 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_ERR_X_HAT;
     }
-    return alpha >= ALPHA_INFINITE ? MCP_ASDF_ERR_ALPHA : MCP_ASDF_OK; /* sign bit, infinity, not a number */
+    if (alpha >= ALPHA_INFINITE) { /* sign bit, infinity, not a number */
+        return MCP_ASDF_ERR_ALPHA;
+    }
+    return robot->open.count >= MCP_ASDF_MAX_ID ? MCP_ASDF_ERR_SUMS : MCP_ASDF_OK; /* filled by add_round() */
 }
 
 HOT mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
@@ -437,10 +440,6 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     if ((*word & bit) != 0) {
         robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
         return MCP_ASDF_REPEATED;
-    }
-    if (robot->open.count >= MCP_ASDF_MAX_ID) { /* add_round() has filled the round */
-        robot->counters.rejected = add_saturating(robot->counters.rejected, 1);
-        return MCP_ASDF_ERR_SUMS;
     }
     *word |= bit;
     if (!on_grid(alpha)) {
@@ -744,8 +743,7 @@ static bool senders_possible(const mcp_asdf_t *robot)
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) {
         heard += robot->heard[id >> 5] >> (id & 31) & 1;
     }
-    return robot->silent <= 2 * MCP_ASDF_MAX_ID && heard <= messages &&
-           (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
+    return heard <= messages && (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
 }
 
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)

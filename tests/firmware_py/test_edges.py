@@ -887,7 +887,6 @@ IMPOSSIBLE = {
     ],
     "I8": [
         {"silent": 0},
-        {"silent": 255},
         {"heard_0": 0xFF},
         {"heard_0": 1 << OWN_ID},
         {"heard_3": 2**32 - 1},

@@ -50,7 +50,7 @@ def test_no_arguments_show_the_overview_and_fail(capsys: pytest.CaptureFixture[s
     out, err = capsys.readouterr()
     assert out == ""
     for name in cli.COMMANDS:
-        assert f"\n    {name} " in err
+        assert f"\n    {name}" in err
 
 
 def test_help_is_not_an_error(capsys: pytest.CaptureFixture[str]) -> None:
