@@ -324,13 +324,16 @@ class MirrorRobot(FixedPointView):
         """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as binary32 bits."""
         s = self.s
         status = self._check_message(sender, x_hat, alpha)
+        word, bit = sender >> 5, 1 << (sender & 31)
+        if status == Status.OK:
+            if s.heard[word] & bit:
+                s.repeated = min(s.repeated + 1, COUNTER_MAX)
+                return Status.REPEATED
+            if s.open.count >= MAX_ID:  # add_round has filled the round
+                status = Status.ERR_SUMS
         if status != Status.OK:
             s.rejected = min(s.rejected + 1, COUNTER_MAX)
             return status
-        word, bit = sender >> 5, 1 << (sender & 31)
-        if s.heard[word] & bit:
-            s.repeated = min(s.repeated + 1, COUNTER_MAX)
-            return Status.REPEATED
         s.heard[word] |= bit
         if not sums_add(s.open, x_hat, alpha):
             s.silent += 1
@@ -341,9 +344,7 @@ class MirrorRobot(FixedPointView):
             return Status.ERR_SENDER
         if not 0 <= x_hat <= ONE:
             return Status.ERR_X_HAT
-        if not 0 <= alpha < ALPHA_INFINITE:
-            return Status.ERR_ALPHA
-        return Status.ERR_SUMS if self.s.open.count >= MAX_ID else Status.OK  # filled by add_round
+        return Status.OK if 0 <= alpha < ALPHA_INFINITE else Status.ERR_ALPHA
 
     def add_round(self, sums: Sums, messages: int) -> Status:
         """Add the exact sums of ``messages`` messages at once to the open round."""
@@ -495,7 +496,7 @@ class MirrorRobot(FixedPointView):
         s = self.s
         messages = s.open.count + s.silent
         heard = sum(word.bit_count() for word in s.heard)
-        return heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
+        return s.silent <= MAX_ID + heard and heard <= messages and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
 
     def save(self) -> bytes:
         """The state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum."""

@@ -125,12 +125,14 @@ class _Author:
             (source.choice([_ALPHA, _SETTLED_ALPHA]), alpha, _X_HAT, x_hat),
             (_CLOSED, beta & _BITS_32, _CLOSED + 1, beta >> 32, _CLOSED + 3, low),
             (_HEARD + (own >> 5), 1 << (own & 31), _LAST, own << 24 | 1 << 16),
+            (_LAST, own << 24 | source.choice([1, 127, 128, 254, 255]) << 16),
             (source.randint(_T, _LAST), source.choice([0, 1, 1 << source.randrange(32), _BITS_32])),
         )
         if source.random() < 0.1:
             self._call("damage", source.randrange(4 * IMAGE_WORDS), 1 << source.randrange(8))
         else:
             self._call("restore", *source.choice(changes))
+        self._call("receive", self._sender(), self._x_hat(), source.choice([0, alpha]))
 
     def _sums(self) -> None:
         """Add a round's sums, some of them impossible."""

@@ -414,32 +414,34 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_ERR_X_HAT;
     }
-    if (alpha >= ALPHA_INFINITE) { /* sign bit, infinity, not a number */
-        return MCP_ASDF_ERR_ALPHA;
-    }
-    return robot->open.count >= MCP_ASDF_MAX_ID ? MCP_ASDF_ERR_SUMS : MCP_ASDF_OK; /* filled by add_round() */
+    return alpha >= ALPHA_INFINITE ? MCP_ASDF_ERR_ALPHA : MCP_ASDF_OK; /* sign bit, infinity, not a number */
 }
 
 HOT mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     if (!add_off_grid(&robot->open, x_hat, alpha)) {
-        ++robot->silent; /* <= 254: 127 senders, and as many in add_round() */
+        ++robot->silent; /* <= 254: as many as senders, and 127 in add_round() */
     }
     return MCP_ASDF_OK;
 }
 
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
-    const mcp_asdf_status_t status = check_message(robot, sender, x_hat, alpha);
+    mcp_asdf_status_t status = check_message(robot, sender, x_hat, alpha);
+    uint32_t *const word = &robot->heard[(sender & MCP_ASDF_MAX_ID) >> 5];
+    const uint32_t bit = UINT32_C(1) << (sender & 31);
+    if (status == MCP_ASDF_OK) {
+        if ((*word & bit) != 0) {
+            robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
+            return MCP_ASDF_REPEATED;
+        }
+        if (robot->open.count >= MCP_ASDF_MAX_ID) { /* add_round() has filled the round */
+            status = MCP_ASDF_ERR_SUMS;
+        }
+    }
     if (status != MCP_ASDF_OK) {
         robot->counters.rejected = add_saturating(robot->counters.rejected, 1);
         return status;
-    }
-    uint32_t *const word = &robot->heard[sender >> 5];
-    const uint32_t bit = UINT32_C(1) << (sender & 31);
-    if ((*word & bit) != 0) {
-        robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
-        return MCP_ASDF_REPEATED;
     }
     *word |= bit;
     if (!on_grid(alpha)) {
@@ -743,7 +745,8 @@ static bool senders_possible(const mcp_asdf_t *robot)
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) {
         heard += robot->heard[id >> 5] >> (id & 31) & 1;
     }
-    return heard <= messages && (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
+    return robot->silent <= MCP_ASDF_MAX_ID + heard && heard <= messages &&
+           (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
 }
 
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)

@@ -133,6 +133,8 @@ static void open_sums_are_those_of_messages(void)
     BREAKS(robot.open.count = 0); /* the sums are too large for no message */
     BREAKS(robot.open.count = 128);
     BREAKS(robot.open.count = UINT32_MAX);
+    BREAKS(
+        (robot.open.count = UINT32_MAX, robot.heard[0] = 0, robot.heard[3] = 0)); /* with silent it makes 0 */
     BREAKS(robot.open.x = 0);
 }
 
@@ -140,7 +142,8 @@ static void open_sums_are_those_of_messages(void)
 static void senders_are_counted(void)
 {
     BREAKS(robot.silent = 0);  /* two senders were heard */
-    KEEPS(robot.silent = 254); /* 127 senders, and 127 in sums added at once */
+    KEEPS(robot.silent = 129); /* 127 in sums added at once, and the two senders */
+    BREAKS(robot.silent = 130);
     BREAKS(robot.heard[1] = UINT32_C(1) << (robot.id & 31));
     for (uint32_t i = 0; i < 4; ++i) {
         GIVEN(i, 0, 0);
@@ -198,14 +201,17 @@ static void impossible_states_are_refused(void)
 {
     static const struct {
         uint32_t word, value;
-    } wrong[] = {{1, 1000},        {2, 39},         {3, 0xFFF},    {3, 0},  {3, 0xFFFFF001},
-                 {4, 0x800001},    {5, 0x4F000000}, {6, 0x800001}, {7, 1},  {9, 0x80000000},
-                 {15, 0x80000000}, {23, 128},       {28, 3},       {29, 5}, {32, 0x80000000}};
+    } wrong[] = {{0, 0},  {0, IMAGE_MAGIC + 1}, {1, 1000},        {2, 39},         {3, 0xFFF},
+                 {3, 0},  {3, 0xFFFFF001},      {4, 0x800001},    {5, 0x4F000000}, {6, 0x800001},
+                 {7, 1},  {9, 0x80000000},      {15, 0x80000000}, {23, 128},       {28, 3},
+                 {29, 5}, {32, 0x80000000}};
     const mcp_asdf_t busy = busy_robot();
     for (size_t i = 0; i < COUNT(wrong); ++i) {
         uint8_t image[MCP_ASDF_IMAGE_SIZE];
         uint32_t hash = HASH_START;
-        mcp_asdf_t target;
+        mcp_asdf_t target, before;
+        memset(&target, 0xA5, sizeof target);
+        memset(&before, 0xA5, sizeof before);
         mcp_asdf_save(&busy, image);
         for (uint32_t word = 0; word < MCP_ASDF_IMAGE_SIZE / 4 - 1; ++word) {
             uint8_t *const at = &image[4 * word];
@@ -220,6 +226,7 @@ static void impossible_states_are_refused(void)
         }
         GIVEN(wrong[i].word, wrong[i].value, 0);
         CHECK_EQUAL(mcp_asdf_restore(&target, &config, image), MCP_ASDF_ERR_IMAGE);
+        CHECK(memcmp(&target, &before, sizeof target) == 0);
     }
 }
 

@@ -887,6 +887,8 @@ IMPOSSIBLE = {
     ],
     "I8": [
         {"silent": 0},
+        {"silent": 255},
+        {"silent": 133},
         {"heard_0": 0xFF},
         {"heard_0": 1 << OWN_ID},
         {"heard_3": 2**32 - 1},

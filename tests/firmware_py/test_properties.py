@@ -387,6 +387,8 @@ LEAST_WRONG: dict[str, Callable[[dict[str, int]], int]] = {
     "open_x_squared": lambda s: s["open_x"] * ONE + 1,
     "open_alpha_x_low": lambda s: s["open_x"] * (2**32 - 1) + 1,
     "open_alpha_x_high": lambda s: s["open_x"] * (2**23 - 1) + 1,
+    "silent": lambda s: 128 + sum(s[f"heard_{i}"].bit_count() for i in range(4)),
+    "silent": lambda s: 128 + sum(s[f"heard_{word}"].bit_count() for word in range(4)),
     "heard_0": lambda s: s["heard_0"] | 1 << OWN_ID,
     "comms_left": lambda s: 3,
     "filter_left": lambda s: s["filter_left"] + 1,

@@ -138,6 +138,7 @@ def traits(call: Call, before: dict[str, int], after: dict[str, int]) -> Iterato
             "step ERR_OBSERVATION",
         ),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT", "receive ERR_ALPHA"),
+        "receive ERR_SUMS",
         *("settle OK", "settle UPDATED", "add OK", "add ERR_SUMS"),
         *("restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
     ],
@@ -245,7 +246,7 @@ FAULTS = {
     "sums": ("sums.x_squared += x_hat * x_hat", "sums.x_squared += x_hat * x_hat ^ 1"),
     "mean": (
         "((alpha_x_high << 32) + alpha_x_low) // alpha",
-        "((alpha_x_high << 32) + alpha_x_low) // (alpha ^ 1)",
+        "((alpha_x_high << 32) + alpha_x_low) // (alpha | 1)",
     ),
     "test": ("table.entry(m) * spread", "(table.entry(m) ^ 1) * spread"),
     "test: fewest messages": ("if s.open.count < 2:", "if s.open.count < 3:"),
