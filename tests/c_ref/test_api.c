@@ -353,7 +353,7 @@ static void add_round_refuses_impossible_sums(void)
 {
     static const mcp_asdf_sums_t one = {1 << 24, UINT64_C(1) << 47, 0, UINT64_C(1) << 46, 1 << 23, 1},
                                  none = {0, 0, 0, 0, 0, 0};
-    mcp_asdf_sums_t bad[6];
+    mcp_asdf_sums_t bad[10];
     mcp_asdf_t robot = robot_from(0xA5, &plain), other = robot_from(0xA5, &plain);
     for (size_t i = 0; i < COUNT(bad); ++i) {
         bad[i] = one;
@@ -364,6 +364,10 @@ static void add_round_refuses_impossible_sums(void)
     bad[3].x_squared += 1;
     bad[4].x += 1;
     bad[5].count = 0;
+    bad[6].alpha -= 1; /* now the mean is above 1.0 */
+    bad[7].alpha = 0;
+    bad[8].alpha_x_low += 1;
+    bad[9].x_squared -= 1; /* below the square of the mean */
     for (size_t i = 0; i < COUNT(bad); ++i) {
         GIVEN(i, 0, 0);
         CHECK_EQUAL(mcp_asdf_add_round(&robot, &bad[i], 1), MCP_ASDF_ERR_SUMS);
@@ -374,6 +378,31 @@ static void add_round_refuses_impossible_sums(void)
     CHECK_EQUAL(mcp_asdf_add_round(&robot, &one, 2), MCP_ASDF_OK);
     CHECK_EQUAL(mcp_asdf_add_round(&robot, &none, 127), MCP_ASDF_ERR_SUMS);
     CHECK_EQUAL(mcp_asdf_add_round(&robot, &none, 126), MCP_ASDF_OK);
+}
+
+/* A round that add_round() has filled takes no further sender; one that was heard before is still a repeat.
+ */
+static void a_full_round_is_closed_to_senders(void)
+{
+    mcp_asdf_t robot = robot_from(0xA5, &plain), other;
+    mcp_asdf_sums_t sums = {0, 0, 0, 0, 0, 0};
+    for (int i = 0; i < 127; ++i) {
+        (void)mcp_asdf_sums_add(&sums, MCP_ASDF_ONE, MCP_ASDF_ALPHA_MAX);
+    }
+    CHECK_EQUAL(mcp_asdf_receive(&robot, 1, MCP_ASDF_ONE, ALPHA_ONE), MCP_ASDF_OK);
+    CHECK_EQUAL(mcp_asdf_add_round(&robot, &sums, 127), MCP_ASDF_ERR_SUMS); /* 128 */
+    sums = (mcp_asdf_sums_t){0, 0, 0, 0, 0, 0};
+    for (int i = 0; i < 126; ++i) {
+        (void)mcp_asdf_sums_add(&sums, MCP_ASDF_ONE, MCP_ASDF_ALPHA_MAX);
+    }
+    CHECK_EQUAL(mcp_asdf_add_round(&robot, &sums, 126), MCP_ASDF_OK);
+    other = robot;
+    CHECK_EQUAL(mcp_asdf_receive(&robot, 1, 0, ALPHA_ONE), MCP_ASDF_REPEATED);
+    CHECK_EQUAL(mcp_asdf_receive(&robot, 2, 0, ALPHA_ONE), MCP_ASDF_ERR_SUMS);
+    CHECK_EQUAL(mcp_asdf_receive(&robot, ID, 0, ALPHA_ONE), MCP_ASDF_ERR_SENDER);
+    ++other.counters.repeated;
+    other.counters.rejected = 2;
+    CHECK(same(&robot, &other) && mcp_asdf_invariants_hold(&robot));
 }
 
 static void counters_stop_at_65535(void)
@@ -411,6 +440,7 @@ int main(void)
     an_image_must_fit_the_config();
     add_round_is_receiving_one_by_one();
     add_round_refuses_impossible_sums();
+    a_full_round_is_closed_to_senders();
     counters_stop_at_65535();
     return check_report();
 }

@@ -117,6 +117,7 @@ static void closed_round_is_a_mean(void)
     KEEPS(robot.closed_alpha = most);
     BREAKS(robot.closed_alpha = most + 1);
     BREAKS((robot.closed_alpha = most, robot.closed_alpha_x_high = UINT64_C(1) << 53));
+    BREAKS((robot.closed_alpha = most, robot.closed_alpha_x_low = UINT64_C(1) << 62));
     BREAKS(robot.closed_alpha_x_high = UINT64_MAX);
     BREAKS(robot.closed_alpha_x_low = UINT64_MAX);
 }
@@ -136,6 +137,9 @@ static void open_sums_are_those_of_messages(void)
     BREAKS(
         (robot.open.count = UINT32_MAX, robot.heard[0] = 0, robot.heard[3] = 0)); /* with silent it makes 0 */
     BREAKS(robot.open.x = 0);
+    BREAKS(--robot.open.x_squared);                     /* a variance below 0 */
+    BREAKS(robot.open.alpha = 1);                       /* a mean above 1.0 */
+    BREAKS(robot.open.alpha_x_low = UINT64_C(1) << 53); /* the same */
 }
 
 /* I8 */

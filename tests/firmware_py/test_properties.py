@@ -388,8 +388,6 @@ LEAST_WRONG: dict[str, Callable[[dict[str, int]], int]] = {
     "open_alpha_x_low": lambda s: s["open_x"] * (2**32 - 1) + 1,
     "open_alpha_x_high": lambda s: s["open_x"] * (2**23 - 1) + 1,
     "silent": lambda s: 128 + sum(s[f"heard_{i}"].bit_count() for i in range(4)),
-    "silent": lambda s: 128 + sum(s[f"heard_{word}"].bit_count() for word in range(4)),
-    "heard_0": lambda s: s["heard_0"] | 1 << OWN_ID,
     "comms_left": lambda s: 3,
     "filter_left": lambda s: s["filter_left"] + 1,
     "id": lambda s: 128,
