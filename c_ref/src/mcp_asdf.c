@@ -127,7 +127,7 @@ static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
     77,  73,  70,  67,  64,  61,  58,  55,  52,  49,  46,  43,  41,  38,  35,  33,  30,
     28,  25,  23,  21,  18,  16,  14,  11,  9,   7,   5,   3,   1,   0};
 
-/* 2^46 / divisor, at most 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step
+/* 2^46 / divisor, at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step
  * r (2 - y r) from below, as y = divisor / 2^31 is rounded up. */
 static inline uint32_t prepare(uint32_t divisor)
 {
@@ -169,7 +169,7 @@ HOT uint32_t divide_24(uint32_t a, uint32_t d)
     return (first << 12) + second + (rest2 >= d);
 }
 
-/* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by less than 2^3 too small: the upper
+/* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by at most 2^3 too small: the upper
  * 31 bits of both numbers, the divisor's rounded up, cost 2^32 (2^-30 + 2^-30). Needs a quotient of at most 1
  * and 0 < divisor < 2^62; a quotient of 1 gives less. */
 static inline uint32_t quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
