@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, cast
+from typing import Protocol
 
-from firmware_py.mirror import IMAGE_WORDS
-from firmware_py.robot import Config, FirmwareError, FixedPointRobot, Observation, Status, Sums
-from firmware_py.table import checksum
+from firmware_py.robot import Config, FirmwareError, FixedPointRobot, Status
 from host_tools.scenario_source import random_scenario
-from host_tools.scenarios import Call, Scenario, Setup
+from host_tools.scenarios import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
 
 State = dict[str, int]
 """All that can be seen of a robot after a call, by name."""
-
-_IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 
 
 class Firmware(Protocol):
@@ -100,30 +95,10 @@ class Subject:
 
     def _dispatch(self, call: Call) -> Status:
         assert self._robot is not None
-        robot, numbers = self._robot, call.numbers
-        if call.name == "receive":
-            return robot.receive_raw(*numbers)
-        if call.name == "settle":
-            return robot.settle()
-        if call.name == "step":
-            return robot.step(cast(Observation, numbers[0]))
-        if call.name == "observe":
-            return robot.observe(cast(Observation, numbers[0]))
-        if call.name == "add":
-            return robot.add_round(Sums(*numbers[1:]), numbers[0])
-        self._robot = self._firmware.restore(self._config, _edited(robot.save(), call))
+        if call.name not in REPLACING:
+            return perform(self._robot, call)
+        self._robot = self._firmware.restore(self._config, edited_image(self._robot.save(), call))
         return Status.OK
-
-
-def _edited(image: bytes, call: Call) -> bytes:
-    """The image that a ``restore`` or ``damage`` call hands to the firmware."""
-    if call.name == "damage":
-        index, mask = call.numbers
-        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
-    words = list(_IMAGE.unpack(image))
-    for index, value in call.pairs:
-        words[index] = value
-    return _IMAGE.pack(*words[:-1], checksum(words[:-1]))
 
 
 @dataclass(frozen=True)
@@ -176,7 +151,7 @@ def differences(left: Look, right: Look) -> Iterator[str]:
         one, other = left.state.get(name), right.state.get(name)
         if one != other:
             yield f"{name}: {one}, {other}"
-    words = zip(_IMAGE.unpack(left.image), _IMAGE.unpack(right.image), strict=True)
+    words = zip(IMAGE.unpack(left.image), IMAGE.unpack(right.image), strict=True)
     for index, (one, other) in enumerate(words):
         if one != other:
             yield f"save(), word {index}: {one:#010x}, {other:#010x}"

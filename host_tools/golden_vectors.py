@@ -20,16 +20,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import cast
 
-from firmware_py.mirror import IMAGE_WORDS, MirrorRobot
-from firmware_py.robot import FirmwareError, Observation, Status, Sums
-from firmware_py.table import checksum
+from firmware_py.mirror import MirrorRobot
+from firmware_py.robot import FirmwareError, Status
 from host_tools.errors import UsageError
 from host_tools.files import write_atomically
 from host_tools.golden_runs import MASK, GoldenScenario, Run
 from host_tools.golden_scenarios import edge_scenarios, run_scenarios
-from host_tools.scenarios import Call, Setup
+from host_tools.scenarios import IMAGE, REPLACING, Call, Setup, edited_image, perform
 
 MAGIC = 0x5647434D
 
@@ -45,7 +43,6 @@ _LAYOUTS = {
 }
 _RUN_CODE = 8
 _RUN = struct.Struct("<BIHBBBI")
-_IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 _FAILURE = re.compile(r"scenario (\d+) expected (\d+) found (\d+)")
 _CALL = re.compile(r"call \d+ status (\d+) x (\d+) x_bar (\d+) state (\d+)")
 
@@ -119,24 +116,15 @@ class Player:
         if robot is None:
             return 0
         digest = mix(mix(0, robot.x_raw), robot.x_bar_raw)
-        for word in _IMAGE.unpack(robot.save()):
+        for word in IMAGE.unpack(robot.save()):
             digest = mix(digest, word)
         return digest
 
     def _dispatch(self, call: Call) -> Status:
         assert self.robot is not None
-        robot, numbers = self.robot, call.numbers
-        if call.name == "receive":
-            return robot.receive_raw(*numbers)
-        if call.name == "observe":
-            return robot.observe(cast(Observation, numbers[0]))
-        if call.name == "step":
-            return robot.step(cast(Observation, numbers[0]))
-        if call.name == "settle":
-            return robot.settle()
-        if call.name == "add":
-            return robot.add_round(Sums(*numbers[1:]), numbers[0])
-        return self._restore(_edited(robot.save(), call))
+        if call.name not in REPLACING:
+            return perform(self.robot, call)
+        return self._restore(edited_image(self.robot.save(), call))
 
     def _restore(self, image: bytes) -> Status:
         try:
@@ -144,16 +132,6 @@ class Player:
         except FirmwareError as error:
             return error.status
         return Status.OK
-
-
-def _edited(image: bytes, call: Call) -> bytes:
-    if call.name == "damage":
-        index, mask = call.numbers
-        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
-    words = list(_IMAGE.unpack(image))
-    for index, value in call.pairs:
-        words[index] = value
-    return _IMAGE.pack(*words[:-1], checksum(words[:-1]))
 
 
 def encode(played: Sequence[GoldenScenario]) -> bytes:

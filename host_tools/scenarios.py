@@ -11,14 +11,19 @@ calls (see ``Call``). Numbers are the firmware's raw integers and may be as wron
 
 from __future__ import annotations
 
+import struct
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
+from typing import cast
 
 from firmware_py.mirror import IMAGE_WORDS
-from firmware_py.robot import Config, Filter
-from firmware_py.table import Table
+from firmware_py.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
+from firmware_py.table import Table, checksum
 from host_tools.errors import UsageError
 from host_tools.tables import generate, parse_omega
+
+IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
+"""A saved robot, as words."""
 
 _U8, _U32, _U64 = 2**8 - 1, 2**32 - 1, 2**64 - 1
 _LARGEST = {
@@ -31,6 +36,10 @@ _LARGEST = {
     "damage": (4 * IMAGE_WORDS - 1, _U8),
 }
 """The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
+
+
+REPLACING = ("restore", "damage")
+"""Calls that put another robot in the place of the one that is there."""
 
 
 @dataclass(frozen=True)
@@ -186,3 +195,28 @@ def _integers(item: list[str], start: int) -> tuple[int, ...]:
         if not (text.isascii() and text.isdigit() and len(text) <= 20):
             raise UsageError(f"{':'.join(item)}: {text!r} is no whole number of decimal digits")
     return tuple(int(text) for text in item[start:])
+
+
+def edited_image(image: bytes, call: Call) -> bytes:
+    """The image that a ``restore`` or ``damage`` call hands to the firmware, made from one it saved."""
+    if call.name == "damage":
+        index, mask = call.numbers
+        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
+    words = list(IMAGE.unpack(image))
+    for index, value in call.pairs:
+        words[index] = value
+    return IMAGE.pack(*words[:-1], checksum(words[:-1]))
+
+
+def perform(robot: FixedPointRobot, call: Call) -> Status:
+    """Make any call of ``robot`` but ``restore`` and ``damage``, which make another robot."""
+    numbers = call.numbers
+    if call.name == "receive":
+        return robot.receive_raw(*numbers)
+    if call.name == "observe":
+        return robot.observe(cast(Observation, numbers[0]))
+    if call.name == "step":
+        return robot.step(cast(Observation, numbers[0]))
+    if call.name == "settle":
+        return robot.settle()
+    return robot.add_round(Sums(*numbers[1:]), numbers[0])

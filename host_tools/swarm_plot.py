@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import io
-from pathlib import Path
-
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from host_tools.errors import UsageError
-from host_tools.files import write_atomically
 from host_tools.swarm import Deployment
 from host_tools.swarm_run import Run
-
-SUFFIXES = (".png", ".svg", ".pdf")
 
 # Colours that stay apart for the colour-blind.
 _FLAWED, _OTHER, _ALL, _TRUTH = "#d55e00", "#0072b2", "#8a4f7d", "#222222"
@@ -28,26 +20,6 @@ _PANELS = (
     ("x_hat", r"local estimate $\hat{x}$", "f"),
     ("x", r"informed estimate $x$", "f"),
 )
-
-
-def check_plot_path(path: Path) -> Path:
-    """Return ``path``. Raises UsageError if no plot can be written there."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(SUFFIXES)}")
-    if not path.resolve().parent.is_dir():
-        raise UsageError(f"cannot plot to {path}: its folder does not exist; make it first")
-    return path
-
-
-def save_plot(run: Run, path: Path) -> None:
-    """Draw ``run`` into ``path`` (format by suffix). Raises UsageError if it cannot be written."""
-    image = io.BytesIO()
-    kind = check_plot_path(path).suffix.lower()[1:]
-    # Without a date and with fixed names inside, equal runs give equal files.
-    stamp = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-    with rc_context({"svg.hashsalt": "mcp-asdf"}):
-        draw(run).savefig(image, format=kind, dpi=150, metadata=stamp)
-    write_atomically(path, image.getvalue())
 
 
 def draw(run: Run) -> Figure:

@@ -167,10 +167,11 @@ def _plotter(path: Path | None) -> Callable[[Run], None]:
     if path is None:
         return lambda run: None
     # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
-    from host_tools.swarm_plot import check_plot_path, save_plot  # noqa: PLC0415
+    from host_tools.plot_files import check_plot_path, save_figure  # noqa: PLC0415
+    from host_tools.swarm_plot import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
-    return lambda run: save_plot(run, checked)
+    return lambda run: save_figure(draw(run), checked)
 
 
 @contextmanager
