@@ -72,7 +72,7 @@ def leading_zeros(value: int) -> int:
 
 def square_of_ratio(a: int, k: int) -> tuple[int, int]:
     """Mantissa in [2**31, 2**32) and exponent of (a / k)**2 for a and k in [2**31, 2**32)."""
-    quotient = ((a >> 2) << 32) // (k >> 1)
+    quotient = ((a >> 1) << 24) // (k >> 1) << 7
     shift = leading_zeros(quotient)
     square = (quotient << shift) ** 2 >> 32
     shift2 = leading_zeros(square)
@@ -175,12 +175,12 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     total = t << shift >> 1
     part = min(n, t - n) << shift >> 1
     x_hat = 0
-    if part <= total * accuracy.c >> 32:
+    nu = (part << 32) // total
+    if nu <= accuracy.c:
         if accuracy.g_shift == UNINFORMATIVE:
             return HALF, 0
         mantissa, exponent = confidence_at_end(accuracy, part, total - part)
     else:
-        nu = (part << 32) // total
         x_hat = (nu - accuracy.c << accuracy.g_shift) * accuracy.inverse_g >> 39
         mantissa, exponent = confidence_inside(accuracy, nu, total)
     mirrored = (n < t - n) == (accuracy.inverted != 0)

@@ -57,13 +57,16 @@ def x_hat_limit(b_hat: Fraction) -> Fraction:
 
 
 def alpha_limit(n: int, t: int, b_hat: Fraction, alpha: Fraction) -> Fraction:
-    """The largest error of an ``alpha``: its last bit, the grid, and what n / t has lost.
+    """The largest error of an ``alpha``: its last bit, the grid, and what n / t has lost; at an end of the
+    scale also two squares of quotients of 24 bits.
 
     Inside the scale the rarer colour's share counts as a 32-bit fraction. From t = 2**31 on its number may be
     1 too small, or that of all observations, which matters for a rare colour at an end of the scale.
     """
     rarer, c = min(n, t - n), min(b_hat, 1 - b_hat)
     relative = Fraction(1, 2**22) + Fraction(1, 2**28)
+    if rarer <= c * t * (1 + Fraction(1, 2**20)):
+        relative += Fraction(1, 2**21)
     if rarer > c * t * (1 - Fraction(1, 2**20)):
         relative += Fraction(t, rarer) / 2**29
     elif t >= LATE:

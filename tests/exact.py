@@ -121,9 +121,11 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     """Relative errors (below, above) of alpha, before it loses what is off its grid or above its cap.
 
     Always: at least 23 significant bits are kept, so 2**-22 below; and 2**-26 below for products of 32 bits
-    (14.5 2**-30 at an end: edge 5, odds 6, the sum 2, its mantissa 1/2, their product 1; 3 2**-30 inside).
+    (10.5 2**-30 at an end: edge 3, odds 4, the sum 2, its mantissa 1/2, their product 1; 3 2**-30 inside).
 
-    At an end of the scale (p <= c) 2**-30 above: edge is formed with (1 - c) rounded down.
+    At an end of the scale (floor of p <= c) 2**-21 below: edge and odds are squares of quotients of 24 bits
+    or more, each at most 2**-23 too small; and 2**-30 above: edge is formed with (1 - c) rounded down. Where
+    p > c all the same, this formula gives at most 2 / s more than the other.
 
     Inside, p (1 - p) in units of 2**-32, s exactly, is up to 2 too small: floor of p, then of the product.
     So alpha is up to 2 / (s - 2) too large: 2**-21 from p (1 - p) = 2**-10 on, and 2**-15.5 at the rarest
@@ -137,10 +139,11 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     """
     p, c = _rarer(n, t, b)
     always, s = Fraction(1, 2**22) + Fraction(1, 2**26), max(p, c) * (1 - max(p, c)) / Q32
+    roots, edge = (Fraction(1, 2**21), Fraction(1, 2**30)) if p < c + 3 * Q32 else (Fraction(0), Fraction(0))
     if t < LONG:
-        return always, 2 / (s - 2) if p > c else Fraction(1, 2**30)
-    lost_bit = min(((1 - c) / c) ** 2 / t, 2 * c / (1 - c)) if p <= c + 2 * Q32 else Fraction(0)
-    return always + lost_bit + 3 / (s - 3), 6 / (s - 6)
+        return always + roots, (2 / (s - 2) if p > c else Fraction(0)) + edge
+    lost_bit = min(((1 - c) / c) ** 2 / t, 2 * c / (1 - c)) if roots else Fraction(0)
+    return always + roots + lost_bit + 3 / (s - 3), 6 / (s - 6) + edge
 
 
 def b_hat_limits(n: int, t: int, x_bar: Fraction) -> tuple[Fraction, Fraction]:

@@ -53,7 +53,7 @@ static inline uint32_t high_word(uint64_t value) { return (uint32_t)(value >> 32
 static inline uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
 #if MCP_ASDF_SPLIT_MULTIPLY
-HOT uint64_t multiply(uint32_t a, uint32_t b)
+static uint64_t multiply(uint32_t a, uint32_t b)
 {
     const uint32_t a0 = a & 0xFFFF, a1 = a >> 16, b0 = b & 0xFFFF, b1 = b >> 16;
     const uint32_t low = a0 * b0;                         /* (2^16 - 1)^2 < 2^32, as are the others */
@@ -62,16 +62,38 @@ HOT uint64_t multiply(uint32_t a, uint32_t b)
     const uint32_t high = a1 * b1 + (middle >> 16) + (middle2 >> 16); /* upper word of a product < 2^64 */
     return join(high, middle2 << 16 | (low & 0xFFFF));
 }
+
+/* Its upper word: the same without the rest. */
+static uint32_t multiply_high(uint32_t a, uint32_t b)
+{
+    const uint32_t a1 = a >> 16, b1 = b >> 16;
+    a &= 0xFFFF; /* in place: gcc then finds registers for all */
+    b &= 0xFFFF;
+    const uint32_t middle = a1 * b + (a * b >> 16);
+    const uint32_t middle2 = a * b1 + (middle & 0xFFFF);
+    return a1 * b1 + (middle >> 16) + (middle2 >> 16);
+}
+
+/* a b for a < 2^8 and b < 2^56. */
+static uint64_t multiply_small(uint32_t a, uint64_t b)
+{
+    const uint32_t low = a * (low_word(b) & 0xFFFF);                               /* < 2^24 */
+    const uint32_t middle = a * (low_word(b) >> 16) + (low >> 16);                 /* < 2^24 */
+    return join(a * high_word(b) + (middle >> 16), middle << 16 | (low & 0xFFFF)); /* upper word: of < 2^64 */
+}
 #else
 HOT uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
+HOT uint64_t multiply_small(uint32_t a, uint64_t b) { return a * b; }
+HOT uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
 #endif
 
-HOT uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
-
-/* Leading zeros of value > 0: [0, 31]. */
+/* Leading zeros of value > 0: [0, 31]; leading_zero() is for values from 2^30 on: 0 or 1. */
 #if defined(__GNUC__) && (defined(__ARM_FEATURE_CLZ) || defined(__x86_64__) || defined(__i386__))
 static inline uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value); }
+static inline uint32_t leading_zero(uint32_t value) { return leading_zeros(value); }
 #else
+static inline uint32_t leading_zero(uint32_t value) { return ~value >> 31; }
+
 static uint32_t leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
@@ -101,7 +123,7 @@ static inline uint32_t upper(uint32_t high, uint32_t low, uint32_t shift)
 static inline uint16_t add_saturating(uint16_t counter, uint32_t more)
 {
     const uint32_t sum = counter + more;
-    return (uint16_t)(sum > UINT16_MAX ? UINT16_MAX : sum);
+    return (uint16_t)(sum | (0 - (sum >> 16 & 1))); /* sum < 2^17: all ones where bit 16 is set */
 }
 
 /* ---- Division ----------------------------------------------------------------------------------------
@@ -120,19 +142,19 @@ static inline uint32_t digit(uint32_t remainder, uint32_t prepared, uint32_t bit
     return (remainder >> (15 - bits)) / prepared;
 }
 #else
-/* 256 (1 / y - 1), rounded, at the middles y of 64 steps from 1/2 to 1, and at 1. */
+/* 256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1. */
 static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
-    252, 244, 237, 229, 222, 215, 209, 202, 196, 190, 184, 178, 172, 167, 161, 156, 151,
-    146, 141, 136, 132, 127, 123, 118, 114, 110, 106, 102, 98,  94,  91,  87,  84,  80,
-    77,  73,  70,  67,  64,  61,  58,  55,  52,  49,  46,  43,  41,  38,  35,  33,  30,
-    28,  25,  23,  21,  18,  16,  14,  11,  9,   7,   5,   3,   1,   0};
+    253, 245, 238, 230, 223, 216, 210, 203, 197, 191, 185, 179, 173, 168, 162, 157, 152,
+    147, 142, 137, 133, 128, 124, 119, 115, 111, 107, 103, 99,  95,  92,  88,  85,  81,
+    78,  74,  71,  68,  65,  62,  59,  56,  53,  50,  47,  44,  42,  39,  36,  34,  31,
+    29,  26,  24,  22,  19,  17,  15,  12,  10,  8,   6,   4,   2,   1};
 
 /* 2^46 / divisor, at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step
  * r (2 - y r) from below, as y = divisor / 2^31 is rounded up. */
 static inline uint32_t prepare(uint32_t divisor)
 {
     const uint32_t r =
-        256 + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[(divisor >> 24) - 64]); /* Q8, [256, 508] */
+        255 + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[(divisor >> 24) - 64]); /* Q8, [256, 508] */
     const uint32_t y_r = ((divisor >> 8) + 1) * r;                              /* Q31, 1 +- 2^-6 */
     return (r * ((0 - y_r) >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
@@ -272,60 +294,73 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 /* ---- Accuracy ---------------------------------------------------------------------------------------- */
 
 /* (a / k)^2 = mantissa 2^exponent for a and k in [2^31, 2^32): returns the mantissa, [2^31, 2^32), and sets
- * the exponent, [-33, -30]. */
-static uint32_t square_of_ratio(uint32_t a, uint32_t k, int32_t *exponent)
+ * the exponent, [-33, -30]. The quotient has 24 or 25 bits. */
+HOT uint32_t square_of_ratio(uint32_t a, uint32_t k, int32_t *exponent)
 {
-    const uint32_t quotient = divide(a >> 2, k >> 1); /* 2^31 a / k, in (2^30, 2^32) */
-    const uint32_t shift = leading_zeros(quotient);
+    const uint32_t quotient = divide_24(a >> 1, k >> 1) << 7; /* 2^31 a / k, in (2^30, 2^32) */
+    const uint32_t shift = leading_zero(quotient);
     const uint32_t square = multiply_high(quotient << shift, quotient << shift); /* [2^30, 2^32) */
-    const uint32_t shift2 = leading_zeros(square);
+    const uint32_t shift2 = leading_zero(square);
     *exponent = -30 - (int32_t)(2 * shift + shift2);
     return square << shift2;
 }
 
-static mcp_asdf_accuracy_t accuracy_of(uint32_t b_hat)
+static void set_uninformative(mcp_asdf_accuracy_t *accuracy)
+{
+    accuracy->g_shift = MCP_ASDF_UNINFORMATIVE;
+    accuracy->g_squared_shift = 0;
+    accuracy->edge_shift = 0;
+    accuracy->odds_left = 0;
+    accuracy->odds_right = 0;
+    accuracy->c = UINT32_MAX;
+    accuracy->inverse_g = 0;
+    accuracy->g_squared = 0;
+    accuracy->edge = 0;
+    accuracy->odds = 0;
+}
+
+static void set_accuracy(mcp_asdf_accuracy_t *accuracy, uint32_t b_hat)
 {
     const uint32_t c = b_hat >> 31 == 0 ? b_hat : 0 - b_hat; /* [2^12, 2^31] */
     const uint32_t g = 0 - 2 * c;                            /* 2^32 - 2c: [0, 2^32 - 2^13] */
-    mcp_asdf_accuracy_t accuracy = {
-        b_hat >> 31 == 0, MCP_ASDF_UNINFORMATIVE, 0, 0, 0, 0, UINT32_MAX, 0, 0, 0, 0};
+    accuracy->inverted = b_hat >> 31 == 0;
     if (g < INFORMATIVE_G) {
-        return accuracy;
+        set_uninformative(accuracy);
+        return;
     }
-    accuracy.c = c;
+    accuracy->c = c;
     const uint32_t g_shift = leading_zeros(g); /* [0, 11] */
     const uint32_t mantissa = g << g_shift;
-    accuracy.g_shift = (uint8_t)g_shift;
-    accuracy.inverse_g = divide(UINT32_C(1) << 29, mantissa >> 1) + 1; /* > 2^62 / mantissa; g is even */
+    accuracy->g_shift = (uint8_t)g_shift;
+    accuracy->inverse_g = divide(UINT32_C(1) << 29, mantissa >> 1) + 1; /* > 2^62 / mantissa; g is even */
 
     const uint32_t square = multiply_high(mantissa, mantissa); /* [2^30, 2^32) */
-    const uint32_t square_shift = leading_zeros(square);
-    accuracy.g_squared = square << square_shift;
-    accuracy.g_squared_shift = (uint8_t)(2 * g_shift + square_shift);
+    const uint32_t square_shift = leading_zero(square);
+    accuracy->g_squared = square << square_shift;
+    accuracy->g_squared_shift = (uint8_t)(2 * g_shift + square_shift);
 
     int32_t exponent;
-    accuracy.edge = square_of_ratio(mantissa, 0 - c, &exponent);
-    accuracy.edge_shift = (uint8_t)((int32_t)(2 * g_shift) - exponent - 32);
+    accuracy->edge = square_of_ratio(mantissa, 0 - c, &exponent);
+    accuracy->edge_shift = (uint8_t)((int32_t)(2 * g_shift) - exponent - 32);
 
     const uint32_t c_shift = leading_zeros(c); /* [1, 19], as c < 2^31 */
-    accuracy.odds = square_of_ratio(0 - c, c << c_shift, &exponent);
+    accuracy->odds = square_of_ratio(0 - c, c << c_shift, &exponent);
     exponent += (int32_t)(2 * c_shift); /* [-31, 8] */
-    accuracy.odds_left = (uint8_t)(exponent > 0 ? exponent : 0);
-    accuracy.odds_right = (uint8_t)(exponent > 0 ? 0 : -exponent);
-    return accuracy;
+    accuracy->odds_left = (uint8_t)(exponent > 0 ? exponent : 0);
+    accuracy->odds_right = (uint8_t)(exponent > 0 ? 0 : -exponent);
 }
 
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     robot->b_hat = b_hat;
-    robot->accuracy = accuracy_of(b_hat);
+    set_accuracy(&robot->accuracy, b_hat);
 }
 
 /* ---- Observe ----------------------------------------------------------------------------------------- */
 
 /* Confidence at the ends of the scale (eq. 4, first two cases), as
  * (g / (1 - c))^2 (rest + ((1 - c) / c)^2 part): returns its mantissa and adds to its exponent.
- * part <= total c < 2^31 c and c <= 2^(-16) where odds_left > 0, so part 2^odds_left < 2^31. */
+ * part < 2^31 (c + 2^-32) and c <= 2^-16 where odds_left > 0, at most 8, so part 2^odds_left < 2^31. */
 HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t part, uint32_t rest,
                                int32_t *exponent)
 {
@@ -349,6 +384,14 @@ HOT uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu,
     return divide_24(scale, spread << shift); /* scale < 2^31 <= 2 spread 2^shift */
 }
 
+/* Whether nu = floor(part 2^32 / total) <= c, which is part 2^32 < (c + 1) total. The compiler forms the
+ * quotient once for this and for what follows; where products are cheap they spare it at an end. */
+HOT bool at_end(uint32_t part, uint32_t total, uint32_t c)
+{
+    return MCP_ASDF_SPLIT_MULTIPLY ? divide(part, total) <= c
+                                   : part <= high_word(multiply(total, c) + (total - 1)); /* < 2^63 */
+}
+
 /* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat:
  * only the rarer colour is looked at, under the accuracy above 1/2. */
 HOT void estimate(mcp_asdf_t *robot)
@@ -360,8 +403,7 @@ HOT void estimate(mcp_asdf_t *robot)
     const uint32_t part = (blacks < whites ? blacks : whites) << shift >> 1; /* <= total / 2 */
     int32_t exponent = 33 - (int32_t)shift;
     uint32_t x_hat = 0, mantissa;
-    if (part <= multiply_high(
-                    total, accuracy->c)) { /* eq. 3: part / total <= c, as it always is without information */
+    if (at_end(part, total, accuracy->c)) { /* eq. 3, first two cases; always so without information */
         if (accuracy->g_shift == MCP_ASDF_UNINFORMATIVE) {
             robot->x_hat = MCP_ASDF_HALF;
             robot->alpha = 0;
@@ -375,7 +417,7 @@ HOT void estimate(mcp_asdf_t *robot)
         x_hat = multiply_high((nu - accuracy->c) << accuracy->g_shift, accuracy->inverse_g) >> 7;
         mantissa = confidence_inside(accuracy, nu, total, &exponent);
     }
-    const bool mirrored = (blacks < whites) == (accuracy->inverted != 0);
+    const bool mirrored = (blacks < whites) == accuracy->inverted;
     robot->x_hat = mirrored ? MCP_ASDF_ONE - x_hat : x_hat;
     robot->alpha = alpha_bits(mantissa, exponent);
 }
@@ -391,7 +433,7 @@ HOT mcp_asdf_status_t observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
         robot->n += black;
         if (robot->t == robot->config->memory) {
             robot->t >>= 1;
-            robot->n = (robot->n >> 1) + (robot->n >> 1 & robot->n & 1); /* ties to even; <= t */
+            robot->n = (robot->n + (robot->n >> 1 & 1)) >> 1; /* ties to even; <= t */
         }
         estimate(robot);
     }
@@ -507,13 +549,15 @@ static inline uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha
     return estimate + (sum - product >= alpha);
 }
 
-uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
+HOT uint32_t social_estimate(const mcp_asdf_t *robot)
 {
     if (robot->closed_alpha == 0) {
         return MCP_ASDF_HALF;
     }
     return mean(robot->closed_alpha, robot->closed_alpha_x_low, robot->closed_alpha_x_high);
 }
+
+uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot) { return social_estimate(robot); }
 
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
@@ -541,26 +585,30 @@ static bool test_rejects(const mcp_asdf_t *robot)
     const uint32_t own = m * robot->x_hat; /* < 2^30 */
     const uint32_t difference = open->x > own ? open->x - own : own - open->x;
     /* m sum x^2 < 2^60, and at least (sum x)^2 (Cauchy); the difference is at most m^2 / 4 2^46 < 2^58 */
-    const uint64_t spread = m * open->x_squared - multiply(open->x, open->x);
+    const uint64_t spread = multiply_small(m, open->x_squared) - multiply(open->x, open->x);
     /* k spread / 2^fraction_bits, rounded down, < 2^6 2^58, from k spread = (high:low_word(low)) */
     const uint64_t low = multiply(k, low_word(spread));
     const uint64_t high = multiply(k, high_word(spread)) + high_word(low); /* < 2^59 */
-    const uint64_t threshold = (high << (32 - fraction_bits)) + (low_word(low) >> fraction_bits);
+    const uint64_t threshold = join(high_word(high) << (32 - fraction_bits) | low_word(high) >> fraction_bits,
+                                    low_word(high) << (32 - fraction_bits) | low_word(low) >> fraction_bits);
     return multiply(difference, difference) > threshold; /* integer > real, so rounding down decides alike */
 }
+
+/* value as a sum of estimates of 1.0. */
+static inline uint64_t times_one(uint32_t value) { return join(value >> 9, value << 23); }
 
 /* b_hat from x_bar (eq. 8); false where x_bar says nothing: no confidence in the round, or x_bar = 1/2. */
 static bool reestimate(mcp_asdf_t *robot)
 {
-    const uint32_t x_bar = mcp_asdf_x_bar(robot); /* MCP_ASDF_HALF without confidence */
+    const uint32_t x_bar = social_estimate(robot); /* MCP_ASDF_HALF without confidence */
     if (x_bar == MCP_ASDF_HALF) {
         return false;
     }
     const bool inverted = x_bar < MCP_ASDF_HALF; /* eq. 8 at (n, x_bar) is eq. 8 at (t - n, 1 - x_bar) */
     const uint32_t rest = inverted ? x_bar : MCP_ASDF_ONE - x_bar; /* < 2^22 */
     const uint32_t blacks = inverted ? robot->t - robot->n : robot->n;
-    const uint64_t whole = multiply(blacks, MCP_ASDF_ONE), offset = multiply(robot->t, rest); /* < 2^55 */
-    const uint64_t denominator = multiply(robot->t, MCP_ASDF_ONE - 2 * rest);                 /* [2, 2^55) */
+    const uint64_t whole = times_one(blacks), offset = multiply(robot->t, rest); /* < 2^55 */
+    const uint64_t denominator = times_one(robot->t) - 2 * offset;               /* [2, 2^55) */
     uint32_t b_hat = 0;
     if (whole > offset) {
         const uint64_t numerator = whole - offset;
@@ -717,7 +765,9 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
 
 static bool accuracy_current(const mcp_asdf_t *robot)
 {
-    const mcp_asdf_accuracy_t now = accuracy_of(robot->b_hat), *const held = &robot->accuracy;
+    const mcp_asdf_accuracy_t *const held = &robot->accuracy;
+    mcp_asdf_accuracy_t now;
+    set_accuracy(&now, robot->b_hat);
     return held->c == now.c && held->inverse_g == now.inverse_g && held->g_squared == now.g_squared &&
            held->edge == now.edge && held->odds == now.odds && held->g_shift == now.g_shift &&
            held->g_squared_shift == now.g_squared_shift && held->edge_shift == now.edge_shift &&

@@ -169,10 +169,8 @@ typedef struct {
     mcp_asdf_accuracy_t accuracy;
     uint32_t t;
     uint32_t n;
-    uint32_t b_hat;
-    uint32_t comms_left;  /* ticks until a broadcast is due; 0 from then until settle */
-    uint32_t filter_left; /* ticks until the filter runs, counted at the ends of rounds */
-    uint32_t x_hat;       /* of the last observation */
+    uint32_t comms_left; /* ticks until a broadcast is due; 0 from then until settle */
+    uint32_t x_hat;      /* of the last observation */
     uint32_t alpha;
     uint32_t settled_x_hat; /* the same as the last settle found them: x is formed from these */
     uint32_t settled_alpha;
@@ -181,6 +179,8 @@ typedef struct {
     uint64_t closed_alpha; /* sums of the last closed round */
     uint64_t closed_alpha_x_low;
     uint64_t closed_alpha_x_high;
+    uint32_t filter_left; /* ticks until the filter runs, counted at the ends of rounds */
+    uint32_t b_hat;
 } mcp_asdf_t;
 
 /* Make a robot: no observations, no messages. Writes every member. O(q) for the table.

@@ -106,7 +106,7 @@ static void inverted_accuracies_are_alike(void)
     }
 }
 
-/* "mantissa, [2^31, 2^32), exponent, [-33, -30]" at the ends of both operands */
+/* "mantissa, [2^31, 2^32), exponent, [-33, -30]", "24 or 25 bits" at the ends of both operands */
 static void square_of_ratio_is_normal(void)
 {
     static const uint32_t operands[] = {0x80000000, 0x80000001, 0xB504F333,
@@ -116,6 +116,8 @@ static void square_of_ratio_is_normal(void)
             int32_t exponent = 0;
             const uint32_t mantissa = square_of_ratio(operands[i], operands[j], &exponent);
             GIVEN(operands[i], operands[j], mantissa);
+            const uint64_t quotient = ((uint64_t)(operands[i] >> 1) << 24) / (operands[j] >> 1);
+            CHECK(quotient >> 23 != 0 && quotient >> 25 == 0);
             CHECK(mantissa >> 31 == 1 && exponent >= -33 && exponent <= -30);
         }
     }

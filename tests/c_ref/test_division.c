@@ -18,15 +18,16 @@ static uint32_t divisor_near_end(uint32_t i)
 static uint32_t random_divisor(void) { return D_MIN + (uint32_t)(check_random() >> 34); }
 
 #if !MCP_ASDF_HARDWARE_DIVIDE
-/* "256 (1 / y - 1), rounded, at the middles y of 64 steps from 1/2 to 1, and at 1": y = (129 + 2 i) / 256 */
+/* "256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1": y = (129 + 2 i) /
+ * 256 */
 static void every_seed_is_rounded(void)
 {
     for (uint32_t i = 0; i < 64; ++i) {
         const uint32_t y = 129 + 2 * i;
         GIVEN(i, 0, 0);
-        CHECK_EQUAL(reciprocals[i], (2 * 256 * (256 - y) + y) / (2 * y));
+        CHECK_EQUAL(reciprocals[i], (2 * 256 * (256 - y) + y) / (2 * y) + 1);
     }
-    CHECK_EQUAL(reciprocals[64], 0);
+    CHECK_EQUAL(reciprocals[64], 1);
 }
 
 /* "at most 2^-13 of it too small, never too large: [2^15 - 4, 2^16]", for every divisor: its lowest 8 bits do

@@ -19,6 +19,21 @@ static void multiply_partial_products_fit(void)
         const uint32_t a = check_random_word(), b = check_random_word();
         GIVEN(a, b, 0);
         CHECK_EQUAL(multiply(a, b), (uint64_t)a * b);
+        CHECK_EQUAL(multiply_high(a, b), (uint64_t)a * b >> 32);
+    }
+}
+
+/* "a < 2^8 and b < 2^56" */
+static void multiply_small_at_the_ends(void)
+{
+    const uint64_t most = (UINT64_C(1) << 56) - 1;
+    for (uint32_t a = 0; a < 256; ++a) {
+        for (size_t i = 0; i < COUNT(ends); ++i) {
+            const uint64_t b = most - ((uint64_t)ends[i] << 8 | ends[COUNT(ends) - 1 - i] >> 24);
+            GIVEN(a, b, 0);
+            CHECK_EQUAL(multiply_small(a, b), a * b);
+            CHECK_EQUAL(multiply_small(a, ends[i]), (uint64_t)a * ends[i]);
+        }
     }
 }
 
@@ -40,6 +55,7 @@ static void leading_zeros_of_every_length(void)
         GIVEN(lowest, highest, 0);
         CHECK_EQUAL(leading_zeros(lowest), 31 - bit);
         CHECK_EQUAL(leading_zeros(highest), 31 - bit);
+        CHECK(bit < 30 || (leading_zero(lowest) == 31 - bit && leading_zero(highest) == 31 - bit));
     }
     for (int i = 0; i < 100000; ++i) {
         const uint32_t value = check_random_word() | 1;
@@ -85,6 +101,7 @@ static void words_split_and_join(void)
 int main(void)
 {
     multiply_partial_products_fit();
+    multiply_small_at_the_ends();
     leading_zeros_of_every_length();
     upper_at_every_shift();
     add_saturating_stops_at_65535();

@@ -33,6 +33,15 @@
 
 static mcp_asdf_config_t white_box_config = {0, 1, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
 
+/* What a robot keeps for b_hat; every member is written. */
+static inline mcp_asdf_accuracy_t accuracy_of(uint32_t b_hat)
+{
+    mcp_asdf_accuracy_t accuracy;
+    memset(&accuracy, 0xA5, sizeof accuracy);
+    set_accuracy(&accuracy, b_hat);
+    return accuracy;
+}
+
 /* A robot with these observations behind it. */
 static inline mcp_asdf_t robot_at(uint32_t t, uint32_t n, uint32_t b_hat)
 {

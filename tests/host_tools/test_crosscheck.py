@@ -526,7 +526,7 @@ def test_exact_values_where_nothing_is_known() -> None:
     assert exact_estimate(3, 7, Fraction(1, 2) + Fraction(1, 2**13))[1] > 0
 
 
-@pytest.mark.parametrize(("name", "excess"), [("x_hat", 1), ("x_hat", -1), ("alpha", 4), ("b_hat", 4)])
+@pytest.mark.parametrize(("name", "excess"), [("x_hat", 1), ("x_hat", -1), ("alpha", 8), ("b_hat", 4)])
 def test_a_value_beyond_its_limit_is_told(name: str, excess: int) -> None:
     """Some units more than the right value, in a state that is right otherwise."""
     scenario = parse_scenario("robot:1:1:1:64:0:3221225472,receive:1:3000000:1065353216,step:1,step:0,step:0")
