@@ -1,0 +1,17 @@
+/* What the robot of demo.c asks of its board, beside port.h and a radio. Boards are avr/demo_atmega.c and
+ * cortex_m/demo_mps2.c; demo_scripted.c is one for tests. */
+#ifndef MCP_ASDF_DEMO_H
+#define MCP_ASDF_DEMO_H
+
+#include "mcp_asdf.h"
+
+/* Switch on sensor, clock and the receiving side of the serial line, whose bytes go to radio_hear(). */
+void board_start(void);
+
+/* Whether a control tick, a tenth of a second, has begun since the last call. Does not wait. */
+bool board_tick(void);
+
+/* What the ground sensor sees now; MCP_ASDF_NONE if it cannot tell. */
+mcp_asdf_observation_t board_tile(void);
+
+#endif

@@ -1,0 +1,83 @@
+/* Plays a script (demo_scripted.c has the format) to a robot's image on a simulated ATmega328P, as its
+ * hardware would: tiles as voltages at ADC0, bytes of the radio on the UART, ticks by the chip's own timer.
+ * What the UART sends goes to a file. Usage: avr_robot IMAGE FILE < SCRIPT */
+#include <simavr/avr_adc.h>
+#include <simavr/avr_uart.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_elf.h>
+
+#include <stdio.h>
+#include <stdlib.h>
+
+#define CLOCK 16000000
+#define TICK (CLOCK / 10)
+#define BYTE (CLOCK / 11520) /* cycles that a byte takes at 115200 baud */
+#define BLACK_MILLIVOLTS 1000
+#define WHITE_MILLIVOLTS 4000
+
+static avr_t *avr;
+static FILE *output;
+
+static void run_until(avr_cycle_count_t cycle)
+{
+    while (avr->cycle < cycle) {
+        const int state = avr_run(avr);
+        if (state == cpu_Done || state == cpu_Crashed) {
+            exit(1);
+        }
+    }
+}
+
+static void sent(struct avr_irq_t *irq, uint32_t value, void *parameter)
+{
+    (void)irq;
+    (void)parameter;
+    (void)fputc((int)value, output);
+}
+
+static void stay_awake(struct avr_t *machine, avr_cycle_count_t howlong)
+{
+    (void)machine;
+    (void)howlong;
+}
+
+static void start(const char *image)
+{
+    elf_firmware_t firmware = {0};
+    uint32_t flags = 0;
+    avr = avr_make_mcu_by_name("atmega328p");
+    if (avr == NULL || elf_read_firmware(image, &firmware) != 0) {
+        exit(2);
+    }
+    avr_init(avr);
+    avr_load_firmware(avr, &firmware);
+    avr->frequency = CLOCK;
+    avr->vcc = avr->avcc = 5000;
+    avr->sleep = stay_awake;
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), sent, NULL);
+}
+
+int main(int count, char **arguments)
+{
+    output = count == 3 ? fopen(arguments[2], "wb") : NULL;
+    if (output == NULL) {
+        return 2;
+    }
+    start(arguments[1]);
+    avr_irq_t *const radio = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+    avr_irq_t *const sensor = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
+    avr_cycle_count_t now = TICK / 2; /* half a tick away from the robot's */
+    run_until(now);
+    for (int byte = getchar(); byte != EOF; byte = getchar()) {
+        for (int left = byte - 2; left > 0; --left) {
+            avr_raise_irq(radio, (uint32_t)getchar());
+            run_until(avr->cycle + BYTE);
+        }
+        if (byte <= 1) {
+            avr_raise_irq(sensor, byte == 1 ? BLACK_MILLIVOLTS : WHITE_MILLIVOLTS);
+            run_until(now += TICK);
+        }
+    }
+    return fclose(output);
+}

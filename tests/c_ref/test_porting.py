@@ -1,0 +1,355 @@
+"""The robot of docs/porting.md: the page shows it, it builds as the page says, and on every board it does
+what the mirror does, to the bit.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import subprocess
+import threading
+from collections.abc import Iterable
+from contextlib import suppress
+from itertools import repeat
+from pathlib import Path
+
+import can
+import pytest
+from support import CORE, ROOT, require, run
+
+from firmware_py.mirror import MirrorRobot
+from firmware_py.robot import Config, Observation, Status
+from host_tools import frames
+from host_tools.frames import FrameFormat, Heartbeat, Message, Telemetry
+from host_tools.tables import generate, parse_omega
+
+PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
+PORTS = ROOT / "c_ref/ports"
+ROBOT_ID, B_HAT = 7, 0xF3333333
+ESTIMATES = FrameFormat()
+MARK, PACKET, SLOTS = 0x7E, 13, 8
+IMAGE_SIZE = 136
+GREETING = b"?"
+"""Of the board that takes a script."""
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+
+
+# --- What the robot has to send ----------------------------------------------------------------------------
+
+
+def checksum(content: bytes) -> int:
+    """CRC-8 with the polynomial 0x07, bit by bit as a division."""
+    value = int.from_bytes(content, "big") << 8
+    for bit in reversed(range(8, 8 + 8 * len(content))):
+        if value >> bit & 1:
+            value ^= 0x107 << (bit - 8)
+    return value
+
+
+def packet(frame: can.Message) -> bytes:
+    content = frame.arbitration_id.to_bytes(4, "little") + bytes(frame.data)
+    return bytes([MARK]) + content + bytes([checksum(content)])
+
+
+class Expected:
+    """The demonstration robot in Python, on the mirror, with the radio's queue.
+
+    Attributes:
+        sent: What it has sent over the serial line.
+    """
+
+    def __init__(self) -> None:
+        self.sent = b""
+        self._robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), ROBOT_ID, B_HAT / 2**32)
+        assert self._robot.b_hat_raw == B_HAT
+        self._ticks = self._lost = 0
+
+    def hear(self, received: bytes) -> None:
+        """Bytes that come at once, of which the queue keeps the first packets."""
+        packets = re.findall(rb"\x7e(.{13})", received, re.DOTALL)
+        self._lost += max(0, len(packets) - SLOTS)
+        for content in packets[:SLOTS]:
+            if checksum(content[:-1]) != content[-1]:
+                self._lost += 1
+                continue
+            identifier = int.from_bytes(content[:4], "little")
+            message = frames.decode(can.Message(arbitration_id=identifier, data=content[4:-1]), ESTIMATES)
+            if isinstance(message, Message):
+                self._robot.receive_raw(message.sender, message.x_hat, message.alpha)
+
+    def tick(self, z: Observation) -> None:
+        robot = self._robot
+        assert robot.observe(z) is Status.DUE
+        own = Message(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, self._ticks % 32)
+        self.sent += packet(frames.encode(own, ESTIMATES))
+        robot.settle()
+        self._ticks += 1
+        if self._ticks % 10 == 0:
+            self._report(self._ticks // 10)
+
+    def _report(self, seconds: int) -> None:
+        robot, count = self._robot, (seconds - 1) % 32
+        beat = Heartbeat(ROBOT_ID, seconds, count, vendor_status=self._lost % 256)
+        updates = robot.counters.updates % 256
+        state = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, count)
+        self.sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
+
+    def play(self, script: bytes) -> bytes:
+        """What it sends while a script is played; demo_scripted.c has the format."""
+        at = 0
+        while at < len(script):
+            length = max(0, script[at] - Observation.NONE)
+            if length:
+                self.hear(script[at + 1 : at + 1 + length])
+            else:
+                self.tick(Observation(script[at]))
+            at += 1 + length
+        return self.sent
+
+
+def script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> bytes:
+    """A run in a swarm that sees about 70 % black, with packets that are damaged or none of ours."""
+    stream = random.Random(seed)
+    return b"".join(
+        records([a_packet(stream) for _ in range(stream.randint(0, most_packets))])
+        + bytes([stream.choice(tiles)])
+        for _ in range(ticks)
+    )
+
+
+def records(packets: list[bytes]) -> bytes:
+    """The packets with noise between them, as one record of the script."""
+    content = b"\x00\xff".join(packets)
+    return bytes([Observation.NONE + len(content)]) + content if packets else b""
+
+
+def a_packet(stream: random.Random) -> bytes:
+    sender, x_hat = stream.choice((1, 2, 3, ROBOT_ID, 127)), round(2**23 * stream.uniform(0.6, 0.8))
+    alpha = frames.bits_of(stream.choice((0.0, 1.0, 1e3, 1e8)))
+    frame = frames.encode(Message(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
+    if stream.random() < 0.2:  # another subject, x_hat too large, no estimate at all
+        frame.arbitration_id ^= stream.choice((0, 1 << 8))
+        frame.data[stream.choice((2, 6, 7))] ^= 0x80
+    whole = bytearray(packet(frame))
+    if stream.random() < 0.1:
+        whole[stream.randrange(1, len(whole))] ^= 1 << stream.randrange(8)
+    return bytes(whole)
+
+
+# --- The page --------------------------------------------------------------------------------------------
+
+
+def test_the_page_shows_the_demonstration() -> None:
+    assert blocks("c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
+
+
+CORES = {
+    "Cortex-M4": ("arm-none-eabi-", "-mcpu=cortex-m4 -mthumb", "gcc-arm-none-eabi"),
+    "Cortex-M0+": ("arm-none-eabi-", "-mcpu=cortex-m0plus -mthumb", "gcc-arm-none-eabi"),
+    "RV32IMAC": ("riscv64-unknown-elf-", "-march=rv32imac -mabi=ilp32", "gcc-riscv64-unknown-elf"),
+    "ATmega328P": ("avr-", "-mmcu=atmega328p", "gcc-avr avr-libc"),
+}
+
+
+def test_the_page_budgets_for_every_core() -> None:
+    assert [core for _, core in re.findall(r"([\d.]+) KB \(([\w+-]+)\)", PAGE)] == list(CORES)
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_the_core_keeps_to_the_page_s_budget(core: str, tmp_path: Path) -> None:
+    tools, flags, packages = CORES[core]
+    compiler, out = require(f"{tools}gcc", packages), tmp_path / "core.o"
+    run(compiler, *flags.split(), "-std=c99", "-ffreestanding", "-Os", "-c", CORE, "-o", out)
+    text, data, bss = map(int, run(f"{tools}size", out).splitlines()[1].split()[:3])
+    (budget,) = re.findall(rf"([\d.]+) KB \({re.escape(core)}\)", PAGE)
+    assert text <= 1000 * float(budget)
+    assert (data, bss) == (0, 0)
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """The project of the page: its build file and its main loop; a board is still to be chosen."""
+    (tmp_path / "mcp-asdf").symlink_to(ROOT)
+    (tmp_path / "CMakeLists.txt").write_text(blocks("cmake")[0])
+    (tmp_path / "main.c").write_text(blocks("c")[0])
+    return tmp_path
+
+
+def build(project: Path, board: str, target: str | None = None) -> Path:
+    """The robot's image for a target of c_ref/cmake, or for this computer."""
+    board_source = (PORTS / board).read_text(encoding="utf-8")
+    (project / "board.c").write_text(board_source.replace('"../', '"'))
+    options = ["-DCMAKE_BUILD_TYPE=MinSizeRel"]
+    if target:
+        options.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT}/c_ref/cmake/{target}.cmake")
+    run(require("cmake"), "-S", project, "-B", project / "build", *options, CFLAGS=WARNINGS)
+    run("cmake", "--build", project / "build")
+    return project / "build/robot"
+
+
+def answers(command: list[str | Path], given: Iterable[bytes], size: int, greeting: int = 0) -> bytes:
+    """The first bytes that a machine sends, which never ends by itself; it is killed after a minute.
+
+    It is given nothing before it has sent its greeting, of so many bytes.
+    """
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as machine:
+        assert machine.stdout
+        deadline = threading.Timer(60, machine.kill)
+        deadline.start()
+        sent = machine.stdout.read(greeting)
+        writer = threading.Thread(target=write, args=(machine, given))
+        writer.start()
+        sent += machine.stdout.read(size - greeting)
+        machine.kill()
+        writer.join()
+        deadline.cancel()
+    return sent
+
+
+def write(machine: subprocess.Popen[bytes], given: Iterable[bytes]) -> None:
+    assert machine.stdin
+    with suppress(BrokenPipeError), machine.stdin:  # it is killed when enough was said
+        for part in given:
+            machine.stdin.write(part)
+
+
+MACHINES = {
+    "cortex-m3": "qemu-system-arm -M mps2-an385 -display none -serial stdio -kernel",
+    "rv32imac": "qemu-system-riscv32 -M virt -display none -serial stdio -bios none -kernel",
+}
+PACKAGES = {
+    "cortex-m3": "gcc-arm-none-eabi qemu-system-arm",
+    "rv32imac": "gcc-riscv64-unknown-elf qemu-system-misc",
+    "avr": "gcc-avr avr-libc libsimavr-dev",
+}
+COMPILERS = {
+    "cortex-m3": "arm-none-eabi-gcc",
+    "rv32imac": "riscv64-unknown-elf-gcc",
+    "avr": "avr-gcc",
+}
+
+
+def machine(target: str) -> list[str | Path]:
+    """The command that runs an image, but for its name."""
+    require(COMPILERS[target], PACKAGES[target])
+    emulator, *options = MACHINES[target].split()
+    return [require(emulator, PACKAGES[target]), *options]
+
+
+def test_it_does_what_the_mirror_does(project: Path) -> None:
+    played = script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
+    done = subprocess.run([build(project, "demo_scripted.c")], input=played, capture_output=True, check=True)
+    assert done.stdout == GREETING + Expected().play(played)
+
+
+@pytest.mark.parametrize("target", MACHINES)
+def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
+    command = machine(target)
+    played = script(seed=6, ticks=1010, tiles=(0, 1, 1, 2), most_packets=1)
+    expected = GREETING + Expected().play(played)
+    image = build(project, "demo_scripted.c", target)
+    assert answers([*command, image], [played], len(expected), len(GREETING)) == expected
+
+
+def test_its_interrupts_receive_while_it_sends(project: Path) -> None:
+    """The board with interrupts and a clock of its own. Neighbours say the same without a pause, far faster
+    than any line can: most of it is lost, which shows in the heartbeat only.
+    """
+    command = machine("cortex-m3")
+    neighbours = [frames.encode(Message(node, 2**22, 0x42000000, 0), ESTIMATES) for node in (1, 2)]
+    heard = b"".join(map(packet, neighbours))
+    in_a_tick = bytes([Observation.NONE + len(heard)]) + heard + bytes([Observation.WHITE])
+    expected = Expected().play(in_a_tick * 10)
+    image = build(project, "cortex_m/demo_mps2.c", "cortex-m3")
+    sent = answers([*command, image], repeat(heard), len(expected))
+    status = slice(10 * 14 + 11, 11 * 14)  # of the heartbeat: from the number of lost packets on
+    assert sent[: status.start] + sent[status.stop :] == expected[: status.start] + expected[status.stop :]
+
+
+# --- Over a reset ------------------------------------------------------------------------------------------
+
+POWER_FAILS = """
+#include <stdio.h>
+#include <string.h>
+
+static uint8_t memory[2][MCP_ASDF_IMAGE_SIZE];
+static unsigned bytes_left; /* until the power fails */
+
+void board_store(uint8_t copy, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
+{
+    for (unsigned i = 0; i < MCP_ASDF_IMAGE_SIZE && bytes_left > 0; ++i, --bytes_left) {
+        memory[copy][i] = image[i];
+    }
+}
+
+void board_load(uint8_t copy, uint8_t image[MCP_ASDF_IMAGE_SIZE])
+{
+    memcpy(image, memory[copy], MCP_ASDF_IMAGE_SIZE);
+}
+
+int main(void)
+{
+    static const mcp_asdf_config_t config = {0, 1, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    const unsigned whole = 2 * MCP_ASDF_IMAGE_SIZE;
+    mcp_asdf_t robot, found;
+    memset(memory, 0xFF, sizeof memory);
+    if (begin(&robot, &config, 3, 0xC0000000) != MCP_ASDF_OK || mcp_asdf_t_count(&robot) != 0) {
+        return 1;
+    }
+    for (unsigned fails = 0; fails <= whole; ++fails) {
+        bytes_left = whole;
+        keep(&robot);
+        mcp_asdf_step(&robot, MCP_ASDF_BLACK);
+        bytes_left = fails;
+        keep(&robot);
+        begin(&found, &config, 3, 0xC0000000);
+        printf("%lu ", (unsigned long)(mcp_asdf_t_count(&robot) - mcp_asdf_t_count(&found)));
+    }
+    return 0;
+}
+"""
+
+
+def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
+    """Observations lost after a power failure at every byte of the writing: one until a copy is whole."""
+    (tmp_path / "main.c").write_text(blocks("c")[1] + POWER_FAILS)
+    sources = [tmp_path / "main.c", ROOT / "c_ref/src/mcp_asdf.c"]
+    run("cc", "-std=c99", *WARNINGS.split(), f"-I{ROOT}/c_ref/src", *sources, "-o", tmp_path / "robot")
+    lost = [int(number) for number in run(tmp_path / "robot").split()]
+    assert lost == [1] * IMAGE_SIZE + [0] * (IMAGE_SIZE + 1)
+
+
+# --- The whole firmware of an ATmega328P -------------------------------------------------------------------
+
+
+def avr_image(folder: Path) -> Path:
+    """The robot's image, built by the page's command."""
+    require("avr-gcc", PACKAGES["avr"])
+    (command,) = (block for block in blocks("console") if "avr-gcc" in block)
+    (folder / "c_ref").symlink_to(ROOT / "c_ref")
+    (folder / "tables").symlink_to(ROOT / "tables")
+    run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), cwd=folder)
+    return folder / "robot.elf"
+
+
+def test_it_leaves_half_of_an_atmega_s_flash_and_most_of_its_memory(tmp_path: Path) -> None:
+    _, numbers = run(require("avr-size"), avr_image(tmp_path)).splitlines()
+    text, data, bss = map(int, numbers.split()[:3])
+    assert text + data < 16 * 1024
+    assert data + bss < 320
+
+
+def test_it_does_the_same_on_an_atmega(tmp_path: Path) -> None:
+    """With the chip's own timer, ADC and UART interrupt; a byte comes when the line can bring it."""
+    image = avr_image(tmp_path)
+    if not Path("/usr/include/simavr/sim_avr.h").exists():
+        pytest.skip(f"no simavr library: apt-get install {PACKAGES['avr']}")
+    simulator, source = tmp_path / "avr_robot", Path(__file__).with_name("avr_robot.c")
+    run("cc", "-O2", "-I/usr/include/simavr", source, "-lsimavr", "-o", simulator)
+    played = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
+    subprocess.run([simulator, image, tmp_path / "sent"], input=played, capture_output=True, check=True)
+    assert (tmp_path / "sent").read_bytes() == Expected().play(played)
