@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import configparser
-from dataclasses import dataclass
+import errno
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Any
 
 import can
@@ -21,6 +23,11 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "virtual": {"channel": "vcan0", "preserve_timestamps": True},
     "udp_multicast": {"hop_limit": 0},
 }
+_ECHOING = "udp_multicast"
+"""The kind of bus that returns to a connection what it has sent itself, unmarked."""
+_ROBOT = "{robot}"
+_UDP_PORT = 43113
+"""python-can's."""
 _OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
@@ -41,14 +48,111 @@ class BusChoice:
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
 
+    @property
+    def has_channels(self) -> bool:
+        """Whether this is a bus for each robot: its channel says where the id stands, as in vcan{robot}."""
+        return _ROBOT in (self.channel or "")
+
+    def of_robot(self, robot: int) -> BusChoice:
+        """The bus of a robot, if each has one, else this bus."""
+        if self.channel is None or not self.has_channels:
+            return self
+        channel = self.channel.replace(_ROBOT, str(robot))
+        own: dict[str, Any] = {"channel": channel}
+        if self.interface == "udp_multicast":
+            # Linux hands the frames of all groups that anyone here has joined to every socket of a port.
+            given = getattr(self._args, "bus_kwargs", {})
+            own |= {"bus_kwargs": given | {"port": int(given.get("port", _UDP_PORT)) + robot}}
+        return replace(self, channel=channel, _args=argparse.Namespace(**vars(self._args) | own))
+
     def open(self) -> can.BusABC:
         """Join the bus as one more node. Raises UsageError if that is impossible."""
         try:
-            return create_bus_from_namespace(self._args, **self._defaults)
+            bus = create_bus_from_namespace(self._args, **self._defaults)
         except argparse.ArgumentError as error:
+            raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
+        return WithoutEcho(bus) if self.interface == _ECHOING else bus
+
+    def arguments(self) -> list[str]:
+        """The options with which a command of another process joins the same bus.
+
+        Raises UsageError if no other process can.
+        """
+        if self.interface == DEFAULT_INTERFACE:
             raise UsageError(
-                f"cannot open the bus {self}: {error.__cause__}; see --interface, --channel and --bus-kwargs"
-            ) from error
+                f"the bus {self} is inside this process, so no other can join it; "
+                "choose --interface socketcan or udp_multicast"
+            )
+        return self.options()
+
+    def options(self) -> list[str]:
+        """The options that choose this bus."""
+        words = [f"--interface={self.interface}", *([f"--channel={self.channel}"] if self.channel else [])]
+        for name in ("bitrate", "data_bitrate"):
+            if getattr(self._args, name, None) is not None:
+                words.append(f"--{name.replace('_', '-')}={getattr(self._args, name)}")
+        words += ["--fd"] if getattr(self._args, "fd", False) else []
+        kwargs = getattr(self._args, "bus_kwargs", {})
+        return words + (
+            ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
+        )
+
+    def _explain(self, cause: BaseException | None) -> str:
+        """What went wrong and what helps."""
+        if self.interface not in can.VALID_INTERFACES:
+            return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
+        is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
+        if self.interface != "socketcan" or not is_missing:
+            return f"{cause}; see --interface, --channel and --bus-kwargs"
+        channel = self.channel or "can0"
+        ways = _VIRTUAL if channel.startswith("vcan") else _REAL
+        return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
+
+
+class WithoutEcho(can.BusABC):
+    """A connection to a bus that returns all frames it is given, without those that are its own."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        """Take over ``bus``: whoever closes this connection closes it, too."""
+        super().__init__(channel=str(bus.channel_info))
+        self.channel_info = bus.channel_info
+        self._can_protocol = bus.protocol
+        self._bus = bus
+        # A returned frame may be lost: then one from elsewhere with the same id and data passes for it, once.
+        self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, as ``can.BusABC.send``."""
+        self._own.append(_content(msg))
+        self._bus.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            frame, is_filtered = self._bus._recv_internal(timeout)
+            if frame is None or _content(frame) not in self._own:
+                return frame, is_filtered
+            self._own.remove(_content(frame))
+            timeout = 0.0  # whoever called waits on for what is left of its time
+
+    def fileno(self) -> int:
+        """The file descriptor that can be waited for."""
+        return self._bus.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        self._bus.shutdown()
+
+
+_MOST_ECHOES = 4096
+
+
+def _content(frame: can.Message) -> tuple[int, bytes]:
+    return frame.arbitration_id, bytes(frame.data)
+
+
+_VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
+_REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,310 @@
+"""The protocol of docs/frame.md: what a robot in lockstep does, and what its driver makes of the answers."""
+
+from __future__ import annotations
+
+import argparse
+import random
+
+import can
+import pytest
+from multicast import multicast
+from wire import Wire, node, record
+
+from firmware_py.robot import Filter, Observation
+from host_tools.buses import add_arguments, choose_bus
+from host_tools.errors import UsageError
+from host_tools.frames import (
+    EVERY_ROBOT,
+    Action,
+    Command,
+    FrameFormat,
+    Heartbeat,
+    Message,
+    Rejection,
+    Telemetry,
+    decode,
+    decode_command,
+    decode_heartbeat,
+    decode_telemetry,
+    encode,
+    encode_command,
+    float_of,
+)
+from host_tools.lockstep import Lockstep, LockstepError, LockstepSettings
+from host_tools.node import NodeSettings, RobotNode, Subjects
+from host_tools.node_run import state_of
+from host_tools.processes import start_nodes
+
+COLOURS = tuple(Observation)
+
+
+def command(tick: int, target: int, action: Action) -> can.Message:
+    return encode_command(Command(126, tick, target, action, 0))
+
+
+def kind(frame: can.Message) -> str:
+    """What a frame is: heartbeat, estimate or telemetry."""
+    decoded = {"h": decode_heartbeat(frame), "e": decode(frame, FrameFormat()), "t": decode_telemetry(frame)}
+    return "".join(letter for letter, what in decoded.items() if not isinstance(what, Rejection))
+
+
+def kinds(frames: list[can.Message]) -> str:
+    return "".join(map(kind, frames))
+
+
+# The robot's half
+
+
+def test_the_rules_one_by_one() -> None:
+    robot = node(5, comms_period=2)
+    assert kinds(robot.start()) == "h"
+    observe, settle = Action.OBSERVE_BLACK, Action.SETTLE
+    steps = [
+        (command(0, 5, settle), ""),  # nothing to settle
+        (command(0, 6, observe), ""),  # for another
+        (command(0, 5, observe), ""),  # no broadcast due
+        (command(0, 5, observe), ""),  # repeated
+        (command(1, 5, observe), ""),  # not settled
+        (command(1, 5, settle), ""),  # another tick's
+        (command(0, 6, settle), ""),  # for another
+        (command(0, 5, settle), "t"),
+        (command(0, 5, settle), ""),  # repeated
+        (command(7, EVERY_ROBOT, observe), "e"),  # any tick will do
+        (command(7, EVERY_ROBOT, settle), "t"),
+        (command(7, 5, Action.OBSERVE_NONE), ""),  # the number may come again
+        (command(7, 5, settle), "t"),
+    ]
+    assert [kinds(robot.hear(frame)) for frame, _ in steps] == [answer for _, answer in steps]
+    assert (robot.robot.t, robot.robot.n, robot.ticks) == (2, 2, 3)
+    assert (robot.traffic.obeyed, robot.traffic.disobeyed) == (6, 5)
+
+
+def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
+    robot = RobotNode(node(5).robot, NodeSettings(5, ticks_per_second=3))
+    said = [robot.start()]
+    for tick in range(7):
+        said += [
+            robot.hear(command(tick, 5, Action.OBSERVE_WHITE)),
+            robot.hear(command(tick, 5, Action.SETTLE)),
+        ]
+    assert [kinds(frames) for frames in said] == [
+        "h",
+        *["e", "t"] * 3,
+        *["he", "t", "e", "t", "e", "t"],
+        "he",
+        "t",
+    ]
+    beats = [beat for frames in said for f in frames if isinstance(beat := decode_heartbeat(f), Heartbeat)]
+    assert [(beat.uptime, beat.transfer_id) for beat in beats] == [(0, 0), (1, 1), (2, 2)]
+
+
+@pytest.mark.parametrize("when", ["before observe", "in a tick", "between ticks"])
+def test_estimates_count_whenever_they_come(when: str) -> None:
+    robot = node(5)
+    estimate = encode(Message(6, 1 << 22, 0x3F80_0000, 0), FrameFormat())
+    orders = [command(0, 5, Action.OBSERVE_BLACK), command(0, 5, Action.SETTLE)]
+    orders += [command(1, 5, Action.OBSERVE_BLACK), command(1, 5, Action.SETTLE)]
+    orders.insert({"before observe": 0, "in a tick": 1, "between ticks": 2}[when], estimate)
+    for frame in orders:
+        robot.hear(frame)
+    assert robot.robot.counters.accepted == 1
+    assert (robot.robot.beta > 0) == (when == "between ticks")  # of the last round
+
+
+def test_frames_of_each_kind_are_numbered_on_their_own() -> None:
+    robot = node(5, comms_period=2, filter_period=2)
+    wire = Wire(robot)
+    lockstep = Lockstep(wire)
+    for _ in range(70):
+        lockstep.observe({5: Observation.BLACK})
+        lockstep.settle({5})
+    estimates = [m for f in wire.told if isinstance(m := decode(f, FrameFormat()), Message)]
+    telemetry = [t for f in wire.told if isinstance(t := decode_telemetry(f), Telemetry)]
+    assert [m.transfer_id for m in estimates] == [n % 32 for n in range(35)]
+    assert [t.transfer_id for t in telemetry] == [n % 32 for n in range(70)]
+
+
+# The driver's half
+
+
+@pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
+def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
+    robots, ids = [node(i, firmware, 0.55 + 0.1 * i) for i in range(4)], range(4)
+    twins = [node(i, firmware, 0.55 + 0.1 * i).robot for i in ids]
+    lockstep, draw = Lockstep(Wire(*robots)), random.Random(5)
+    for _ in range(120):
+        z = {robot: draw.choice(COLOURS) for robot in ids}
+        lockstep.observe(z)
+        estimates = lockstep.estimates(ids)
+        answers = lockstep.settle(ids)
+        for robot, twin in enumerate(twins):
+            twin.observe(z[robot])
+            said = estimates[robot]
+            assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
+        for robot, twin in enumerate(twins):
+            for other in ids:
+                if other != robot:
+                    twin.receive(other, estimates[other].x_hat / 2**23, float_of(estimates[other].alpha))
+        for robot, twin in enumerate(twins):
+            twin.settle()
+            told = answers[robot]
+            assert (told.x, told.b_hat) == (int(twin.x * 2**23), int(twin.b_hat * 2**24))
+            assert told.updates == twin.counters.updates % 256
+    assert sum(twin.counters.updates for twin in twins) > 0
+    assert lockstep.tick == 120
+
+
+def test_late_robots_are_named() -> None:
+    robots = [node(i) for i in range(3)]
+    wire = Wire(*robots)
+    wire.nodes.pop(1)
+    lockstep = Lockstep(wire, timeout=0.02)
+    with pytest.raises(LockstepError, match=r"robot 4, 5 did not say that it is there within 0.01 s on wire"):
+        lockstep.wait_until_up({0, 2, 4, 5}, 0.01)
+    lockstep.observe(dict.fromkeys(range(3), Observation.WHITE))
+    with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
+        lockstep.estimates(range(3))
+    with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
+        lockstep.settle(range(3))
+
+
+def test_what_came_before_it_was_waited_for_counts() -> None:
+    lockstep = Lockstep(Wire(node(1), node(2)), timeout=0.02)
+    lockstep.wait_until_up({1, 2}, 0.01)
+    lockstep.observe({1: Observation.WHITE, 2: Observation.BLACK})
+    assert set(lockstep.estimates({2})) == {2}
+    assert set(lockstep.estimates({1})) == {1}
+    with pytest.raises(LockstepError):
+        lockstep.estimates({3})
+
+
+def test_estimates_of_an_earlier_tick_do_not_count() -> None:
+    lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
+    for _ in range(2):
+        lockstep.observe({1: Observation.WHITE})
+        lockstep.settle({1})
+    lockstep.observe({1: Observation.WHITE})
+    with pytest.raises(LockstepError, match="robot 1 did not broadcast"):
+        lockstep.estimates({1})
+
+
+def test_a_robot_that_restarts_is_noticed() -> None:
+    wire = Wire(node(1))
+    lockstep = Lockstep(wire, timeout=0.02)
+    for _ in range(3):
+        lockstep.observe({1: Observation.WHITE})
+        lockstep.settle({1})
+    wire.nodes[0] = node(1)
+    lockstep.observe({1: Observation.WHITE})
+    with pytest.raises(
+        LockstepError, match=r"robot 1 answered in tick 3 with telemetry 0, not 3 .*restarted"
+    ):
+        lockstep.settle({1})
+
+
+def test_a_driver_may_join_robots_that_have_run_before() -> None:
+    robot = node(1)
+    for lockstep in (Lockstep(Wire(robot)), Lockstep(Wire(robot))):
+        for _ in range(5):
+            lockstep.observe({1: Observation.WHITE})
+            assert set(lockstep.settle({1})) == {1}
+    assert robot.ticks == 10
+
+
+def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
+    wire, seen = Wire(node(1), node(2)), list[can.Message]()
+
+    def give_up() -> None:
+        raise ZeroDivisionError
+
+    lockstep = Lockstep(wire, watch=seen.append, check=give_up)
+    lockstep.observe({1: Observation.WHITE, 2: Observation.WHITE})
+    lockstep.estimates({1, 2})
+    lockstep.settle({1, 2})
+    assert [frame for frame in seen if frame.is_rx] == wire.told
+    assert [frame for frame in seen if not frame.is_rx] == wire.sent
+    assert [frame.is_rx for frame in seen] == [False, False, *[True] * 4, False, False, True, True]
+    with pytest.raises(ZeroDivisionError):
+        lockstep.wait_until_up({3}, 60)
+
+
+def test_commands_are_where_they_were_asked_to_be() -> None:
+    subjects = Subjects(FrameFormat(1), FrameFormat(2), FrameFormat(3, priority=0))
+    wire = Wire(RobotNode(record(1).make(), NodeSettings(1, subjects)))
+    lockstep = Lockstep(wire, LockstepSettings(subjects, node=99))
+    for _ in range(40):
+        lockstep.observe({1: Observation.NONE})
+        lockstep.estimates({1})
+        lockstep.settle({1})
+    commands = [decode_command(frame, subjects.commands) for frame in wire.sent]
+    actions = (Action.OBSERVE_NONE, Action.SETTLE)
+    assert commands == [Command(99, n // 2, 1, actions[n % 2], n % 32) for n in range(80)]
+
+
+def test_ids_and_subjects_that_clash_are_refused() -> None:
+    with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
+        Lockstep(Wire()).observe({126: Observation.WHITE})
+    with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
+        Subjects(estimates=FrameFormat(3001))
+    with pytest.raises(UsageError, match="id is 128; it must be 0 to 127"):
+        NodeSettings(128)
+
+
+# Processes
+
+
+def test_processes_do_what_robots_in_this_process_do() -> None:
+    choice = multicast(1)
+    records = [record(0, "native", b_hat=0.55), record(7, "mirror", filter=Filter.ALWAYS, comms_period=2)]
+    twins = Wire(*(RobotNode(each.make(), NodeSettings(each.id)) for each in records))
+    draw, ids = random.Random(3), (0, 7)
+    with choice.open() as bus, start_nodes(records, lambda robot: choice, Subjects(), 10) as nodes:
+        lockstep, model = Lockstep(bus, timeout=30, check=nodes.check), Lockstep(twins)
+        lockstep.wait_until_up(ids, 60)
+        for tick in range(60):
+            z = {robot: draw.choice(COLOURS) for robot in ids}
+            due = ids if tick % 2 else (0,)
+            for each in (lockstep, model):
+                each.observe(z)
+            assert lockstep.estimates(due) == model.estimates(due)
+            assert lockstep.settle(ids) == model.settle(ids)
+    for twin in twins.nodes:
+        results = nodes.reports[twin.settings.id]["results"]
+        assert results["robot"] == state_of(twin.robot)
+        # Filters keep heartbeats and telemetry away from a process.
+        assert results["frames"] == twin.traffic.figures() | {"rejected": {}}
+        assert (results["ticks"], results["ending"]) == (60, "told to stop")
+
+
+def test_a_process_that_ends_is_named_with_what_it_said() -> None:
+    choice = multicast(2)
+    with (
+        choice.open() as bus,
+        start_nodes([record(3, memory=63)], lambda robot: choice, Subjects(), 10) as nodes,
+    ):
+        lockstep = Lockstep(bus, check=nodes.check)
+        with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: .*memory is 63"):
+            lockstep.wait_until_up({3}, 60)
+    assert nodes.reports == {}
+
+
+def test_processes_end_when_whoever_started_them_dies() -> None:
+    """Their standard input ends then; nothing else tells them."""
+    choice = multicast(3)
+    with choice.open() as bus, start_nodes([record(3)], lambda robot: choice, Subjects(), 10) as nodes:
+        Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
+        (process,) = nodes._processes.values()
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(30) == 0
+        process.stdin = None
+
+
+def test_a_bus_inside_this_process_is_no_place_for_others() -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    choice = choose_bus(parser.parse_args([]))
+    with pytest.raises(UsageError, match="inside this process, so no other can join it"):
+        start_nodes([record(3)], lambda robot: choice, Subjects(), 10)
+    with pytest.raises(UsageError, match=r"two robots have one id among \[3, 3\]"):
+        start_nodes([record(3), record(3)], lambda robot: choice, Subjects(), 10)

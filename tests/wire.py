@@ -1,0 +1,71 @@
+"""A bus without time or threads: whoever is on it hears and answers while a frame is sent."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from copy import copy
+
+import can
+
+from firmware_py.robot import Config, Filter
+from host_tools.node import NodeSettings, RobotNode
+from host_tools.sidecar import RobotRecord
+from host_tools.tables import generate, parse_omega
+
+TABLE = generate(parse_omega("0.05"), 20)
+
+
+class Wire(can.BusABC):
+    """The connection of a tool to some nodes, which also hear each other.
+
+    Attributes:
+        sent: What the tool has sent.
+        told: What nodes have sent.
+    """
+
+    def __init__(self, *nodes: RobotNode) -> None:
+        super().__init__(channel="wire")
+        self.channel_info = "wire"
+        self.nodes = list(nodes)
+        self.sent: list[can.Message] = []
+        self.told: list[can.Message] = []
+        self._waiting: deque[can.Message] = deque()
+        for node in nodes:
+            self.say(node, node.start())
+
+    def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
+        """Let a node put frames on the wire."""
+        for frame in frames:
+            arriving = copy(frame)
+            arriving.is_rx = True
+            self.told.append(arriving)
+            self._waiting.append(arriving)
+            for other in self.nodes:
+                if other is not node:
+                    self.say(other, other.hear(frame))
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Let all nodes hear a frame of the tool, and return it to the tool, marked as its own."""
+        assert timeout is not None
+        self.sent.append(msg)
+        self._waiting.append(msg)
+        for node in self.nodes:
+            self.say(node, node.hear(msg))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return (self._waiting.popleft() if self._waiting else None), True
+
+    def __del__(self) -> None:
+        """Nothing to close."""
+
+
+def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotRecord:
+    """How a robot starts; by default it filters every 10 ticks."""
+    settings = Config(TABLE, **({"filter_period": 10} | config))  # type: ignore[arg-type]
+    return RobotRecord(robot, firmware, b_hat, settings)
+
+
+def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotNode:
+    """A node in lockstep with a heartbeat every 10 ticks."""
+    return RobotNode(record(robot, firmware, b_hat, **config).make(), NodeSettings(robot))
