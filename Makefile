@@ -8,7 +8,7 @@ BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmw
               $(wildcard host_tools/engine/*.c host_tools/engine/*.h)
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
-.PHONY: help setup swarm test lint format crosscheck cost targets docs clean
+.PHONY: help setup swarm test lint format crosscheck cost targets loop socketcan docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -33,11 +33,17 @@ format: .venv/ready-to-test ## format all code
 crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exact rationals
 	@$(BIN)/mcp-asdf crosscheck
 
-cost: .venv/ready-to-test ## measure instructions, bytes and stack again and write them into the README
-	@$(BIN)/python tests/benchmarks/cost.py --write README.md
+cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again and write them into the documentation
+	@PYTHONPATH=tests $(BIN)/python -m benchmarks.cost --write
 
 targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
 	@$(BIN)/python tests/targets/matrix.py
+
+loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bit compared, and measure its rate
+	@$(BIN)/python tests/targets/firmware_loop.py
+
+socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
+	@$(BIN)/pytest tests/socketcan
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --quiet --strict --config-file .ci/mkdocs.yml

@@ -1,4 +1,4 @@
-"""What a person at a terminal sees of a swarm: a table while it runs, a summary at the end."""
+"""What a person at a terminal sees of a swarm while it runs."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from host_tools.bus_load import load
 from host_tools.frames import ONE, Telemetry
-from host_tools.swarm import Node, Swarm
-from host_tools.swarm_run import Run
+from host_tools.remote import RemoteNode
+from host_tools.swarm import Swarm
+from host_tools.swarm_node import Node
 
 _SECONDS_BETWEEN_PICTURES = 0.15
-_FLAWED_STYLE, _OTHER_STYLE = "dark_orange", ""
+_BIT_RATE = 125_000
+"""Of the bus whose load is shown: the slowest that is usual, with figures one can still read."""
+_FLAWED_STYLE, _OTHER_STYLE, _DEAD_STYLE = "dark_orange", "", "strike"
 
 
 class LiveTable:
@@ -61,7 +65,7 @@ def picture(swarm: Swarm) -> Group:
     for name in ("robot", "t", "n/t", "b_hat", "x_hat", "alpha", "x", "heard", "updates", "rejected"):
         table.add_column(name, justify="right")
     for node in swarm.nodes:
-        table.add_row(*_cells(node), style=_FLAWED_STYLE if node.is_flawed else _OTHER_STYLE)
+        table.add_row(*_cells(node), style=_style(node))
     own = {node.id for node in swarm.nodes}
     for sender, telemetry in sorted(swarm.traffic.telemetry.items()):
         if sender not in own:
@@ -69,7 +73,7 @@ def picture(swarm: Swarm) -> Group:
     return Group(_headline(swarm), table)
 
 
-def _cells(node: Node) -> list[str]:
+def _cells(node: Node | RemoteNode) -> list[str]:
     robot, counters = node.robot, node.robot.counters
     share = robot.n / robot.t if robot.t else 0.0
     return [
@@ -82,8 +86,14 @@ def _cells(node: Node) -> list[str]:
         f"{robot.x:.4f}",
         str(node.heard),
         str(counters.updates),
-        str(counters.rejected),
+        str(counters.rejected + sum(node.reception.rejected.values())),
     ]
+
+
+def _style(node: Node | RemoteNode) -> str:
+    if not node.is_alive:
+        return _DEAD_STYLE
+    return _FLAWED_STYLE if node.is_flawed else _OTHER_STYLE
 
 
 def _cells_of_telemetry(telemetry: Telemetry) -> list[str]:
@@ -96,75 +106,13 @@ def _headline(swarm: Swarm) -> Text:
     f = swarm.world.fill_ratio
     return Text(
         f"tick {swarm.ticks} of {swarm.settings.ticks}   f {f:g}   mean x {x.mean():.4f}   "
-        f"spread {np.ptp(x):.4f}   error {np.abs(x - f).mean():.4f}   frames {swarm.traffic.sent}   "
+        f"spread {np.ptp(x):.4f}   error {np.abs(x - f).mean():.4f}   \n"
+        f"frames {swarm.traffic.on_the_bus}, {_load(swarm):.1%} of a bus of {_BIT_RATE // 1000} kbit/s   "
         f"seed {swarm.settings.seed}   (* flawed at the start)"
     )
 
 
-def summary(run: Run, bus: str, seconds: float) -> Table:
-    """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
-    results, settings = run.results, run.settings
-    table = Table(box=None, padding=(0, 1), show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
-    table.add_row("run", f"{results['ticks']} of {settings.ticks} ticks in {seconds:.1f} s{_ending(run)}")
-    table.add_row("estimate", _estimate(run))
-    for name in ("flawed", "other"):
-        table.add_row(f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
-    table.add_row("filter", f"{results['tests']} tests, {results['updates']} updates")
-    table.add_row("frames", _frames(run, bus))
-    for robot_id, count in results["frames"]["collisions"].items():
-        table.add_row(
-            "id collision", f"another node sent {count} messages as robot {robot_id}; give it a free id"
-        )
-    table.add_row("parameters", parameters(run))
-    return table
-
-
-def one_line(run: Run) -> str:
-    """The outcome in one line, for quiet runs."""
-    results = run.results
-    return (
-        f"seed {run.settings.seed}: {run.settings.robots} robots, {results['ticks']} ticks, "
-        f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
-    )
-
-
-def parameters(run: Run) -> str:
-    """Every parameter as the option that sets it, in a form that can be typed again."""
-    plain = run.settings.parameters()
-    plain |= plain.pop("frames")
-    return " ".join(f"--{name.replace('_', '-')} {value}" for name, value in plain.items())
-
-
-def _ending(run: Run) -> str:
-    if run.failure is not None:
-        return f"; failed in {run.failure}"
-    return "; interrupted" if run.interrupted else ""
-
-
-def _estimate(run: Run) -> str:
-    results, f = run.results, run.settings.fill_ratio
-    return (
-        f"mean x {results['mean_x']:.5f}, f {f:g}, mean error {results['mean_error']:.5f}, "
-        f"spread of x {results['spread_x']:.5f}, of x_hat {results['spread_x_hat']:.5f}"
-    )
-
-
-def _change(group: dict[str, float] | None, truth: float) -> str:
-    if group is None:
-        return "no such robots"
-    return (
-        f"{group['before']:.4f} -> {group['after']:.4f} ({group['after_least']:.4f} to "
-        f"{group['after_most']:.4f}, {group['robots']} robots; b {truth:g})"
-    )
-
-
-def _frames(run: Run, bus: str) -> str:
-    frames = run.results["frames"]
-    rejected = sum(frames["rejected"].values())
-    return (
-        f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "
-        f"{frames['delivered']} messages delivered, {rejected} frames rejected, {frames['refused']} "
-        f"messages refused, {frames['strays']} strays"
-    )
+def _load(swarm: Swarm) -> float:
+    """Share of its time that the traffic so far would take of a bus of _BIT_RATE."""
+    seconds = max(swarm.ticks, 1) / swarm.settings.ticks_per_second
+    return load(swarm.traffic.bits, seconds, _BIT_RATE)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -9,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from host_tools.swarm import Deployment
 from host_tools.swarm_run import Run
+from host_tools.swarm_settings import Deployment, Settings
 
 # Colours that stay apart for the colour-blind.
 _FLAWED, _OTHER, _ALL, _TRUTH = "#d55e00", "#0072b2", "#8a4f7d", "#222222"
@@ -91,8 +93,14 @@ def _title(run: Run) -> str:
     deployment = {Deployment.PLUS: "ASDF+", Deployment.MINUS: "ASDF-", Deployment.OFF: "no filter"}
     return (
         f"{settings.robots} robots, {settings.flawed_robots} flawed, {deployment[settings.filter]}, "
-        rf"$\tau$ = {settings.filter_period}, fully connected, seed {settings.seed}"
+        rf"$\tau$ = {settings.filter_period}, {_topology(settings)}, seed {settings.seed}"
     )
+
+
+def _topology(settings: Settings) -> str:
+    if settings.graph is not None:
+        return Path(settings.graph.source).name
+    return "fully connected" if settings.density is None else f"moving, D = {settings.density:g}"
 
 
 def _legend(run: Run) -> list[Line2D]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
 from statistics import fmean
 from typing import Any
 
@@ -12,7 +11,15 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from host_tools.swarm import Node, Settings, Swarm, SwarmError
+from host_tools.bus_load import BIT_RATES, load
+from host_tools.connection import SwarmError
+from host_tools.lockstep import LockstepError
+from host_tools.remote import RemoteNode
+from host_tools.sidecar import versions
+from host_tools.swarm import Swarm
+from host_tools.swarm_node import Node
+from host_tools.swarm_settings import Settings
+from host_tools.traffic import Traffic
 
 QUANTITIES = ("b_hat", "x_hat", "x")
 """What a history holds of each robot."""
@@ -69,7 +76,7 @@ class Run:
     """
 
     settings: Settings
-    nodes: Sequence[Node]
+    nodes: Sequence[Node | RemoteNode]
     history: History
     results: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
@@ -80,7 +87,7 @@ class Run:
         return {
             "parameters": self.settings.parameters(),
             "bus": bus,
-            "versions": _versions(),
+            "versions": versions(),
             "interrupted": self.interrupted,
             "failure": self.failure,
             "results": self.results,
@@ -103,7 +110,7 @@ def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
                 hook(swarm)
     except KeyboardInterrupt:
         outcome.interrupted = True
-    except (SwarmError, can.CanError) as error:
+    except (SwarmError, LockstepError, can.CanError) as error:
         outcome.failure = f"tick {swarm.ticks + 1}: {error}"
     history.add(swarm)
     outcome.results = _results(swarm, history)
@@ -113,19 +120,25 @@ def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
 def _results(swarm: Swarm, history: History) -> dict[str, Any]:
     x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
     counters = [node.robot.counters for node in swarm.nodes]
+    has_remote = any(isinstance(node, RemoteNode) for node in swarm.nodes)
+    tick = 1 / swarm.settings.ticks_per_second
     return {
         "ticks": swarm.ticks,
         "mean_x": fmean(x),
         "mean_error": fmean(np.abs(x - swarm.world.fill_ratio)),
         "spread_x": float(np.ptp(x)),
         "spread_x_hat": float(np.ptp(x_hat)),
-        "tests": sum(each.tests for each in counters),
+        "tests": None if has_remote else sum(each.tests for each in counters),
         "updates": sum(each.updates for each in counters),
         "b_hat": {
             "flawed": _before_and_after(history, [node.id for node in swarm.nodes if node.is_flawed]),
             "other": _before_and_after(history, [node.id for node in swarm.nodes if not node.is_flawed]),
         },
         "frames": swarm.traffic.figures(),
+        "faults": swarm.faults.figures(),
+        "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
+        "clock": swarm.clock.figures(),
+        "robots": [_robot_figures(node) for node in swarm.nodes],
     }
 
 
@@ -144,9 +157,31 @@ def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any]
     }
 
 
-def _versions() -> dict[str, str]:
-    try:
-        own = metadata.version("mcp-asdf")
-    except metadata.PackageNotFoundError:
-        own = "not installed"
-    return {"mcp-asdf": own, "python-can": can.__version__, "numpy": np.__version__}
+def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, float]]:
+    """Share of its time that the traffic of a run would take of one real bus, by bit rate.
+
+    ``mean`` over the ``seconds`` of the run, and ``peak`` in the tick, of ``tick`` seconds, that has most.
+    """
+    return {
+        str(rate): {
+            "mean": load(traffic.bits, seconds, rate) if seconds else 0.0,
+            "peak": load(traffic.most_bits, tick, rate),
+        }
+        for rate in BIT_RATES
+    }
+
+
+def _robot_figures(node: Node | RemoteNode) -> dict[str, Any]:
+    """What one robot heard and made of it."""
+    reception, counters = node.reception, node.robot.counters
+    return {
+        "id": node.id,
+        "delivered": reception.delivered,
+        "refused": reception.refused,
+        "rejected": {reason.name: count for reason, count in reception.rejected.items()},
+        "tests": None if isinstance(node, RemoteNode) else counters.tests,
+        "updates": counters.updates,
+        "t": node.robot.t,
+        "b_hat": node.robot.b_hat,
+        "x": node.robot.x,
+    }

@@ -8,40 +8,28 @@ Randomness: robot i draws from a generator of its own, PCG64 seeded with child i
 ``SeedSequence(seed)``, two uniform numbers in [0, 1) per tick: the tile is black if the first is below
 the fill ratio, the sensor is right if the second is below its accuracy. What a robot sees therefore
 depends on the seed and its id alone, not on the size of the swarm or how many ticks are drawn at once.
+In an arena the floor says what is under a robot, and only the second number counts; the arena's seed is
+the first word, of 64 bits, of ``SeedSequence(seed)`` itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from host_tools.arena import Arena
+from host_tools.topology import FullyConnected, Topology
 
-class Topology(Protocol):
-    """Who can hear whom at present."""
-
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears; never itself."""
-
-
-@dataclass(frozen=True)
-class FullyConnected:
-    """Every robot of ``0 .. robots - 1`` hears every other."""
-
-    robots: int
-
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears. O(robots)."""
-        return frozenset(range(self.robots)) - {robot}
+__all__ = ["FullyConnected", "Topology", "World", "arena_seed"]
 
 
 class World:
-    """An arena of black and white tiles, and robots that cross it with imperfect sensors.
+    """Black and white tiles, and robots on them with imperfect sensors.
 
-    Robots stand on black with probability f, each tick anew: the paper's fully connected experiments.
+    Robots stand on black with probability f, each tick anew, as in the paper's fully connected experiments;
+    or they move through an arena, as in its dynamic ones.
 
     Attributes:
         fill_ratio: f, the share of black tiles, 0 .. 1.
@@ -50,7 +38,7 @@ class World:
     """
 
     def __init__(self, fill_ratio: float, accuracies: Sequence[float], topology: Topology, seed: int) -> None:
-        """Make a world of ``len(accuracies)`` robots.
+        """Make a world of ``len(accuracies)`` robots. If ``topology`` is an arena, they move in it.
 
         Raises ValueError if a probability is outside [0, 1] or ``seed`` is negative.
         """
@@ -74,7 +62,15 @@ class World:
         1 is black and 0 white, as in ``Observation``. O(ticks * robots).
         """
         draws = np.stack([generator.random((ticks, 2)) for generator in self._generators], axis=1)
-        black = draws[:, :, 0] < self.fill_ratio
+        if isinstance(self.topology, Arena):
+            black = self.topology.record(ticks).black.astype(np.bool_)
+        else:
+            black = draws[:, :, 0] < self.fill_ratio
         right = draws[:, :, 1] < np.array(self.accuracies)
         says_black: NDArray[np.bool_] = black == right
         return says_black.astype(np.uint8)
+
+
+def arena_seed(seed: int) -> int:
+    """The seed of the arena in a world of this seed, 0 .. 2**64 - 1."""
+    return int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0])

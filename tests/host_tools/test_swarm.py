@@ -24,9 +24,10 @@ from can.interfaces import virtual
 from rich.console import Console
 
 from firmware_py.robot import Config, Filter, FixedPointRobot, Robot, Status
-from host_tools import swarm as swarm_module
+from host_tools import connection, sidecar
 from host_tools.cli import main
 from host_tools.commands import swarm as command
+from host_tools.connection import SwarmError
 from host_tools.errors import UsageError
 from host_tools.firmwares import FIRMWARES, RoundingPort, load_firmware
 from host_tools.frames import (
@@ -43,11 +44,14 @@ from host_tools.frames import (
     encode_telemetry,
     float_of,
 )
-from host_tools.live import LiveTable, parameters, summary
+from host_tools.live import LiveTable
 from host_tools.live import picture as picture_of
-from host_tools.swarm import Deployment, Settings, Swarm, SwarmError
+from host_tools.medium import Wiring
+from host_tools.swarm import Swarm
 from host_tools.swarm_plot import draw
 from host_tools.swarm_run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
+from host_tools.swarm_settings import Deployment, Settings
+from host_tools.swarm_summary import parameters, summary
 from host_tools.tables import generate
 
 SMALL = ("--robots", "4", "--ticks", "30", "--filter-period", "10")
@@ -65,8 +69,8 @@ def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[N
     assert not virtual.channels
 
 
-def open_bus() -> can.BusABC:
-    """Join a virtual bus of this test's own."""
+def open_bus(robot: int = 0) -> can.BusABC:
+    """Join a virtual bus of this test's own, the same for all robots."""
     return can.Bus(interface="virtual", channel="test", preserve_timestamps=True, ignore_config=True)
 
 
@@ -78,7 +82,7 @@ def small(**changes: Any) -> Settings:
 def record(settings: Settings, hooks: list[Hook] | None = None) -> tuple[Run, list[can.Message]]:
     """A run and the frames it sent."""
     frames: list[can.Message] = []
-    with Swarm(settings, open_bus, frames.append) as swarm:
+    with Swarm(settings, Wiring(open_bus), frames.append) as swarm:
         return run_swarm(swarm, hooks or []), frames
 
 
@@ -212,7 +216,7 @@ def test_the_printed_parameters_can_be_typed_again() -> None:
         firmware="mirror",
         true_accuracy=0.1 + 0.2,
     )
-    with Swarm(settings, open_bus) as swarm:
+    with Swarm(settings, Wiring(open_bus)) as swarm:
         outcome = run_swarm(swarm)
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
@@ -226,7 +230,7 @@ def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) ->
         made.append((config, robot_id, b_hat))
         return load_firmware("mirror")(config, robot_id, b_hat)
 
-    monkeypatch.setattr(swarm_module, "load_firmware", lambda name: make)
+    monkeypatch.setattr(sidecar, "load_firmware", lambda name: make)
     changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Deployment.MINUS}
     record(small(**changes, flawed=0.2, robots=9))
     adaptive = Config(
@@ -272,8 +276,8 @@ class Deaf(virtual.VirtualBus):
 
 
 def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(swarm_module, "TIMEOUT", 0.05)
-    with Swarm(small(), lambda: Deaf("test")) as swarm:
+    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
+    with Swarm(small(), Wiring(lambda robot: Deaf("test"))) as swarm:
         outcome = run_swarm(swarm)
     assert outcome.failure is not None
     for part in ("tick 3", "robot 0", "did not hear robot 2 within", "test"):
@@ -283,9 +287,9 @@ def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.Monke
 
 
 def test_the_log_too_notices_a_lost_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(swarm_module, "TIMEOUT", 0.05)
+    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
     with (
-        Swarm(small(), lambda: Deaf("test"), lambda frame: None) as swarm,
+        Swarm(small(), Wiring(lambda robot: Deaf("test")), lambda frame: None) as swarm,
         pytest.raises(SwarmError, match="the log did not hear frame 106BB802 within"),
     ):
         for _ in range(3):
@@ -327,10 +331,13 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
 def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
     """The bus may also return a robot's own frames; those are no collision."""
 
-    def open_own() -> can.BusABC:
+    def open_own(robot: int) -> can.BusABC:
         return can.Bus(interface="virtual", channel="shared id", receive_own_messages=returns_own)
 
-    with Swarm(small(), open_own) as swarm, can.Bus(interface="virtual", channel="shared id") as other:
+    with (
+        Swarm(small(), Wiring(open_own)) as swarm,
+        can.Bus(interface="virtual", channel="shared id") as other,
+    ):
         for turn in range(4):
             other.send(encode(Message(2, turn, turn, 30), FrameFormat()), timeout=1)
             swarm.tick()
@@ -369,7 +376,7 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
 
 
 def test_the_picture_shows_robots_of_other_processes() -> None:
-    with Swarm(small(telemetry_period=1), open_bus) as swarm, open_bus() as other:
+    with Swarm(small(telemetry_period=1), Wiring(open_bus)) as swarm, open_bus() as other:
         other.send(encode_telemetry(Telemetry(77, ONE // 4, 3 << 22, 12, 0)), timeout=1)
         swarm.tick()
         text = io.StringIO()
@@ -414,7 +421,7 @@ def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None
     assert content(read) == content(frames)
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
-    assert sorted(tmp_path.iterdir()) == sorted([path, name, Path(f"{path}.json")])
+    assert sorted(tmp_path.iterdir()) == sorted([path, name, Path(f"{path}.json"), Path(f"{path}.events")])
 
 
 def test_a_text_log_has_a_line_per_frame(tmp_path: Path) -> None:
@@ -481,7 +488,7 @@ def test_the_live_table_is_for_terminals(is_terminal: bool) -> None:
         assert screen.getvalue() == ""
         return
     last = screen.getvalue().split("tick 60 of 60")[-1]
-    rows = [line.split() for line in last.splitlines()[2:7]]
+    rows = [line.split() for line in last.splitlines()[3:8]]
     for row, node in zip(rows, outcome.nodes, strict=True):
         assert row[0] == f"{node.id}*" if node.is_flawed else f"{node.id}"
         assert row[1] == "60"
@@ -491,7 +498,16 @@ def test_the_live_table_is_for_terminals(is_terminal: bool) -> None:
 
 BAD = {
     "--robots 0": "robots is 0",
-    "--robots 127": "robots is 127",
+    "--robots 129": "robots is 129",
+    "--robots 127 --slcan 0": "with --slcan take at most 126",
+    "--slcan 0 --channel vcan{robot}": "--slcan needs one bus for all",
+    "--density 0": "density 0.0",
+    "--density 1e9": "density is 1e+09: the arena is",
+    "--radio-range 1": "radio-range is 1.0, which needs robots that move",
+    "--graph none.txt": "cannot read the graph none.txt",
+    "--fault lose": "no kind is called 'lose'",
+    "--fault loss,robots=20": "names robot 20, but the ids of 20 robots are 0 to 19",
+    "--clock none": "none",
     "--robots many": "many",
     "--flawed 1.5": "flawed is 1.5",
     "--flawed nan": "flawed is nan",
@@ -642,7 +658,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
 def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(swarm_module, "TIMEOUT", 0.05)
+    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
     assert swarm_command(*SMALL, "--bus-kwargs", "rx_queue_size=2") == 1
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
 
@@ -709,3 +725,26 @@ def test_equal_runs_give_equal_pictures(suffix: str, magic: bytes, tmp_path: Pat
     first, second = (picture.read_bytes() for picture in pictures)
     assert first.startswith(magic)
     assert first == second
+
+
+def test_a_neighbour_of_this_computer_is_a_stranger_though_socketcan_calls_its_frames_sent() -> None:
+    """And in the log every frame has come."""
+
+    class Local(virtual.VirtualBus):
+        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+            frame, is_filtered = super()._recv_internal(timeout)
+            if frame is not None:
+                frame.is_rx = False
+            return frame, is_filtered
+
+    frames: list[can.Message] = []
+    with (
+        Swarm(small(), Wiring(lambda robot: Local("local")), frames.append) as swarm,
+        Local("local") as other,
+    ):
+        other.send(encode(Message(2, 5, 5, 30), FrameFormat()), timeout=1)
+        swarm.tick()
+        assert swarm.traffic.collisions == {2: 1}
+        assert swarm.traffic.total("strays") == 5
+    assert len(frames) == 1 + 5 + 5
+    assert all(frame.is_rx for frame in frames)

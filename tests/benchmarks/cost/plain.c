@@ -1,81 +1,118 @@
-/* The baseline: the same equations as one would write them down, in REAL (float or double), without checks.
- */
-#include <stdint.h>
+/* The baseline: the same equations as one would write them down, in REAL (float or double). It checks
+ * nothing, does not look for repeated messages, and forgets nothing; the test has no square root, as the
+ * firmware's. */
+#include "robot.h"
 
 #ifndef REAL
 #define REAL double
 #endif
 
 typedef struct {
-    REAL b, x_hat, alpha, x_bar, beta, x;
+    REAL b_hat, x_hat, alpha, x_bar, beta, x;
     REAL sum_alpha, sum_alpha_x, sum_x, sum_x_squared;
-    uint32_t t, n, m;
+    uint32_t t, n, m, filter_left, filter_period, updates;
 } plain_t;
 
-plain_t plain;
+plain_t robot;
 
-void plain_set(uint32_t b_q32, uint32_t t, uint32_t n);
-void plain_receive(uint32_t x_q23, uint32_t alpha);
-void plain_observe(uint32_t black);
-void plain_settle(void);
-void plain_step(uint32_t black);
+void plain_observe(plain_t *own, mcp_asdf_observation_t z);
+void plain_receive(plain_t *own, uint8_t sender, uint32_t x_hat, uint32_t alpha);
+void plain_settle(plain_t *own);
+void plain_step(plain_t *own, mcp_asdf_observation_t z);
 
-void plain_set(uint32_t b_q32, uint32_t t, uint32_t n)
+void bench_start(uint32_t b_hat, uint32_t filter_period)
 {
-    plain = (plain_t){0};
-    plain.b = (REAL)b_q32 / (REAL)4294967296.0;
-    plain.t = t;
-    plain.n = n;
+    robot = (plain_t){0};
+    robot.b_hat = (REAL)b_hat * (REAL)(1.0 / 4294967296.0);
+    robot.filter_left = robot.filter_period = filter_period;
 }
 
-static REAL confidence(REAL t, REAL n)
+void bench_set(uint32_t t, uint32_t n)
 {
-    const REAL b = plain.b, d = (2 * b - 1) * (2 * b - 1), w = (1 - b) * (1 - b);
-    if (plain.x_hat <= 0) {
+    robot.t = t;
+    robot.n = n;
+}
+
+uint32_t bench_updates(void) { return robot.updates; }
+
+uint32_t bench_size(void) { return (uint32_t)sizeof robot; }
+
+static REAL confidence(const plain_t *own, REAL t, REAL n)
+{
+    const REAL b = own->b_hat, d = (2 * b - 1) * (2 * b - 1), w = (1 - b) * (1 - b);
+    if (own->x_hat <= 0) {
         return d * (t * b * b - (2 * b - 1) * (t - n)) / (b * b * w);
     }
-    if (plain.x_hat >= 1) {
+    if (own->x_hat >= 1) {
         return d * (t * b * b - (2 * b - 1) * n) / (b * b * w);
     }
     return d * t * t * t / (n * (t - n));
 }
 
-void plain_observe(uint32_t black)
+void plain_observe(plain_t *own, mcp_asdf_observation_t z)
 {
-    ++plain.t;
-    plain.n += black;
-    const REAL t = (REAL)plain.t, n = (REAL)plain.n;
-    REAL x = (n / t + plain.b - 1) / (2 * plain.b - 1);
+    ++own->t;
+    own->n += (uint32_t)z;
+    const REAL t = (REAL)own->t, n = (REAL)own->n;
+    REAL x = (n / t + own->b_hat - 1) / (2 * own->b_hat - 1);
     x = x < 0 ? 0 : x;
-    plain.x_hat = x > 1 ? 1 : x;
-    plain.alpha = confidence(t, n);
+    own->x_hat = x > 1 ? 1 : x;
+    own->alpha = confidence(own, t, n);
 }
 
-void plain_receive(uint32_t x_q23, uint32_t alpha_bits)
+void plain_receive(plain_t *own, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
     union {
         uint32_t bits;
         float value;
-    } alpha = {alpha_bits};
-    const REAL x = (REAL)x_q23 * (REAL)(1.0 / 8388608.0), a = (REAL)alpha.value;
-    plain.sum_alpha += a;
-    plain.sum_alpha_x += a * x;
-    plain.sum_x += x;
-    plain.sum_x_squared += x * x;
-    ++plain.m;
+    } number = {alpha};
+    const REAL x = (REAL)x_hat * (REAL)(1.0 / 8388608.0), a = (REAL)number.value;
+    (void)sender;
+    own->sum_alpha += a;
+    own->sum_alpha_x += a * x;
+    own->sum_x += x;
+    own->sum_x_squared += x * x;
+    ++own->m;
 }
 
-void plain_settle(void)
+static void filter(plain_t *own)
 {
-    plain.beta = plain.sum_alpha;
-    plain.x_bar = plain.m > 0 ? plain.sum_alpha_x / plain.sum_alpha : 0;
-    plain.x = (plain.alpha * plain.x_hat + plain.sum_alpha_x) / (plain.alpha + plain.sum_alpha);
-    plain.sum_alpha = plain.sum_alpha_x = plain.sum_x = plain.sum_x_squared = 0;
-    plain.m = 0;
+    const REAL m = (REAL)own->m, difference = own->sum_x - m * own->x_hat;
+    const REAL spread = m * own->sum_x_squared - own->sum_x * own->sum_x;
+    const REAL k = (REAL)MCP_ASDF_READ_WORD(&TABLE_OF(Q)[own->m + 2]) * (REAL)(1.0 / 1073741824.0);
+    if (difference * difference > k * spread) {
+        const REAL b = ((REAL)own->n / (REAL)own->t + own->x_bar - 1) / (2 * own->x_bar - 1);
+        ++own->updates;
+        own->b_hat = b < (REAL)1e-6 ? (REAL)1e-6 : b > 1 - (REAL)1e-6 ? 1 - (REAL)1e-6 : b;
+    }
 }
 
-void plain_step(uint32_t black)
+void plain_settle(plain_t *own)
 {
-    plain_observe(black);
-    plain_settle();
+    own->beta = own->sum_alpha;
+    own->x_bar = own->m > 0 ? own->sum_alpha_x / own->sum_alpha : 0;
+    own->x = (own->alpha * own->x_hat + own->sum_alpha_x) / (own->alpha + own->sum_alpha);
+    if (--own->filter_left == 0) {
+        own->filter_left = own->filter_period;
+        if (own->m >= 2) {
+            filter(own);
+        }
+    }
+    own->sum_alpha = own->sum_alpha_x = own->sum_x = own->sum_x_squared = 0;
+    own->m = 0;
+}
+
+void plain_step(plain_t *own, mcp_asdf_observation_t z)
+{
+    plain_observe(own, z);
+    plain_settle(own);
+}
+
+int main(void)
+{
+    bench_start(UINT32_C(0xF3333333), 1000);
+    plain_observe(&robot, MCP_ASDF_BLACK);
+    plain_receive(&robot, 6, 0, 0);
+    plain_settle(&robot);
+    return (int)(robot.x * 8388608);
 }

@@ -1,0 +1,97 @@
+"""What tells a swarm when a tick is over: that nothing is missing, or that its time has come."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, Protocol
+
+
+class ClockKind(Enum):
+    """The clocks there are."""
+
+    LOCKSTEP = "lockstep"
+    REAL_TIME = "real-time"
+
+
+class Clock(Protocol):
+    """When ticks begin, and how long robots listen in them."""
+
+    def begin(self, tick: int) -> None:
+        """Return when ``tick``, counted from 0, may begin. Ticks begin one after the other."""
+
+    def patience(self, tick: int) -> float | None:
+        """Seconds for which frames of this tick are still waited for; None: until all have come."""
+
+    def figures(self) -> dict[str, Any] | None:
+        """How well time was kept, as plain values for JSON; None if that means nothing."""
+
+
+class LockstepClock:
+    """A tick is over when all is done. Runs do not depend on the time that anything takes."""
+
+    def begin(self, tick: int) -> None:
+        """At once."""
+
+    def patience(self, tick: int) -> float | None:
+        """For ever, as far as the clock is concerned."""
+        return None
+
+    def figures(self) -> dict[str, Any] | None:
+        """Nothing to say."""
+        return None
+
+
+class RealTimeClock:
+    """Tick k begins k periods after the first, or as soon after that as tick k - 1 is over.
+
+    Robots listen for the first half of the period; the rest is for settling. What has not come by then is
+    heard in the next tick.
+    """
+
+    def __init__(
+        self,
+        ticks_per_second: float,
+        now: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._period = 1 / ticks_per_second
+        self._now = now
+        self._sleep = sleep
+        self._start = 0.0
+        self._late: list[float] = []
+
+    def begin(self, tick: int) -> None:
+        """Sleep until the tick's time has come."""
+        if not self._late:
+            self._start = self._now() - tick * self._period
+        due = self._start + tick * self._period
+        # A sleep may end early by the resolution of its timer.
+        while (left := due - self._now()) > 0:
+            self._sleep(left)
+        self._late.append(-left)
+
+    def patience(self, tick: int) -> float | None:
+        """Until the middle of the period."""
+        return max(0.0, self._start + (tick + 0.5) * self._period - self._now())
+
+    def figures(self) -> dict[str, Any] | None:
+        """Lateness of the beginnings of ticks, in seconds; ``drift`` is that of the last one.
+
+        A tick counts as late if it begins after more than half a period.
+        """
+        if not self._late:
+            return None
+        return {
+            "mean_lateness": math.fsum(self._late) / len(self._late),
+            "max_lateness": max(self._late),
+            "late_ticks": sum(late > self._period / 2 for late in self._late),
+            "drift": self._late[-1],
+        }
+
+
+def make_clock(kind: ClockKind, ticks_per_second: float) -> Clock:
+    """The clock of a kind; only one in real time heeds the rate."""
+    return LockstepClock() if kind is ClockKind.LOCKSTEP else RealTimeClock(ticks_per_second)

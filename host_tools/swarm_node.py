@@ -1,0 +1,159 @@
+"""One robot of an emulated swarm with its radio."""
+
+from __future__ import annotations
+
+import can
+
+from firmware_py.robot import Observation, Robot, Status
+from host_tools.firmwares import port_of
+from host_tools.frames import (
+    FrameFormat,
+    Heartbeat,
+    Message,
+    Rejection,
+    decode,
+    encode,
+    encode_heartbeat,
+    encode_telemetry,
+)
+from host_tools.node import telemetry_of
+from host_tools.sidecar import Recorder, RobotRecord
+from host_tools.traffic import Reception
+
+_TRANSFERS = 32
+
+
+class Decoder:
+    """``decode`` with a memory: many robots hear the very same frame one after the other.
+
+    Attributes:
+        frames: Where estimates are.
+    """
+
+    def __init__(self, frames: FrameFormat) -> None:
+        self.frames = frames
+        self._last: dict[int, tuple[can.Message, Message | Rejection]] = {}
+
+    def __call__(self, frame: can.Message) -> Message | Rejection:
+        """The estimate, or why it is none. Frames must not change once they have been here."""
+        known = self._last.get(frame.arbitration_id)
+        if known is not None and known[0] is frame:
+            return known[1]
+        message = decode(frame, self.frames)
+        self._last[frame.arbitration_id] = frame, message
+        return message
+
+
+class Node:
+    """A robot that turns what it does into frames, and frames into what it hears.
+
+    Attributes:
+        id: Robot id and node id.
+        robot: The firmware; another one after a crash.
+        is_flawed: Whether the robot started with a flawed assumed accuracy.
+        is_alive: Whether it has not crashed.
+        heard: Neighbours whose message was accepted since the last broadcast.
+        reception: What it heard, counted.
+    """
+
+    def __init__(
+        self, record: RobotRecord, is_flawed: bool, decoder: Decoder, recorder: Recorder | None = None
+    ) -> None:
+        """Make the robot of ``record``; ``recorder`` is told what happens to it.
+
+        Raises UsageError if there is no such firmware here.
+        """
+        self.id = record.id
+        self.is_flawed = is_flawed
+        self.is_alive = True
+        self.reception = Reception()
+        self.recorder = recorder
+        self._record = record
+        self._decode = decoder
+        self._frames = decoder.frames
+        self._loses_state = False
+        self.start()
+
+    def start(self) -> None:
+        """Begin anew, as after a reset that loses all."""
+        self.robot: Robot = self._record.make()
+        self.heard = 0
+        self._port = port_of(self.robot)
+        self._beats = 0
+        self._reports = 0
+        self._rounds = 0
+
+    def die(self, loses_state: bool) -> None:
+        """Crash. What the robot knew is gone, or there again when it wakes."""
+        self.is_alive = False
+        self._loses_state = loses_state
+
+    def wake(self) -> None:
+        """Rejoin after a crash."""
+        self.is_alive = True
+        if self._loses_state:
+            self.start()
+            if self.recorder is not None:
+                self.recorder.restart()
+
+    def observe(self, z: Observation) -> bool:
+        """Begin a tick; returns whether a broadcast is due."""
+        if self.recorder is not None:
+            self.recorder.observe(z)
+        is_due = self.robot.observe(z) == Status.DUE
+        if is_due:
+            self.heard = 0
+        return is_due
+
+    def settle(self) -> None:
+        """End the tick."""
+        self.robot.settle()
+        if self.recorder is not None:
+            self.recorder.settle()
+
+    def heartbeat(self, now: float) -> can.Message:
+        """The next sign of life, one a second, stamped ``now`` (seconds)."""
+        self._beats += 1
+        uptime = self._beats - 1
+        return encode_heartbeat(Heartbeat(self.id, uptime, uptime % _TRANSFERS), timestamp=now)
+
+    def telemetry_frame(self, now: float) -> can.Message:
+        """The robot's present state."""
+        self._reports += 1
+        return encode_telemetry(telemetry_of(self.robot, self.id, self._reports - 1), timestamp=now)
+
+    def broadcast(self, now: float) -> can.Message:
+        """The robot's estimate."""
+        self._rounds += 1
+        transfer = (self._rounds - 1) % _TRANSFERS
+        message = Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer)
+        return encode(message, self._frames, now)
+
+    def hear(self, frame: can.Message) -> None:
+        """Take in a frame that a neighbour's radio has sent, whatever has become of it. O(1)."""
+        if not self.is_alive:
+            return
+        message = self._decode(frame)
+        if isinstance(message, Rejection):
+            self.reception.take_other(frame, message)
+            return
+        if self.recorder is not None:
+            self.recorder.receive(message.sender, message.x_hat, message.alpha)
+        status = self._port.receive_raw(message.sender, message.x_hat, message.alpha)
+        self.reception.delivered += 1
+        if status == Status.OK:
+            self.heard += 1
+            return
+        self.reception.refused += 1
+        self.reception.collisions += message.sender == self.id
+
+    def hear_stranger(self, frame: can.Message) -> None:
+        """Take in a frame that nobody of the swarm has sent. Estimates among them are not listened to."""
+        if not self.is_alive:
+            return
+        message = self._decode(frame)
+        if isinstance(message, Rejection):
+            self.reception.take_other(frame, message)
+            return
+        self.reception.strays += 1
+        self.reception.collisions += message.sender == self.id

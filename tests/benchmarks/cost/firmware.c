@@ -1,0 +1,46 @@
+/* The firmware under measurement; main() is the least that a robot uses of it, and with WHOLE all there is.
+ */
+#include "mcp_asdf_frame.h"
+#include "robot.h"
+
+mcp_asdf_t robot;
+mcp_asdf_config_t config = MCP_ASDF_CONFIG(TABLE_OF(Q));
+mcp_asdf_frame_t frame;
+mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE;
+mcp_asdf_estimate_t estimate = {6, 1, MCP_ASDF_HALF, MCP_ASDF_ALPHA_MAX};
+uint8_t image[MCP_ASDF_IMAGE_SIZE];
+
+void bench_start(uint32_t b_hat, uint32_t filter_period)
+{
+    config.filter_period = filter_period;
+    config.filter = MCP_ASDF_OFF; /* so that the table is not checked every time */
+    (void)mcp_asdf_init(&robot, &config, 5, b_hat);
+    config.filter = MCP_ASDF_ADAPTIVE;
+}
+
+void bench_set(uint32_t t, uint32_t n)
+{
+    robot.t = t;
+    robot.n = n;
+}
+
+uint32_t bench_updates(void) { return robot.counters.updates; }
+
+uint32_t bench_size(void) { return (uint32_t)sizeof robot; }
+
+int main(void)
+{
+    (void)mcp_asdf_init(&robot, &config, 5, UINT32_C(0xF3333333));
+    (void)mcp_asdf_observe(&robot, MCP_ASDF_BLACK);
+    (void)mcp_asdf_receive(&robot, 6, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot));
+    (void)mcp_asdf_settle(&robot);
+#ifdef WHOLE
+    mcp_asdf_save(&robot, image);
+    (void)mcp_asdf_restore(&robot, &config, image);
+    (void)mcp_asdf_add_round(&robot, &robot.open, mcp_asdf_sums_add(&robot.open, 0, 0));
+    (void)mcp_asdf_step(&robot, mcp_asdf_invariants_hold(&robot) ? MCP_ASDF_WHITE : MCP_ASDF_BLACK);
+    return (int)(mcp_asdf_x(&robot) - mcp_asdf_x_bar(&robot) - mcp_asdf_counters(&robot).tests);
+#else
+    return (int)mcp_asdf_x(&robot);
+#endif
+}

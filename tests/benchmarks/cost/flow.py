@@ -1,0 +1,87 @@
+"""Which instruction may follow which in an image, and the longest way through a function."""
+
+from __future__ import annotations
+
+import re
+
+from .images import Image, Instruction
+
+CALL = re.compile(r"bl|jal|call|rcall")
+_TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
+_BRANCH = re.compile(r"(?!bic|bf[ci]|bkpt)b\w+(\.[nw])?|b(\.[nw])?|cbn?z|j|jal|r?jmp|r?call")
+_INDIRECT_CALL = re.compile(r"blx|jalr|e?icall")
+_END = re.compile(r"(ret|reti|jr|bx|ijmp|tb[bh]|udf)\b|(pop|ldm\w*).*\bpc\b|(ldr|mov)(\.w)?\s+pc")
+_TABLE = re.compile(r"tb[bh]|ijmp|mov\s+pc|jr\s+(?!ra)|bx\s+(?!lr)|ldr(\.w)?\s+pc, \[(?!sp)")
+_JUMP = re.compile(r"b(\.[nw])?|j|r?jmp")
+_SKIP = re.compile(r"cpse|sb[ri][cs]")
+
+
+class Flow:
+    """The instructions of an image by number, in the order of their addresses."""
+
+    def __init__(self, image: Image) -> None:
+        self.lines = image.code
+        self._image = image
+        self._numbers = {line.address: number for number, line in enumerate(image.code)}
+
+    def start(self, name: str) -> int:
+        """Number of a function's first instruction."""
+        return self._numbers[self._image.address(name)]
+
+    def target(self, line: Instruction) -> int | None:
+        """Where a call or jump leads to. Raises ValueError for a call of a pointer."""
+        if _INDIRECT_CALL.fullmatch(line.name):
+            raise ValueError(f"{line.function} calls what a pointer leads to: {line.name} {line.operands}")
+        match = _TARGET.search(line.operands) if _BRANCH.fullmatch(line.name) else None
+        return self._numbers.get(int(match[1], 16)) if match else None
+
+    def following(self, number: int) -> list[int]:
+        """Numbers of what may run next within the same function or after a jump out of it; calls return."""
+        line = self.lines[number]
+        target = self.target(line)
+        if _END.match(f"{line.name} {line.operands}"):
+            return []
+        jumped = [] if target is None or CALL.fullmatch(line.name) else [target]
+        if _JUMP.fullmatch(line.name):
+            return jumped
+        return [*jumped, number + 1, *([number + 2] if _SKIP.fullmatch(line.name) else [])]
+
+
+class LongestWay:
+    """Most instructions that any way through a function can have, whatever the data."""
+
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
+        self._known: dict[int, int] = {}
+        self._active: set[int] = set()
+
+    def of(self, name: str) -> int:
+        """Instructions. Raises ValueError if there is no such number: a loop, recursion, a computed jump."""
+        self._active.clear()
+        return self._from(self._flow.start(name))
+
+    def _from(self, start: int) -> int:
+        if start not in self._known:
+            if start in self._active:
+                raise ValueError(f"there is a loop in {self._flow.lines[start].function}")
+            self._active.add(start)
+            self._known[start] = self._walk(start)
+            self._active.remove(start)
+        return self._known[start]
+
+    def _walk(self, start: int) -> int:
+        """Along instructions that can be followed by one only, then the longest of the ways from there."""
+        number, count = start, 0
+        while True:
+            count += 1 + self._called(number)
+            following = self._flow.following(number)
+            if following != [number + 1]:
+                return count + max(map(self._from, following), default=0)
+            number += 1
+
+    def _called(self, number: int) -> int:
+        line = self._flow.lines[number]
+        if _TABLE.match(f"{line.name} {line.operands}"):
+            raise ValueError(f"{line.function} jumps to what a table holds: {line.name} {line.operands}")
+        target = self._flow.target(line)
+        return self._from(target) if target is not None and CALL.fullmatch(line.name) else 0

@@ -1,0 +1,165 @@
+"""Images whose cost is measured: how they are built, and what can be read from them without running them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import Symbol, SymbolTableSection
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+FIRMWARE = ROOT / "c_ref" / "src"
+PORTS = ROOT / "c_ref" / "ports"
+LEVELS = ("-Os", "-O2")
+
+_LINE = re.compile(r"^\s*([0-9a-f]+):\t(\S+)[ \t]*(.*)$|^[0-9a-f]+ <(.+)>:$", re.MULTILINE)
+_VERSION = re.compile(r"\d+(?:\.\d+)+")
+_COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-Wl,--gc-sections")
+_WITHOUT_LIBRARY = ("-ffreestanding", "-nostdlib", "-Wl,-Ttext=0x10000", "-Wl,-e,main")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A microcontroller.
+
+    Attributes:
+        name: As the tables show it.
+        tools: What the names of its compiler and of its disassembler begin with.
+        flags: What its compiler is told beside the level.
+        package: Debian's package with the compiler.
+        libraries: Sources and libraries that every image gets.
+    """
+
+    name: str
+    tools: str
+    flags: tuple[str, ...]
+    package: str
+    libraries: tuple[str, ...] = (str(PORTS / "memory.c"), "-lgcc")
+
+    @property
+    def compiler(self) -> str:
+        """The compiler's name."""
+        return f"{self.tools}gcc"
+
+    def version(self) -> str:
+        """Name and version of the compiler. Raises FileNotFoundError without one."""
+        command = [self.compiler, "-dumpfullversion", "-dumpversion"]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        found = _VERSION.search(said)
+        return f"{self.compiler} {found[0] if found else said.strip()}"
+
+
+def _cortex_m(name: str, cpu: str) -> Target:
+    flags = (f"-mcpu={cpu}", "-mthumb", "-mfloat-abi=soft", *_WITHOUT_LIBRARY)
+    return Target(name, "arm-none-eabi-", flags, "gcc-arm-none-eabi")
+
+
+_RISCV = ("-march=rv32imc", "-mabi=ilp32", "-mcmodel=medany", *_WITHOUT_LIBRARY)
+TARGETS = (
+    Target("ATmega328P", "avr-", ("-mmcu=atmega328p",), "gcc-avr avr-libc", ("-lm",)),
+    _cortex_m("Cortex-M0+", "cortex-m0plus"),
+    _cortex_m("Cortex-M3", "cortex-m3"),
+    _cortex_m("Cortex-M4", "cortex-m4"),
+    Target("RV32IMC", "riscv64-unknown-elf-", _RISCV, "gcc-riscv64-unknown-elf"),
+)
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One line of a disassembly: where, what, with which operands and comment, in which function."""
+
+    address: int
+    name: str
+    operands: str
+    function: str
+
+
+@dataclass(frozen=True)
+class Image:
+    """A linked program."""
+
+    target: Target
+    path: Path
+
+    @cached_property
+    def symbols(self) -> dict[str, Symbol]:
+        """Functions and variables by name."""
+        with self.path.open("rb") as stream:
+            table = ELFFile(stream).get_section_by_name(".symtab")
+            assert isinstance(table, SymbolTableSection)
+            return {
+                symbol.name: symbol for symbol in table.iter_symbols() if symbol["st_shndx"] != "SHN_UNDEF"
+            }
+
+    def address(self, name: str) -> int:
+        """Where a function or variable is, without the bit that marks Thumb code or AVR data."""
+        symbol = self.symbols[name]
+        return int(symbol["st_value"]) & (~1 if symbol["st_info"]["type"] == "STT_FUNC" else 0x7FFFFF)
+
+    def segments(self) -> Iterator[tuple[int, int, bytes]]:
+        """What is loaded: address when it runs, address in flash, bytes."""
+        with self.path.open("rb") as stream:
+            for segment in ELFFile(stream).iter_segments("PT_LOAD"):
+                yield segment["p_vaddr"], segment["p_paddr"], segment.data()
+
+    def flash(self) -> int:
+        """Bytes of flash: code, constants and what variables begin with."""
+        with self.path.open("rb") as stream:
+            return sum(
+                section["sh_size"]
+                for section in ELFFile(stream).iter_sections()
+                if section["sh_flags"] & 2 and section["sh_type"] == "SHT_PROGBITS"
+            )
+
+    def ram(self) -> int:
+        """Bytes of variables. On an AVR constants count, too: it copies them to RAM."""
+        with self.path.open("rb") as stream:
+            return sum(
+                section["sh_size"]
+                for section in ELFFile(stream).iter_sections()
+                if section["sh_flags"] & 2 and section["sh_flags"] & 1
+            )
+
+    @cached_property
+    def code(self) -> list[Instruction]:
+        """The disassembly, by address."""
+        command = [f"{self.target.tools}objdump", "-d", "--no-show-raw-insn", str(self.path)]
+        listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        lines, function = [], ""
+        for address, name, rest, label in _LINE.findall(listing):
+            function = label or function
+            if not label:
+                lines.append(Instruction(int(address, 16), name, rest, function))
+        return lines
+
+    @cached_property
+    def frames(self) -> dict[str, int]:
+        """Bytes of stack of every function as the compiler tells: all but those of its own library."""
+        told: dict[str, int] = {}
+        for file in self.path.parent.glob("*.su"):
+            for line in file.read_text(encoding="utf-8").splitlines():
+                place, size, kind = line.rsplit("\t", 2)
+                name = place.rsplit(":", 1)[1]
+                if kind not in ("static", "dynamic,bounded"):
+                    raise ValueError(f"{file.name}: the stack of {name} has no bound ({kind})")
+                told[name] = max(told.get(name, 0), int(size))
+        return told
+
+
+def build(target: Target, folder: Path, sources: list[Path], *flags: str) -> Image:
+    """Compile and link ``sources`` in a new folder. Raises RuntimeError with what the tools said."""
+    folder.mkdir(parents=True)
+    elf = folder / "image.elf"
+    files = [*map(str, sources), *target.libraries]
+    include = [f"-I{FIRMWARE}", f"-I{HERE}"]
+    command = [target.compiler, *_COMMON, *target.flags, *flags, *include, *files, "-o", str(elf)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
+    return Image(target, elf)

@@ -1,0 +1,234 @@
+"""Emulated processors: call a function of an image, and learn what the call cost."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import subprocess
+import tempfile
+from abc import ABC, abstractmethod
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from unicorn import (
+    UC_ARCH_ARM,
+    UC_ARCH_RISCV,
+    UC_HOOK_BLOCK,
+    UC_HOOK_CODE,
+    UC_MODE_MCLASS,
+    UC_MODE_RISCV32,
+    UC_MODE_THUMB,
+    Uc,
+    arm_const,
+    riscv_const,
+)
+
+from .images import HERE, Image, Instruction
+from .timing import TIMINGS, is_conditional
+
+_IT = re.compile("it[te]{0,3}")
+_PAINT = 0xA5
+_PAINTED = 1024
+_SIZES = {"pointer": 2, "enum": 2, "byte": 1, "word": 4}
+"""Bytes of an argument on an AVR; elsewhere each has a register to itself."""
+
+
+class Cost(NamedTuple):
+    """What a call returned, what it took, and the bytes of stack that it touched."""
+
+    value: int
+    instructions: int
+    cycles: int
+    stack: int
+
+
+Argument = tuple[str, int]
+"""Kind ("pointer", "enum", "byte" or "word") and value."""
+
+
+class Machine(ABC):
+    """A processor with an image loaded and its variables set up."""
+
+    def __init__(self, image: Image) -> None:
+        self.image = image
+
+    def call(self, name: str, *arguments: Argument) -> Cost:
+        """Call a function. Raises RuntimeError if it does not return."""
+        self._paint(bytes([_PAINT]) * _PAINTED)
+        value, instructions, cycles = self._run(self.image.address(name), arguments)
+        return Cost(value, instructions, cycles, len(self._painted().lstrip(bytes([_PAINT]))))
+
+    @abstractmethod
+    def _paint(self, paint: bytes) -> None:
+        """Cover the bytes where the stack will be."""
+
+    @abstractmethod
+    def _painted(self) -> bytes:
+        """The same bytes now, from the lowest address on."""
+
+    @abstractmethod
+    def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
+        """Call what is at the address: its value, instructions and cycles."""
+
+
+class _Block(NamedTuple):
+    """Instructions without a jump among them that always run, the cycles of all, and further ones if the jump
+    at their end is taken.
+    """
+
+    instructions: int
+    cycles: int
+    taken: int
+
+
+class UnicornMachine(Machine):
+    """A Cortex-M or RV32 under Unicorn. Cycles are estimates from above.
+
+    Whole blocks are counted, which is fast, but for the instructions that a condition may skip (Thumb-2 IT):
+    of those each one is counted that runs. A skipped one takes a cycle all the same.
+    """
+
+    _TOP, _RETURN, _END = 0x100000, 0x10F000, 0x110000
+
+    def __init__(self, image: Image) -> None:
+        super().__init__(image)
+        self._arm = image.target.tools.startswith("arm")
+        self._uc = (
+            Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
+            if self._arm
+            else Uc(UC_ARCH_RISCV, UC_MODE_RISCV32)
+        )
+        self._uc.mem_map(0, self._END)
+        for address, _, content in image.segments():
+            self._uc.mem_write(address, content)
+        if not self._arm:
+            self._uc.reg_write(riscv_const.UC_RISCV_REG_GP, image.address("__global_pointer$"))
+        self._timing = TIMINGS[image.target.name]
+        self._code = {instruction.address: instruction for instruction in image.code}
+        self._blocks: dict[tuple[int, int], _Block] = {}
+        self._trace: list[tuple[int, int]] = []
+        self._uc.hook_add(UC_HOOK_BLOCK, lambda _, address, size, __: self._trace.append((address, size)))
+        self._skippable, self._not_skipped = _skippable(image.code), 0
+        for address in self._skippable:
+            self._uc.hook_add(UC_HOOK_CODE, self._count, begin=address, end=address)
+
+    def _count(self, *_: object) -> None:
+        self._not_skipped += 1
+
+    def _paint(self, paint: bytes) -> None:
+        self._uc.mem_write(self._TOP - len(paint), paint)
+
+    def _painted(self) -> bytes:
+        return bytes(self._uc.mem_read(self._TOP - _PAINTED, _PAINTED))
+
+    def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
+        uc, thumb = self._uc, int(self._arm)
+        first = arm_const.UC_ARM_REG_R0 if self._arm else riscv_const.UC_RISCV_REG_A0
+        for register, (_, value) in enumerate(arguments, first):
+            uc.reg_write(register, value)
+        uc.reg_write(arm_const.UC_ARM_REG_SP if self._arm else riscv_const.UC_RISCV_REG_SP, self._TOP)
+        back = arm_const.UC_ARM_REG_LR if self._arm else riscv_const.UC_RISCV_REG_RA
+        uc.reg_write(back, self._RETURN | thumb)
+        self._trace.clear()
+        self._not_skipped = 0
+        uc.emu_start(address | thumb, self._RETURN)
+        return uc.reg_read(first), *self._total()
+
+    def _total(self) -> tuple[int, int]:
+        instructions, cycles = self._not_skipped, 0
+        for (address, size), (following, _) in pairwise([*self._trace, (self._RETURN, 0)]):
+            block = self._blocks.get((address, size)) or self._read_block(address, size)
+            instructions += block.instructions
+            cycles += block.cycles + (block.taken if following != address + size else 0)
+        return instructions, cycles
+
+    def _read_block(self, address: int, size: int) -> _Block:
+        lines = [self._code[at] for at in range(address, address + size, 2) if at in self._code]
+        cycles = sum(self._timing.cycles(line.name, line.operands) for line in lines)
+        taken = self._timing.taken if is_conditional(lines[-1].name) else 0
+        always = sum(line.address not in self._skippable for line in lines)
+        self._blocks[address, size] = block = _Block(always, cycles, taken)
+        return block
+
+
+def _skippable(code: list[Instruction]) -> set[int]:
+    """Addresses of the instructions that an IT before them makes conditional: one to four."""
+    return {
+        line.address
+        for number, before in enumerate(code)
+        if _IT.fullmatch(before.name)
+        for line in code[number + 1 : number + len(before.name)]
+    }
+
+
+@cache
+def simavr() -> ctypes.CDLL:
+    """simavr behind the few functions of avr_machine.c. Raises CalledProcessError without its headers."""
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "avr_machine.so"
+        source = HERE / "avr_machine.c"
+        subprocess.run(
+            ["cc", "-O2", "-shared", "-fPIC", str(source), "-lsimavr", "-o", str(library)],
+            check=True,
+            capture_output=True,
+        )
+        loaded = ctypes.CDLL(str(library))
+    loaded.machine_make.restype = ctypes.c_void_p
+    for name in ("machine_data", "machine_flash"):
+        getattr(loaded, name).restype = ctypes.c_void_p
+        getattr(loaded, name).argtypes = [ctypes.c_void_p]
+    count = ctypes.POINTER(ctypes.c_uint64)
+    loaded.machine_run.argtypes = [ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, count, count]
+    return loaded
+
+
+class AvrMachine(Machine):
+    """An ATmega328P under simavr, which counts true cycles."""
+
+    _TOP, _RETURN, _STACK_POINTER = 0x8FF, 0x7FFE, 0x5D
+
+    def __init__(self, image: Image) -> None:
+        super().__init__(image)
+        self._library = simavr()
+        self._avr = self._library.machine_make(b"atmega328p")
+        memory = (ctypes.c_uint8 * (self._TOP + 1)).from_address(self._library.machine_data(self._avr))
+        self._data = memoryview(memory).cast("B")
+        flash = self._library.machine_flash(self._avr)
+        for _, address, content in image.segments():
+            ctypes.memmove(flash + address, content, len(content))
+        self._go(0, image.address("main"))
+
+    def _paint(self, paint: bytes) -> None:
+        self._data[self._TOP + 1 - len(paint) :] = paint
+
+    def _painted(self) -> bytes:
+        return bytes(self._data[self._TOP + 1 - _PAINTED :])
+
+    def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
+        register = 26
+        for kind, value in arguments:
+            size = _SIZES[kind]
+            register -= size + size % 2
+            self._store(register, value, size)
+        self._data[self._TOP - 1 :] = (self._RETURN // 2).to_bytes(2, "big")
+        self._store(self._STACK_POINTER, self._TOP - 2, 2)
+        instructions, cycles = self._go(address, self._RETURN)
+        return int.from_bytes(bytes(self._data[22:26]), "little"), instructions, cycles
+
+    def _store(self, address: int, value: int, size: int) -> None:
+        self._data[address : address + size] = value.to_bytes(size, "little")
+
+    def _go(self, start: int, stop: int) -> tuple[int, int]:
+        cycles, instructions = ctypes.c_uint64(), ctypes.c_uint64()
+        if not self._library.machine_run(
+            self._avr, start, stop, ctypes.byref(cycles), ctypes.byref(instructions)
+        ):
+            raise RuntimeError(f"the program crashed on its way from {start:#x} to {stop:#x}")
+        return instructions.value, cycles.value
+
+
+def load(image: Image) -> Machine:
+    """The machine for the image's target."""
+    return AvrMachine(image) if image.target.tools.startswith("avr") else UnicornMachine(image)

@@ -1,0 +1,183 @@
+"""Measuring the firmware and the baseline on a target: everything the tables and the picture say."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from . import runs
+from .flow import Flow, LongestWay
+from .images import FIRMWARE, HERE, ROOT, TARGETS, Image, Target, build
+from .machines import Cost, Machine, load
+from .robots import Robot
+from .stacks import Stacks
+
+Figures = dict[str, Any]
+"""What is measured, as JSON holds it."""
+
+BASELINES = {"double": "-DREAL=double", "float": "-DREAL=float"}
+TICK_CALLS = ("observe", "receive", "settle", "step", "x")
+STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
+"""Functions of the firmware whose stack is measured."""
+_TABLES = {q: ROOT / "tables" / f"t_table_omega05_q{q}.c" for q in (30, 127)}
+_KEPT = ("bench_start", "bench_set", "bench_updates", "bench_size")
+_IS_OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
+
+SETTINGS = {"seed": 1, "samples of every age": 20, "searches": 32, "rounds of every size": 8}
+"""Of the situations that the robots live through beside their lives; kept with the figures."""
+
+
+def firmware_image(target: Target, level: str, folder: Path) -> Image:
+    """The firmware, ready to be called."""
+    sources = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", FIRMWARE / "mcp_asdf_frame.c", _TABLES[30]]
+    calls = [f"mcp_asdf_{name}" for name in (*STACK_CALLS, "encode_estimate", "decode_estimate")]
+    kept = (*_KEPT, *calls, "frame", "format", "estimate", "image")
+    return build(target, folder, sources, level, *_keep(kept))
+
+
+def baseline_image(target: Target, level: str, folder: Path, kind: str) -> Image:
+    """The same equations in floating point, ready to be called."""
+    calls = [f"plain_{name}" for name in ("observe", "receive", "settle", "step")]
+    flags = (level, BASELINES[kind], *_keep((*_KEPT, *calls)))
+    return build(target, folder, [HERE / "plain.c", _TABLES[30]], *flags)
+
+
+def _keep(names: Iterable[str]) -> list[str]:
+    return [f"-Wl,-u,{name}" for name in names]
+
+
+# ---- Flash ----
+
+
+def flash(target: Target, level: str, folder: Path) -> Figures:
+    """Bytes of flash that the firmware and the baselines add to a program, without main() and table."""
+    core = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", _TABLES[30]]
+    nothing = _code(build(target, folder / "nothing", [HERE / "empty.c"], level))
+    sizes = {
+        "least": _code(build(target, folder / "least", core, level)) - nothing,
+        "whole": _code(build(target, folder / "whole", core, level, "-DWHOLE")) - nothing,
+    }
+    for kind in kinds(target):
+        plain = [HERE / "plain.c", _TABLES[30]]
+        sizes[kind] = _code(build(target, folder / f"least {kind}", plain, level, BASELINES[kind])) - nothing
+    return sizes
+
+
+def _code(image: Image) -> int:
+    own = (symbol for name, symbol in image.symbols.items() if _IS_OWN.match(name))
+    return image.flash() - sum(int(symbol["st_size"]) for symbol in own)
+
+
+def kinds(target: Target) -> list[str]:
+    """The baselines there are: avr-gcc 5 has no double of 64 bits."""
+    return ["float"] if target.tools.startswith("avr") else list(BASELINES)
+
+
+def table_bytes(folder: Path) -> list[int]:
+    """[a, b] where a table takes a + b q bytes."""
+    sizes = {}
+    for q, file in _TABLES.items():
+        image = build(
+            TARGETS[0], folder / str(q), [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", file], f"-DQ={q}"
+        )
+        sizes[q] = int(image.symbols[f"mcp_asdf_t_table_omega05_q{q}"]["st_size"])
+    entry = (sizes[127] - sizes[30]) // (127 - 30)
+    return [sizes[30] - 30 * entry, entry]
+
+
+# ---- Robots ----
+
+
+def firmware(target: Target, level: str, folder: Path) -> Figures:
+    """Calls, RAM and stack of the firmware."""
+    image = firmware_image(target, level, folder)
+    machine = load(image)
+    robot = Robot(machine, "mcp_asdf")
+    rng = random.Random(SETTINGS["seed"])
+    robot.live()
+    robot.suffer(SETTINGS["samples of every age"], rng)
+    robot.seek(SETTINGS["searches"], rng)
+    robot.fill_rounds(SETTINGS["rounds of every size"], rng)
+    painted = robot.deepest | _other_stacks(machine)
+    stacks = Stacks(image)
+    return {
+        "calls": robot.spans() | _codec(machine),
+        "ram": machine.call("bench_size").value,
+        "series": _series(robot, "cycles" if target.tools.startswith("avr") else "instructions"),
+        "longest": _longest_ways(image),
+        "stack": {name: [stacks.deepest(f"mcp_asdf_{name}"), painted[name]] for name in STACK_CALLS},
+    }
+
+
+def _longest_ways(image: Image) -> dict[str, int | None]:
+    """Instructions of the longest way through each function of a tick; None where the code has a loop."""
+    ways = LongestWay(Flow(image))
+    longest: dict[str, int | None] = {}
+    for name in TICK_CALLS:
+        try:
+            longest[name] = ways.of(f"mcp_asdf_{name}")
+        except ValueError:
+            longest[name] = None
+    return longest
+
+
+def _series(robot: Robot, unit: str) -> Figures:
+    """[t, least, most] of a step; [m, least, most] of a round's last message and of its end."""
+
+    def spans(costs: dict[int, list[Cost]]) -> list[list[int]]:
+        values = {at: [getattr(cost, unit) for cost in some] for at, some in costs.items()}
+        return [[at, min(some), max(some)] for at, some in values.items()]
+
+    received = {messages: [last for last, _ in costs] for messages, costs in robot.by_messages.items()}
+    settled = {messages: [end for _, end in costs] for messages, costs in robot.by_messages.items()}
+    return {"unit": unit, "step": spans(robot.by_age), "receive": spans(received), "settle": spans(settled)}
+
+
+def _other_stacks(machine: Machine) -> dict[str, int]:
+    """Stack of the functions that no tick calls."""
+    robot, image, config = (_address(machine, name) for name in ("robot", "image", "config"))
+    calls = {
+        "save": (robot, image),
+        "restore": (robot, config, image),
+        "invariants_hold": (robot,),
+        "init": (robot, config, ("byte", runs.OWN_ID), ("word", 0xF3333333)),
+    }
+    return {name: machine.call(f"mcp_asdf_{name}", *arguments).stack for name, arguments in calls.items()}
+
+
+def _codec(machine: Machine) -> Figures:
+    """Costs of turning an estimate into a frame and back."""
+    frame, estimate, form = (_address(machine, name) for name in ("frame", "estimate", "format"))
+    calls = {
+        "encode": machine.call("mcp_asdf_encode_estimate", frame, form, estimate),
+        "decode": machine.call("mcp_asdf_decode_estimate", estimate, ("enum", 3000), frame),
+    }
+    return {
+        name: {"instructions": [cost.instructions] * 3, "cycles": [cost.cycles] * 3}
+        for name, cost in calls.items()
+    }
+
+
+def _address(machine: Machine, name: str) -> tuple[str, int]:
+    return "pointer", machine.image.address(name)
+
+
+def baseline(target: Target, level: str, folder: Path, kind: str) -> Figures:
+    """Calls and RAM of the baseline."""
+    machine = load(baseline_image(target, level, folder, kind))
+    robot = Robot(machine, "plain")
+    robot.live()
+    stack = max(robot.deepest.values())
+    return {"calls": robot.spans(), "ram": machine.call("bench_size").value, "stack": stack}
+
+
+def measure(target: Target, level: str, folder: Path) -> Figures:
+    """All of a target at a level."""
+    figures = {
+        "flash": flash(target, level, folder),
+        "firmware": firmware(target, level, folder / "firmware"),
+    }
+    return figures | {kind: baseline(target, level, folder / kind, kind) for kind in kinds(target)}

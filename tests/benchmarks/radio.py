@@ -1,0 +1,156 @@
+"""How many frames a second a swarm exchanges over each interface, and what takes the time.
+
+``python tests/benchmarks/radio.py [--robots 20] [--seconds 3] [--socketcan vcan0] [--json]``
+
+Each swarm runs in lockstep, without faults, in one process, for the given time after one tick to warm up.
+Seconds are of processor time, that of the kernel included. *Delivered* are messages that reached a
+neighbour's firmware. *Send* and *receive* are the shares that python-can and the kernel take for that; *rest*
+is all that is ours: world, codec, firmware, medium.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from host_tools.buses import WithoutEcho
+from host_tools.medium import OpenBus, Wiring
+from host_tools.swarm import Swarm
+from host_tools.swarm_settings import Settings
+
+PORT = 30_000 + os.getpid() % 100 * 130
+"""And 128 more: of this process."""
+COLUMNS = (
+    "ticks/s",
+    "robot-ticks/s",
+    "delivered/s",
+    "us a delivery",
+    "send",
+    "receive",
+    "rest",
+    "limited by",
+)
+
+
+class Timed(can.BusABC):
+    """A bus whose ``send`` and ``recv`` keep the time that they take in ``spent``."""
+
+    def __init__(self, bus: can.BusABC, spent: dict[str, float]) -> None:
+        super().__init__(channel=str(bus.channel_info))
+        self.channel_info = bus.channel_info
+        self._bus = bus
+        self._spent = spent
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """As ``can.BusABC.send``."""
+        began = time.process_time()
+        self._bus.send(msg, timeout)
+        self._spent["send"] += time.process_time() - began
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """As ``can.BusABC.recv``."""
+        began = time.process_time()
+        frame = self._bus.recv(timeout)
+        self._spent["receive"] += time.process_time() - began
+        return frame
+
+    def shutdown(self) -> None:
+        """As ``can.BusABC.shutdown``."""
+        super().shutdown()
+        self._bus.shutdown()
+
+
+def measure(settings: Settings, open_bus: OpenBus, is_shared: bool, seconds: float) -> dict[str, Any]:
+    """The figures of one swarm, by the names of COLUMNS."""
+    spent = {"send": 0.0, "receive": 0.0}
+    with Swarm(settings, Wiring(lambda robot: Timed(open_bus(robot), spent), is_shared)) as swarm:
+        swarm.tick()
+        spent.update(dict.fromkeys(spent, 0.0))
+        before, began = swarm.traffic.total("delivered"), time.process_time()
+        while time.process_time() - began < seconds:
+            swarm.tick()
+        took, ticks = time.process_time() - began, swarm.ticks - 1
+        delivered = swarm.traffic.total("delivered") - before
+    shares = {name: each / took for name, each in spent.items()}
+    shares["rest"] = 1 - sum(shares.values())
+    return {
+        "ticks/s": ticks / took,
+        "robot-ticks/s": settings.robots * ticks / took,
+        "delivered/s": delivered / took,
+        "us a delivery": 1e6 * took / delivered,
+        **shares,
+        "limited by": max(shares, key=lambda name: shares[name]),
+    }
+
+
+def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus, bool]]:
+    """What to measure: how to join each robot's bus, and whether that is one for all."""
+
+    def virtual(name: str) -> can.BusABC:
+        return can.Bus(interface="virtual", channel=name, ignore_config=True)
+
+    def udp(port: int) -> can.BusABC:
+        return WithoutEcho(can.Bus(interface="udp_multicast", port=port, hop_limit=0, ignore_config=True))
+
+    chosen: dict[str, tuple[OpenBus, bool]] = {
+        "virtual": (lambda robot: virtual("one"), True),
+        "virtual, a bus each": (lambda robot: virtual(f"own {robot}"), False),
+        "udp_multicast": (lambda robot: udp(PORT), True),
+        "udp_multicast, a bus each": (lambda robot: udp(PORT + 1 + robot), False),
+    }
+    if socketcan is not None:
+        chosen[f"socketcan {socketcan}"] = (
+            lambda robot: can.Bus(interface="socketcan", channel=socketcan, ignore_config=True),
+            True,
+        )
+    return chosen
+
+
+def table_of(rows: dict[str, dict[str, Any]]) -> Table:
+    """The figures for people."""
+    table = Table("interface", *COLUMNS, box=None)
+    forms: dict[str, Callable[[Any], str]] = {
+        **dict.fromkeys(COLUMNS, lambda value: f"{value:.0f}"),
+        **dict.fromkeys(("send", "receive", "rest"), lambda value: f"{value:.0%}"),
+        "us a delivery": lambda value: f"{value:.1f}",
+        "limited by": str,
+    }
+    for name, row in rows.items():
+        table.add_row(name, *(forms[column](row[column]) for column in COLUMNS))
+    return table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description="Measure how fast a swarm's robots talk over each interface."
+    )
+    parser.add_argument("--robots", type=int, default=20, help="default: %(default)s")
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, help="for each interface (default: %(default)s)"
+    )
+    parser.add_argument("--socketcan", metavar="CHANNEL", help="measure this one, too")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    args = parser.parse_args(arguments)
+    settings = Settings(robots=args.robots)
+    rows = {
+        name: measure(settings, open_bus, is_shared, args.seconds)
+        for name, (open_bus, is_shared) in swarms(args.socketcan).items()
+    }
+    if args.json:
+        print(json.dumps({"robots": args.robots, "interfaces": rows}, indent=2))
+    else:
+        Console(width=140).print(table_of(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

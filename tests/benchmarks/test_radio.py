@@ -1,0 +1,33 @@
+"""The benchmark of the radio measures what it says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from benchmarks.radio import COLUMNS, main
+from multicast import multicast
+
+
+def test_it_measures_every_interface(capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures of a run that is far too short for them to be right fit together all the same."""
+    multicast(252)
+    assert main(["--robots", "3", "--seconds", "0.01", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert len(report["interfaces"]) == 4
+    for row in report["interfaces"].values():
+        assert set(row) == set(COLUMNS)
+        assert row["robot-ticks/s"] == pytest.approx(3 * row["ticks/s"])
+        assert row["delivered/s"] == pytest.approx(6 * row["ticks/s"])
+        assert row["us a delivery"] == pytest.approx(1e6 / row["delivered/s"])
+        shares = {name: row[name] for name in ("send", "receive", "rest")}
+        assert sum(shares.values()) == pytest.approx(1)
+        assert shares[row["limited by"]] == max(shares.values())
+
+
+def test_people_get_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    multicast(253)
+    assert main(["--robots", "2", "--seconds", "0.01"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    assert all(column in lines[0] for column in COLUMNS)
