@@ -209,13 +209,15 @@ class _Comparison:
             return True
         broadcasts = self._robots[message.sender].broadcasts
         place = _place_of(message, broadcasts)
-        if place is not None and _is_same(message, broadcasts[place]):
-            self._pass(broadcasts, place)
-            return True
+        is_own = place is not None and _is_same(message, broadcasts[place])
+        # What strangers sent, too, is the robot's own only in its turn: among the next it is by chance.
         text = frame_as_text(frame)
-        if self._foreign[text]:
+        if self._foreign[text] and not (is_own and place == 0):
             self._foreign[text] -= 1
             self.verdict.foreign += 1
+            return True
+        if is_own and place is not None:
+            self._pass(broadcasts, place)
             return True
         expected = broadcasts[place or 0] if broadcasts else None
         self.verdict.difference = Difference(number, frame.timestamp, message, expected)

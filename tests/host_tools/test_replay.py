@@ -97,6 +97,18 @@ def test_what_faults_did_is_no_difference(kind: Kind, tmp_path: Path) -> None:
         assert verdict.foreign > 0
 
 
+@pytest.mark.parametrize(
+    "options", ["--seed 1", "--seed 2 --comms-period 5", "--density 2 --channel 'bus{robot}'"]
+)
+def test_what_faults_did_together_is_no_difference(options: str, tmp_path: Path) -> None:
+    """Among so many frames of strangers some equal a broadcast that is still to come."""
+    log, faults = tmp_path / "run.log", " ".join(f"--fault {each}" for each in FAULTS.values())
+    verdict = check(swarm(log, f"--ticks 120 {options} {faults}"), log)
+    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --ticks 120 {options} {faults}"
+    assert verdict.foreign > 0
+    assert verdict.reproduced > 0
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
     frames, draw = list(read_log(recorded)), random.Random(seed)
