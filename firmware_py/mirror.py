@@ -71,12 +71,12 @@ def leading_zeros(value: int) -> int:
 
 
 def square_of_ratio(a: int, k: int) -> tuple[int, int]:
-    """Mantissa in [2**31, 2**32) and exponent of (a / k)**2 for a and k in [2**31, 2**32)."""
+    """Mantissa and shift of (a / k)**2 = mantissa / 2**(30 + shift); a, k and mantissa in [2**31, 2**32)."""
     quotient = ((a >> 1) << 24) // (k >> 1) << 7
     shift = leading_zeros(quotient)
     square = (quotient << shift) ** 2 >> 32
     shift2 = leading_zeros(square)
-    return square << shift2, -30 - 2 * shift - shift2
+    return square << shift2, 2 * shift + shift2
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
@@ -91,10 +91,10 @@ def accuracy_of(b_hat: int) -> Accuracy:
     square = mantissa * mantissa >> 32
     square_shift = leading_zeros(square)
     rest = (1 << 32) - c
-    edge, edge_exponent = square_of_ratio(mantissa, rest)
+    edge, edge_shift = square_of_ratio(mantissa, rest)
     c_shift = leading_zeros(c)
-    odds, odds_exponent = square_of_ratio(rest, c << c_shift)
-    odds_exponent += 2 * c_shift
+    odds, odds_shift = square_of_ratio(rest, c << c_shift)
+    odds_exponent = 2 * c_shift - 30 - odds_shift
     return Accuracy(
         c=c,
         inverse_g=(1 << 62) // mantissa + 1,
@@ -103,7 +103,7 @@ def accuracy_of(b_hat: int) -> Accuracy:
         odds=odds,
         g_shift=g_shift,
         g_squared_shift=2 * g_shift + square_shift,
-        edge_shift=2 * g_shift - edge_exponent - 32,
+        edge_shift=2 * g_shift + edge_shift - 2,
         odds_left=max(odds_exponent, 0),
         odds_right=max(-odds_exponent, 0),
         inverted=inverted,

@@ -109,8 +109,11 @@ static uint32_t leading_zeros(uint32_t value)
         value <<= 4;
         zeros += 4;
     }
-    return zeros +
-           (UINT32_C(0x55AC) >> (value >> 28 << 1) & 3); /* two bits for each value of the first four */
+    if (value >> 30 == 0) {
+        value <<= 2;
+        zeros += 2;
+    }
+    return zeros + leading_zero(value);
 }
 #endif
 
@@ -293,16 +296,15 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 
 /* ---- Accuracy ---------------------------------------------------------------------------------------- */
 
-/* (a / k)^2 = mantissa 2^exponent for a and k in [2^31, 2^32): returns the mantissa, [2^31, 2^32), and sets
- * the exponent, [-33, -30]. The quotient has 24 or 25 bits. */
-HOT uint32_t square_of_ratio(uint32_t a, uint32_t k, int32_t *exponent)
+/* (a / k)^2 = mantissa 2^(-30 - shift) for a and k in [2^31, 2^32): returns the mantissa, [2^31, 2^32), and
+ * sets the shift, [0, 3]. The quotient has 24 or 25 bits. */
+HOT uint32_t square_of_ratio(uint32_t a, uint32_t k, uint32_t *shift)
 {
     const uint32_t quotient = divide_24(a >> 1, k >> 1) << 7; /* 2^31 a / k, in (2^30, 2^32) */
-    const uint32_t shift = leading_zero(quotient);
-    const uint32_t square = multiply_high(quotient << shift, quotient << shift); /* [2^30, 2^32) */
-    const uint32_t shift2 = leading_zero(square);
-    *exponent = -30 - (int32_t)(2 * shift + shift2);
-    return square << shift2;
+    const uint32_t half = leading_zero(quotient);
+    const uint32_t square = multiply_high(quotient << half, quotient << half); /* [2^30, 2^32) */
+    *shift = 2 * half + leading_zero(square);
+    return square << leading_zero(square);
 }
 
 static void set_uninformative(mcp_asdf_accuracy_t *accuracy)
@@ -339,15 +341,17 @@ static void set_accuracy(mcp_asdf_accuracy_t *accuracy, uint32_t b_hat)
     accuracy->g_squared = square << square_shift;
     accuracy->g_squared_shift = (uint8_t)(2 * g_shift + square_shift);
 
-    int32_t exponent;
-    accuracy->edge = square_of_ratio(mantissa, 0 - c, &exponent);
-    accuracy->edge_shift = (uint8_t)((int32_t)(2 * g_shift) - exponent - 32);
+    uint32_t shift;
+    accuracy->edge = square_of_ratio(mantissa, 0 - c, &shift);
+    accuracy->edge_shift =
+        (uint8_t)(2 * g_shift + shift - 2); /* g < 1 - c, so shift >= 2 where g_shift is 0 */
 
     const uint32_t c_shift = leading_zeros(c); /* [1, 19], as c < 2^31 */
-    accuracy->odds = square_of_ratio(0 - c, c << c_shift, &exponent);
-    exponent += (int32_t)(2 * c_shift); /* [-31, 8] */
-    accuracy->odds_left = (uint8_t)(exponent > 0 ? exponent : 0);
-    accuracy->odds_right = (uint8_t)(exponent > 0 ? 0 : -exponent);
+    accuracy->odds = square_of_ratio(0 - c, c << c_shift, &shift);
+    const int32_t exponent = (int32_t)(2 * c_shift) - 30 - (int32_t)shift; /* [-31, 8] */
+    const int32_t left = exponent > 0 ? exponent : 0;
+    accuracy->odds_left = (uint8_t)left;
+    accuracy->odds_right = (uint8_t)(left - exponent);
 }
 
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)

@@ -29,11 +29,11 @@ class Budget:
 BUDGETS = (
     Budget("Cortex-M4", "step", 150, 150),
     Budget("Cortex-M4", "receive", 60, 60),
-    Budget("Cortex-M4", UPDATED, 450, 460),
+    Budget("Cortex-M4", UPDATED, 450, 450),
     Budget("Cortex-M0+", "step", 360, 360),
     Budget("Cortex-M0+", "receive", 180, 180),
     Budget("Cortex-M0+", UPDATED, 1200, 1200),
-    Budget("RV32IMC", "step", 224, 226),
+    Budget("RV32IMC", "step", 224, 224),
     Budget("RV32IMC", "receive", 75, 100),
     Budget("RV32IMC", UPDATED, 700, 700),
     Budget("Cortex-M4", "flash", 1843, 2700),
