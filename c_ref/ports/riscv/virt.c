@@ -1,11 +1,10 @@
-/* QEMU's RISC-V board "virt": start, serial line (16550) and exit (SiFive's test device). */
+/* QEMU's RISC-V board "virt": start, and exit by SiFive's test device. */
+#include "uart.h"
+
 #include "../port.h"
 
 #include <stdint.h>
 
-#define UART_DATA (*(volatile uint8_t *)0x10000000)
-#define UART_STATE (*(volatile uint8_t *)0x10000005)
-#define UART_ROOM 0x20
 #define TEST (*(volatile uint32_t *)0x00100000)
 #define TEST_PASS 0x5555
 #define TEST_FAIL 0x3333
@@ -37,17 +36,11 @@ __attribute__((used)) void begin(void)
     for (uint32_t *to = bss_start; to < bss_end; ++to) {
         *to = 0;
     }
+    uart_start();
     port_exit(main());
 }
 
 __attribute__((used, aligned(4))) void fault(void) { port_exit(1); }
-
-void port_put(char byte)
-{
-    while ((UART_STATE & UART_ROOM) == 0) {
-    }
-    UART_DATA = (uint8_t)byte;
-}
 
 void port_exit(int status)
 {

@@ -1,0 +1,225 @@
+"""A robot's firmware image under QEMU in a swarm of ten, its mirror beside it: every frame is compared.
+
+    python tests/targets/firmware_loop.py [--target NAME] [--ticks N] [--seconds S]
+
+Builds the image of c_ref/ports/slcan for a target, lets it run in lockstep with nine emulated neighbours
+for N ticks as fast as it answers, then for S seconds at ten ticks a second, and prints what was compared and
+how fast the answers came. Exits with 1 at the first frame that differs, with 2 for bad usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from decimal import Decimal
+from functools import cache
+from pathlib import Path
+
+import can
+from rich.console import Console
+from rich.progress import track
+
+from firmware_py.mirror import MirrorRobot
+from firmware_py.native import NativeRobot
+from firmware_py.robot import Config, Observation
+from host_tools.errors import UsageError
+from host_tools.frames import Action, Command, encode_command
+from host_tools.lockstep import DRIVER_ID
+from host_tools.node import NodeSettings, RobotNode
+from host_tools.qemu import Board
+from host_tools.tables import generate
+from host_tools.world import FullyConnected, World
+
+SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
+BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}
+"""Name of the toolchain file, and the board that runs its code."""
+
+IMAGE_ID, ROBOTS = 3, 10
+FILL_RATIO, ACCURACY, FLAWED_ACCURACY = 0.55, 0.95, 0.55
+SEED = 20261121
+TIMEOUT = 20.0
+_WARNINGS = (
+    "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wdouble-promotion -Wundef -Werror"
+)
+
+Send = Callable[[Sequence[can.Message]], None]
+Receive = Callable[[], can.Message | None]
+
+
+class DifferenceError(AssertionError):
+    """The image said something else than its mirror, or nothing."""
+
+
+def build(target: str, folder: Path, filter_period: int, robot_id: int = IMAGE_ID, flags: str = "") -> Path:
+    """Build the image for a key of BOARDS, or for this computer if "host", in ``folder``; returns it."""
+    chosen = {"ID": robot_id, "B_HAT": FLAWED_ACCURACY, "FILTER_PERIOD": filter_period}
+    settings = [f"-DROBOT_{name}={value}" for name, value in chosen.items()]
+    if target != "host":
+        settings.append(f"-DCMAKE_TOOLCHAIN_FILE={SOURCE}/../../cmake/{target}.cmake")
+    environment = {**os.environ, "CFLAGS": f"{_WARNINGS} {flags}"}
+    configure = ["cmake", "-G", "Ninja", "-S", str(SOURCE), "-B", str(folder), *settings]
+    for command in (configure, ["cmake", "--build", str(folder)]):
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise UsageError(f"the image cannot be built:\n{done.stdout}\n{done.stderr}")
+    return folder / "slcan_robot"
+
+
+def mirror_node(filter_period: int) -> RobotNode:
+    """What the image is, in plain integers."""
+    return RobotNode(MirrorRobot(_config(filter_period), IMAGE_ID, FLAWED_ACCURACY), NodeSettings(IMAGE_ID))
+
+
+@cache
+def _config(filter_period: int) -> Config:
+    return Config(table=generate(Decimal("0.05"), 30), filter_period=filter_period)
+
+
+class Loop:
+    """An image, its mirror, and its neighbours in one swarm, tick by tick.
+
+    Attributes:
+        mirror: The robot whose frames the image has to send; it runs the firmware in plain integers.
+        compared: Frames that the image has sent so far, all of them as expected.
+    """
+
+    def __init__(self, send: Send, receive: Receive, filter_period: int, seed: int = SEED) -> None:
+        """``send`` takes frames to the image, ``receive`` returns its next one, or None if none comes."""
+        config = _config(filter_period)
+        self.mirror = mirror_node(filter_period)
+        self.compared = 0
+        self._neighbours = {
+            i: RobotNode(NativeRobot(config, i, ACCURACY), NodeSettings(i, telemetry_period=0))
+            for i in range(ROBOTS)
+            if i != IMAGE_ID
+        }
+        self._world = World(FILL_RATIO, [ACCURACY] * ROBOTS, FullyConnected(ROBOTS), seed)
+        self._send, self._receive = send, receive
+        self._commands = self._tick = 0
+
+    def start(self) -> None:
+        """Find the robot just switched on."""
+        self.expect(self.mirror.start())
+
+    def tick(self) -> None:
+        """One control tick of all robots. Raises DifferenceError if the image and its mirror do not agree."""
+        black = self._world.observe()[0].tolist()
+        self._order(Action(black[IMAGE_ID]))
+        spoken = [
+            frame for i, node in self._neighbours.items() for frame in node.observe(Observation(black[i]))
+        ]
+        self.deliver(spoken)
+        spoken += self._answers
+        for i, node in self._neighbours.items():
+            for frame in spoken:
+                if frame.arbitration_id & 127 != i:
+                    node.hear(frame)
+            node.settle()
+        self._order(Action.SETTLE)
+        self._tick += 1
+
+    def _order(self, action: Action) -> None:
+        self._answers = self.deliver([self.command(action)])
+        self.expect(self._answers)
+
+    def command(self, action: Action) -> can.Message:
+        """The next command to the image, for the present tick."""
+        command = Command(DRIVER_ID, self._tick, IMAGE_ID, action, self._commands % 32)
+        self._commands += 1
+        return encode_command(command)
+
+    def deliver(self, frames: Sequence[can.Message]) -> list[can.Message]:
+        """Send frames to the image and to its mirror; returns what the mirror answers."""
+        self._send(frames)
+        return [answer for frame in frames for answer in self.mirror.hear(frame)]
+
+    def expect(self, frames: Sequence[can.Message]) -> None:
+        """The image's next frames are these."""
+        for frame in frames:
+            found = self._receive()
+            if found is None or (found.arbitration_id, found.data) != (frame.arbitration_id, frame.data):
+                raise DifferenceError(f"tick {self._tick}: expected {frame}, found {found}")
+            self.compared += 1
+
+
+def over(bus: can.BusABC) -> tuple[Send, Receive]:
+    """The two functions that a loop needs, over a bus of python-can."""
+
+    def send(frames: Sequence[can.Message]) -> None:
+        for frame in frames:
+            bus.send(frame, timeout=TIMEOUT)
+
+    return send, lambda: bus.recv(TIMEOUT)
+
+
+def open_bus(board: Board) -> can.BusABC:
+    """The board's serial line as a bus of python-can."""
+    return can.Bus(interface="slcan", channel=board.channel, sleep_after_open=0, ignore_config=True)
+
+
+def demonstrate(board: Board, filter_period: int, ticks: int, seconds: float) -> str:
+    """Lockstep as fast as it goes, then at ten ticks a second; returns what happened, a few lines."""
+    with open_bus(board) as bus:
+        loop = Loop(*over(bus), filter_period)
+        loop.start()
+        began = time.monotonic()
+        for _ in _shown(ticks, "lockstep"):
+            loop.tick()
+        rate = ticks / (time.monotonic() - began)
+        late = [_late(loop, time.monotonic()) for _ in _shown(int(10 * seconds), "real time")]
+    robot = loop.mirror.robot
+    return (
+        f"{loop.compared} frames in {ticks + len(late)} ticks are its mirror's, bit for bit\n"
+        f"x {robot.x:.6f}  b_hat {robot.b_hat:.6f}  re-estimates {robot.counters.updates}\n"
+        f"highest rate {rate:.0f} ticks/s\n"
+        f"at 10 ticks/s {sum(t > 0.1 for t in late)} of {len(late)} were late; "
+        f"the slowest took {1000 * max(late, default=0):.0f} ms"
+    )
+
+
+def _shown(ticks: int, what: str) -> Iterable[int]:
+    """A range with a progress bar where somebody may see it."""
+    console = Console(stderr=True)
+    return track(range(ticks), what, transient=True, console=console, disable=not console.is_terminal)
+
+
+def _late(loop: Loop, began: float) -> float:
+    """One tick at ten a second; returns how long it took."""
+    loop.tick()
+    took = time.monotonic() - began
+    time.sleep(max(0.0, 0.1 - took))
+    return took
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description="Run a firmware image in a swarm of ten and compare every frame."
+    )
+    parser.add_argument("--target", choices=list(BOARDS), default="cortex-m3", help="default: %(default)s")
+    parser.add_argument("--ticks", type=int, default=5000, help="of lockstep (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of real time (default: %(default)s)")
+    parser.add_argument("--filter-period", type=int, default=1000, help="tau in ticks (default: %(default)s)")
+    args = parser.parse_args(arguments)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            image = build(args.target, Path(folder), args.filter_period)
+            with Board(BOARDS[args.target], image) as board:
+                print(f"{args.target} on {BOARDS[args.target]} is robot {IMAGE_ID} of {ROBOTS}; seed {SEED}")
+                print(demonstrate(board, args.filter_period, args.ticks, args.seconds))
+    except DifferenceError as difference:
+        print(difference)
+        return 1
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
