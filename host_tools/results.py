@@ -36,7 +36,7 @@ from host_tools.files import write_atomically
 from host_tools.scores import DELTA, Limits, score
 from host_tools.simulation import QUANTITIES, Measured
 
-FORMAT = 1
+FORMAT = 2
 _KEY = b"mcp-asdf"
 _LISTS = {
     "k": pa.int32(),
@@ -82,7 +82,8 @@ def _kind(name: str) -> Any:
 
 def _rows(array: NDArray[Any], kind: Any) -> Any:
     """A list for each trial of all that belongs to it."""
-    return pa.array([trial.ravel() for trial in array], pa.list_(kind))
+    named = pa.field("element", kind)  # as a file has it that was read, so that files are equal if rows are
+    return pa.array([trial.ravel() for trial in array], pa.list_(named))
 
 
 def write_table(path: Path, table: pa.Table) -> None:
@@ -242,7 +243,7 @@ def _data_rows(trials: Trials, index: int) -> list[list[str]]:
 def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
     adaptive = experiment.activation is Activation.ADAPTIVE
     return {
-        "sim_type": "static_topo_static_deg",
+        "sim_type": f"{'dynamic' if experiment.is_dynamic else 'static'}_topo_static_deg",
         "method": "BRAVO" if adaptive else "ALPHA",
         "num_robots": experiment.robots,
         "num_flawed_robots": experiment.flawed,
@@ -257,6 +258,6 @@ def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
         "correct_sensor_acc_b": experiment.true_accuracy,
         "correct_sensor_acc_w": experiment.true_accuracy,
         "correct_robot_filter": experiment.mode is Mode.ASDF_PLUS,
-        "fully_connected": True,
+        "fully_connected": not experiment.is_dynamic,
         "filter_specific_params": {"type_2_err_prob": float(experiment.omega)} if adaptive else {},
     }

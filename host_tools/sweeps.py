@@ -89,6 +89,11 @@ class Store:
             trial for trial in range(experiment.trials) if (self._names[experiment], trial) not in self._rows
         ]
 
+    @property
+    def left(self) -> int:
+        """How many trials have no results yet."""
+        return sum(len(self.missing(experiment)) for experiment in self.experiments)
+
     def add(self, job: Job, measured: Measured) -> None:
         """Keep a job's results, on disk before this returns. Raises UsageError if that cannot be done."""
         table = table_of(job.experiment, measured, self._thinning)
@@ -159,18 +164,31 @@ def jobs_of(store: Store, thinning: int = 0) -> Iterator[Job]:
 
 
 def run_sweep(
-    store: Store, workers: int, thinning: int = 0, report: Report = lambda trials: None
+    store: Store,
+    workers: int,
+    thinning: int = 0,
+    report: Report = lambda trials: None,
+    scheduler: str | None = None,
 ) -> pa.Table:
-    """Run what is missing on ``workers`` processes, 1 being this one, and return the finished table.
+    """Run what is missing on ``workers`` processes, 1 being this one, and return the finished table. With the
+    address of a ``scheduler`` run it on that Dask cluster instead.
 
     KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
-    or a worker dies.
+    or a worker process of this machine dies.
     """
     jobs = jobs_of(store, thinning)
-    for job, measured in _run_here(jobs) if workers == 1 else _run_on_workers(jobs, workers):
+    for job, measured in _results_of(jobs, workers, scheduler):
         store.add(job, measured)
         report(job.count)
     return store.finish()
+
+
+def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[tuple[Job, Measured]]:
+    if scheduler is not None:
+        from host_tools.sweeps_cluster import run_on_cluster  # noqa: PLC0415 (Dask loads slowly)
+
+        return run_on_cluster(jobs, scheduler)
+    return _run_here(jobs) if workers == 1 else _run_on_workers(jobs, workers)
 
 
 def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:

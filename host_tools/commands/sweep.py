@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from host_tools.commands import experiment_options as options
 from host_tools.experiment_files import read_experiments
@@ -17,6 +19,7 @@ EPILOG = """\
 examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
   mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet
+  mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.
@@ -32,6 +35,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_parameters(parser)
     options.add_limits(parser)
     options.add_workers(parser)
+    add_scheduler(parser)
+
+
+def add_scheduler(parser: argparse.ArgumentParser) -> None:
+    """The option for a cluster."""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here",
+    )
+
+
+def run_stores(stores: Sequence[Store], workers: int, args: argparse.Namespace) -> list[Any]:
+    """Run what sweeps miss, one after the other, and return their tables. If interrupted say what is left."""
+    missing = sum(store.left for store in stores)
+    try:
+        with options.progress(missing, args.json) as report:
+            return [run_sweep(store, workers, report=report, scheduler=args.scheduler) for store in stores]
+    except KeyboardInterrupt:
+        left = sum(store.left for store in stores)
+        print(f"{left} of {missing} trials left; the same command goes on", file=sys.stderr)
+        raise
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,14 +64,8 @@ def run(args: argparse.Namespace) -> int:
     workers = options.check_workers(args.workers)
     given = [options.with_parameters(experiment, args) for experiment in read_experiments(args.file)]
     store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given)
-    missing = sum(len(store.missing(experiment)) for experiment in store.experiments)
-    try:
-        with options.progress(missing, args.json) as report:
-            table = run_sweep(store, workers, report=report)
-    except KeyboardInterrupt:
-        left = sum(len(store.missing(experiment)) for experiment in store.experiments)
-        print(f"{left} of {missing} trials left; the same command goes on", file=sys.stderr)
-        raise
+    missing = store.left
+    (table,) = run_stores([store], workers, args)
     experiments = experiments_in(table)
     limits = options.limits_of(args, experiments)
     if args.json:

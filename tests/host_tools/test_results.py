@@ -15,6 +15,7 @@ import pytest
 from host_tools.errors import UsageError
 from host_tools.experiments import Experiment, Mode
 from host_tools.results import (
+    FORMAT,
     describe,
     experiments_in,
     read_table,
@@ -70,7 +71,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert len(row["k"]) == len(row["e"]) == 4
     assert len(row["b_hat"]) == 3 * 4
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
-    assert said == {"format": 1, "versions": versions(), "delta": 0.01, "thinning": 10}
+    assert said == {"format": FORMAT, "versions": versions(), "delta": 0.01, "thinning": 10}
     assert said == describe(read_table(path))
 
 
