@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 from can.cli import add_bus_arguments, create_bus_from_namespace
+from can.typechecking import CanFilters
 from can.util import load_environment_config, load_file_config
 
 from host_tools.errors import UsageError
@@ -23,8 +24,6 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "virtual": {"channel": "vcan0", "preserve_timestamps": True},
     "udp_multicast": {"hop_limit": 0},
 }
-_ECHOING = "udp_multicast"
-"""The kind of bus that returns to a connection what it has sent itself, unmarked."""
 _ROBOT = "{robot}"
 _UDP_PORT = 43113
 """python-can's."""
@@ -71,7 +70,8 @@ class BusChoice:
             bus = create_bus_from_namespace(self._args, **self._defaults)
         except argparse.ArgumentError as error:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
-        return WithoutEcho(bus) if self.interface == _ECHOING else bus
+        wrapper = _WRAPPERS.get(self.interface)
+        return bus if wrapper is None else wrapper(bus)
 
     def arguments(self) -> list[str]:
         """The options with which a command of another process joins the same bus.
@@ -109,30 +109,19 @@ class BusChoice:
         return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
 
 
-class WithoutEcho(can.BusABC):
-    """A connection to a bus that returns all frames it is given, without those that are its own."""
+class _Wrapper(can.BusABC):
+    """A connection that stands before another."""
 
     def __init__(self, bus: can.BusABC) -> None:
         """Take over ``bus``: whoever closes this connection closes it, too."""
+        self._bus = bus
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
         self._can_protocol = bus.protocol
-        self._bus = bus
-        # A returned frame may be lost: then one from elsewhere with the same id and data passes for it, once.
-        self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame, as ``can.BusABC.send``."""
-        self._own.append(_content(msg))
         self._bus.send(msg, timeout)
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        while True:
-            frame, is_filtered = self._bus._recv_internal(timeout)
-            if frame is None or _content(frame) not in self._own:
-                return frame, is_filtered
-            self._own.remove(_content(frame))
-            timeout = 0.0  # whoever called waits on for what is left of its time
 
     def fileno(self) -> int:
         """The file descriptor that can be waited for."""
@@ -144,7 +133,47 @@ class WithoutEcho(can.BusABC):
         self._bus.shutdown()
 
 
+class AllReceived(_Wrapper):
+    """A SocketCAN connection, on which what programs of this computer have sent counts as received.
+
+    python-can marks it as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
+    """
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        frame, is_filtered = self._bus._recv_internal(timeout)
+        if frame is not None:
+            frame.is_rx = True
+        return frame, is_filtered
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._bus.set_filters(filters)  # by the kernel
+
+
+class WithoutEcho(_Wrapper):
+    """A connection to a bus that returns all frames it is given, without those that are its own."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        """Take over ``bus``: whoever closes this connection closes it, too."""
+        super().__init__(bus)
+        # A returned frame may be lost: then one from elsewhere with the same id and data passes for it, once.
+        self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, as ``can.BusABC.send``."""
+        self._own.append(_content(msg))
+        super().send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            frame, is_filtered = self._bus._recv_internal(timeout)
+            if frame is None or _content(frame) not in self._own:
+                return frame, is_filtered
+            self._own.remove(_content(frame))
+            timeout = 0.0  # whoever called waits on for what is left of its time
+
+
 _MOST_ECHOES = 4096
+_WRAPPERS: dict[str, type[_Wrapper]] = {"socketcan": AllReceived, "udp_multicast": WithoutEcho}
 
 
 def _content(frame: can.Message) -> tuple[int, bytes]:

@@ -15,7 +15,20 @@ from typing import Protocol, cast
 from host_tools.errors import UsageError
 
 PROGRAM = "mcp-asdf"
-COMMANDS = ("table", "crosscheck", "swarm", "dbc", "simulate", "sweep", "score", "plot")
+COMMANDS = (
+    "table",
+    "crosscheck",
+    "swarm",
+    "node",
+    "radio",
+    "replay",
+    "dbc",
+    "simulate",
+    "sweep",
+    "score",
+    "plot",
+    "reproduce",
+)
 """Names of the commands; ``NAME`` is the module ``host_tools.commands.NAME``."""
 
 

@@ -4,7 +4,8 @@ A draw is a function of seed, trial, robot and step alone. With steps, robots an
 counter of a block of four draws is (step div 4, robot, trial, stream), the key is the seed's lower and upper
 32 bits, and the draw is word step mod 4. Stream 0 says what sensors see: a robot observes black if its draw,
 without the last bit, is below the probability in units of 2**-31. Stream 1 moves sensors that drift at
-random.
+random. Stream 2 has one block for each trial, (0, 0, trial, 2), whose first two words are the lower and upper
+half of the seed of the trial's arena.
 
 J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC'11.
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-OBSERVATIONS, MOVES = 0, 1
+OBSERVATIONS, MOVES, WORLDS = 0, 1, 2
 """Streams."""
 
 CERTAIN = 1 << 31
@@ -61,13 +62,12 @@ def words(seed: int, trial: int, robots: int, steps: int, stream: int) -> NDArra
     return np.stack(drawn, axis=1).reshape(4 * blocks, robots)[:steps].astype(np.uint32)
 
 
-def observations(seed: int, trial: int, black: NDArray[np.uint32]) -> NDArray[np.bool_]:
-    """What sensors say in a trial, True for black, of the shape (steps, robots) of ``black``: the
-    probabilities in units of 2**-31."""
-    steps, robots = black.shape
-    return words(seed, trial, robots, steps, OBSERVATIONS) >> np.uint32(1) < black
-
-
 def uniforms(seed: int, trial: int, robots: int, steps: int) -> NDArray[np.float64]:
     """Numbers in (0, 1) of stream 1, shape (steps, robots): the middles of 2**32 equal intervals."""
     return (words(seed, trial, robots, steps, MOVES).astype(np.float64) + 0.5) * 2.0**-32
+
+
+def world_seed(seed: int, trial: int) -> int:
+    """The seed of a trial's arena, below 2**64."""
+    low, high = words(seed, trial, 1, 2, WORLDS)[:, 0].tolist()
+    return int(low) | int(high) << 32

@@ -2,12 +2,15 @@
 
 TOML: a line ``key = value`` for every attribute of Experiment that is not the default. A list in place of a
 value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own, each on
-top of the keys above them. ``flawed_proportion`` may stand for ``flawed``.
+top of the keys above them. ``flawed_proportion`` may stand for ``flawed``. The path of a picture is relative
+to the file's folder.
 
 YAML: the parameter file of github.com/NESTLab/sensor-degradation-filter for its fully connected simulator, as
-it is.
+it is. That does not look at ``fullyConnected``; here, false stands for the paper's dynamic topology, with the
+density 1 and the latency of its physics simulation.
 
-Every error names file and line.
+Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
+folder ``studies``.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from host_tools.errors import UsageError
 from host_tools.experiments import Experiment, ExperimentError
 
 MAX_EXPERIMENTS = 100_000
+STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
 PROPORTION = "flawed_proportion"
 
@@ -35,6 +39,8 @@ _KEY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 def read_experiments(path: Path) -> list[Experiment]:
     """The experiments of a file, in its order. Raises UsageError, naming the line, for what will not do."""
+    if not path.suffix and not path.exists():
+        path = _shipped(path)
     if path.suffix not in (".toml", ".yml", ".yaml"):
         raise UsageError(
             f"{path}: cannot tell what this is; name it .toml, or .yml for the authors' parameters"
@@ -44,6 +50,13 @@ def read_experiments(path: Path) -> list[Experiment]:
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"cannot read {path}: {error}") from error
     return _read_toml(path, text) if path.suffix == ".toml" else _read_yaml(path, text)
+
+
+def _shipped(name: Path) -> Path:
+    shipped = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
+    if str(name) not in shipped:
+        raise UsageError(f"there is no file {name}; what comes with the program is {', '.join(shipped)}")
+    return shipped[str(name)]
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
@@ -75,7 +88,7 @@ class _TomlLines:
     """Where keys stand in a file."""
 
     def __init__(self, path: Path, text: str) -> None:
-        self._path = path
+        self.path = path
         self._of: dict[tuple[int, str], int] = {}
         grid = 0
         for number, line in enumerate(text.splitlines(), start=1):
@@ -86,7 +99,7 @@ class _TomlLines:
     def error(self, grid: int, key: str, message: str) -> UsageError:
         """An error at ``key`` of the ``grid``-th grid, or above the grids if it stands there."""
         line = self._of.get((grid, key), self._of.get((0, key)))
-        return UsageError(f"{self._path}{'' if line is None else f', line {line}'}: {message}")
+        return UsageError(f"{self.path}{'' if line is None else f', line {line}'}: {message}")
 
 
 def _combinations(grid: dict[str, Any], lines: _TomlLines, number: int) -> Iterator[dict[str, Any]]:
@@ -102,6 +115,8 @@ def _combinations(grid: dict[str, Any], lines: _TomlLines, number: int) -> Itera
 
 def _experiment(parameters: dict[str, Any], lines: _TomlLines, number: int) -> Experiment:
     given = dict(parameters)
+    if isinstance(given.get("picture"), str) and given["picture"]:
+        given["picture"] = str(lines.path.parent / given["picture"])
     try:
         if PROPORTION in given:
             given = _with_count(given)
@@ -161,7 +176,7 @@ _KEYS = {
     "sensorFilterPeriod": "filter_period",
     "numSteps": "steps",
     "numTrials": "trials",
-    "fullyConnected": "",
+    "fullyConnected": "topology",
     "method": "activation",
     _OMEGA: "omega",
     "correctFilter": "mode",
@@ -253,16 +268,19 @@ def _read_yaml(path: Path, text: str) -> list[Experiment]:
     parameters: dict[str, Any] = {
         ours: given.number(theirs)
         for theirs, ours in _KEYS.items()
-        if ours not in ("", "activation", "mode", "flawed") and given.has(theirs)
+        if ours not in ("", "activation", "mode", "flawed", "topology") and given.has(theirs)
     }
     parameters["activation"] = given.method()
+    if not given.switch("fullyConnected"):
+        parameters |= {"topology": "dynamic", "latency": 1}
     parameters["mode"] = "asdf_plus" if given.switch("correctFilter") else "asdf_minus"
     experiments = []
     for flawed in _flawed_counts(given):
         try:
             experiments.append(Experiment.from_parameters({**parameters, "flawed": flawed}))
         except ExperimentError as error:
-            theirs = {ours: theirs for theirs, ours in _KEYS.items()}[error.key]
+            # What is not theirs has our default, which fullyConnected chose.
+            theirs = {ours: theirs for theirs, ours in _KEYS.items()}.get(error.key, "fullyConnected")
             raise given.error(theirs, f"{theirs}: {error}") from error
     return experiments
 
@@ -276,10 +294,6 @@ def _check_unsupported(given: _Parameters) -> None:
                 f"{sensor}W is {white:g} and {sensor}B {black:g}; make them equal: sensors have one accuracy"
             )
             raise given.error(f"{sensor}W", message)
-    if not given.switch("fullyConnected"):
-        raise given.error(
-            "fullyConnected", "fullyConnected is false; only fully connected swarms run: set it to true"
-        )
 
 
 def _flawed_counts(given: _Parameters) -> Sequence[int]:

@@ -6,77 +6,28 @@ reads them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
 from decimal import Decimal
 from enum import Enum
 from typing import Any
 
-from firmware_py.robot import (
-    B_HAT_MARGIN,
-    DEFAULT_FILTER_PERIOD,
-    DEFAULT_MEMORY,
-    MAX_PERIOD,
-    MIN_MEMORY,
-    Config,
-    Filter,
-)
+from firmware_py.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, Config, Filter
 from host_tools.errors import UsageError
-from host_tools.firmwares import FIRMWARES
+from host_tools.experiment_checks import ExperimentError, check
+from host_tools.experiment_words import Activation, Convention, Drift, Floor, Mode, Topology
 from host_tools.tables import generate, parse_omega
 
-MAX_ROBOTS = 128
-MAX_STEPS = 10**8
-MAX_TRIALS = 10**6
-
-
-class Topology(Enum):
-    """Who hears whom."""
-
-    FULLY_CONNECTED = "fully_connected"
-    """Every robot hears every other, in the same tick."""
-
-
-class Mode(Enum):
-    """Which robots re-estimate their assumed accuracy."""
-
-    NONE = "none"
-    ASDF_MINUS = "asdf_minus"
-    """Only the flawed ones."""
-    ASDF_PLUS = "asdf_plus"
-    """All."""
-
-
-class Activation(Enum):
-    """When they do, every ``filter_period`` steps."""
-
-    ADAPTIVE = "adaptive"
-    """If the hypothesis test rejects (eq. 12)."""
-    ALWAYS = "always"
-    """Without a test."""
-
-
-class Convention(Enum):
-    """Whose reading of the equations the reference firmware follows; see ``firmware_py.reference``."""
-
-    PAPER = "paper"
-    AUTHORS = "authors"
-
-
-class Drift(Enum):
-    """How the true accuracy changes, from b at the first step; ``k`` counts steps from 0."""
-
-    NONE = "none"
-    LINEAR = "linear"
-    """b + drift_rate k."""
-    STEPPED = "stepped"
-    """b + drift_rate k, with k rounded down to a multiple of drift_period."""
-    WIENER = "wiener"
-    """b + drift_rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot."""
-
-    @property
-    def is_random(self) -> bool:
-        """Whether trials differ in it."""
-        return self is Drift.WIENER
+__all__ = [
+    "Activation",
+    "Convention",
+    "Drift",
+    "Experiment",
+    "ExperimentError",
+    "Floor",
+    "Mode",
+    "Topology",
+]
 
 
 @dataclass(frozen=True)
@@ -85,7 +36,7 @@ class Experiment:
     do.
 
     Attributes:
-        topology: Who hears whom.
+        topology: Who hears whom. The attributes from ``density`` to ``latency`` are for DYNAMIC only.
         robots: N, 1 .. 128.
         flawed: How many robots, the first ones, have a flawed assumed accuracy, 0 .. N.
         fill_ratio: f, 0 .. 1.
@@ -103,10 +54,22 @@ class Experiment:
         drift_diffusion: Standard deviation of WIENER's change in one step, 0 or more.
         lowest_accuracy: Below which no drift takes the true accuracy, 0 .. b. It does not rise above 1
             either.
+        density: Swarm density D = N pi r^2 / L^2, from which the side L of a square arena follows.
+        width: Side of a rectangular arena along x in metres, which replaces the density; 0 for none.
+        height: Side along y; 0 if and only if ``width`` is.
+        speed: Limit of a wheel in m/s, above 0, at most 0.814.
+        radio_range: Distance r of centres below which two robots hear each other, metres.
+        floor: What the robots stand on.
+        tile: Side of a tile in metres.
+        picture: Path of the picture of a PICTURE floor; ``fill_ratio`` has to be its share of black.
+        picture_sha256: Of the picture's file; filled in if empty, so that results say what was run on.
+        ticks_per_second: Steps in a second.
+        observation_period: Steps between observations.
+        latency: Steps that a message takes: 0, or 1, when it reaches who is near in the step after.
         steps: Length of a trial.
         trials: How many.
         seed: Of everything random, 0 .. 2**64 - 1. Trial i of two experiments with one seed sees the same
-            draws.
+            draws, and the same motion if the arena is the same.
         firmware: Name of the robots' firmware, see ``host_tools.firmwares``.
         conventions: Of the reference firmware.
     """
@@ -128,6 +91,18 @@ class Experiment:
     drift_period: int = 1000
     drift_diffusion: float = 0.0
     lowest_accuracy: float = 0.5
+    density: float = 1.0
+    width: float = 0.0
+    height: float = 0.0
+    speed: float = 0.1414
+    radio_range: float = 0.7
+    floor: Floor = Floor.TILES
+    tile: float = 0.01
+    picture: str = ""
+    picture_sha256: str = ""
+    ticks_per_second: int = 10
+    observation_period: int = 1
+    latency: int = 0
     steps: int = 40_000
     trials: int = 30
     seed: int = 1
@@ -135,12 +110,10 @@ class Experiment:
     conventions: Convention = Convention.PAPER
 
     def __post_init__(self) -> None:
-        for name, least, most in _RANGES:
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise ExperimentError(name, f"{name} is {value}; it must be {least} to {most}")
-        for check in (_check_periods, _check_firmware, _check_drift):
-            check(self)
+        check(self)
+        for name, value in vars(self).items():
+            if isinstance(_FIELDS[name].default, float):
+                object.__setattr__(self, name, float(value))  # equal ones shall be written alike
         try:
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
         except UsageError as error:
@@ -159,6 +132,19 @@ class Experiment:
         accuracy = self.flawed_accuracy if robot < self.flawed else self.true_accuracy
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the robots move."""
+        return self.topology is Topology.DYNAMIC
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Width and height of the arena in metres."""
+        if self.width:
+            return self.width, self.height
+        side = self.radio_range * math.sqrt(self.robots * math.pi / self.density)
+        return side, side
+
     def parameters(self) -> dict[str, Any]:
         """The values as plain numbers and words, which ``from_parameters`` takes back."""
         return {name: _plain(value) for name, value in asdict(self).items()}
@@ -172,71 +158,10 @@ class Experiment:
         return cls(**{key: _typed(key, value) for key, value in parameters.items()})
 
 
-class ExperimentError(UsageError):
-    """A value that cannot be; ``key`` is the attribute of Experiment that has to change."""
-
-    def __init__(self, key: str, message: str) -> None:
-        super().__init__(message)
-        self.key = key
-
-
-_RANGES: tuple[tuple[str, float, float], ...] = (
-    ("robots", 1, MAX_ROBOTS),
-    ("fill_ratio", 0, 1),
-    ("true_accuracy", 0, 1),
-    ("flawed_accuracy", 0, 1),
-    ("filter_period", 1, MAX_PERIOD),
-    ("comms_period", 1, MAX_PERIOD),
-    ("memory", MIN_MEMORY, DEFAULT_MEMORY),
-    ("drift_rate", -1, 1),
-    ("drift_period", 1, MAX_PERIOD),
-    ("drift_diffusion", 0, 1),
-    ("lowest_accuracy", 0, 1),
-    ("steps", 1, MAX_STEPS),
-    ("trials", 1, MAX_TRIALS),
-    ("seed", 0, 2**64 - 1),
-)
-
 _FIELDS = {field.name: field for field in fields(Experiment)}
 _WORDS: dict[str, type[Enum]] = {
     name: type(field.default) for name, field in _FIELDS.items() if isinstance(field.default, Enum)
 }
-
-
-def _check_periods(experiment: Experiment) -> None:
-    if not 0 <= experiment.flawed <= experiment.robots:
-        message = f"flawed is {experiment.flawed}; it must be 0 to robots, {experiment.robots}"
-        raise ExperimentError("flawed", message)
-    if experiment.filter_period % experiment.comms_period:
-        tau, comms = experiment.filter_period, experiment.comms_period
-        message = f"filter_period is {tau}; it must be a multiple of comms_period, {comms}"
-        raise ExperimentError("filter_period", message)
-    if experiment.memory % 2:
-        raise ExperimentError("memory", f"memory is {experiment.memory}; it must be even")
-
-
-def _check_firmware(experiment: Experiment) -> None:
-    if experiment.firmware not in FIRMWARES:
-        message = f"firmware is {experiment.firmware!r}; choose one of {', '.join(FIRMWARES)}"
-        raise ExperimentError("firmware", message)
-    if experiment.conventions is Convention.AUTHORS and experiment.firmware != "reference":
-        message = (
-            f"firmware {experiment.firmware} has no conventions of the authors; choose firmware reference"
-        )
-        raise ExperimentError("conventions", message)
-
-
-def _check_drift(experiment: Experiment) -> None:
-    if experiment.drift is Drift.NONE:
-        for name in ("drift_rate", "drift_diffusion"):
-            if getattr(experiment, name):
-                raise ExperimentError(
-                    name, f"{name} is {getattr(experiment, name)} but drift is none; choose a drift"
-                )
-    elif experiment.lowest_accuracy > experiment.true_accuracy:
-        lowest, start = experiment.lowest_accuracy, experiment.true_accuracy
-        message = f"lowest_accuracy is {lowest}; it must be at most true_accuracy, {start}"
-        raise ExperimentError("lowest_accuracy", message)
 
 
 def _plain(value: Any) -> Any:

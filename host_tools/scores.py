@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 DELTA = 0.01
 """Threshold within which an estimate has settled."""
 
-_CHUNK = 4096
+_CHUNK = 1024
 
 
 def settling_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float = DELTA) -> int:
@@ -30,14 +30,13 @@ def settling_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float
     starts = np.arange(0, len(series), _CHUNK)
     lows = np.append(_from_the_end(np.minimum, np.minimum.reduceat(series, starts)), series[-1])
     highs = np.append(_from_the_end(np.maximum, np.maximum.reduceat(series, starts)), series[-1])
-    for start, low, high in zip(starts, lows[1:], highs[1:], strict=True):
-        if high - low < 2 * delta:
-            chunk = series[start : start + _CHUNK]
-            below = chunk - _from_the_end(np.minimum, np.minimum(chunk, low))
-            above = _from_the_end(np.maximum, np.maximum(chunk, high)) - chunk
-            near = (below < delta) & (above < delta)
-            if near.any():
-                return int(start + near.argmax())
+    for index in np.flatnonzero(highs[1:] - lows[1:] < 2 * delta):
+        chunk = series[starts[index] : starts[index] + _CHUNK]
+        below = chunk - _from_the_end(np.minimum, np.minimum(chunk, lows[index + 1]))
+        above = _from_the_end(np.maximum, np.maximum(chunk, highs[index + 1])) - chunk
+        near = (below < delta) & (above < delta)
+        if near.any():
+            return int(starts[index] + near.argmax())
     return len(series) - 1
 
 

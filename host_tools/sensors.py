@@ -27,8 +27,11 @@ def true_accuracies(experiment: Experiment, trial: int) -> NDArray[np.float64]:
 
 
 def black_probabilities(experiment: Experiment, trial: int) -> NDArray[np.uint32]:
-    """p(z = 1) = f b + (1 - f)(1 - b) (eq. 1) in units of 2**-31; shape as ``true_accuracies``."""
-    b, f = true_accuracies(experiment, trial), experiment.fill_ratio
+    """p(z = 1) = f b + (1 - f)(1 - b) (eq. 1) in units of 2**-31; shape as ``true_accuracies``.
+
+    Where robots move it is that on a black floor, f = 1; on a white floor a robot observes white with it.
+    """
+    b, f = true_accuracies(experiment, trial), 1.0 if experiment.is_dynamic else experiment.fill_ratio
     return np.rint((f * b + (1 - f) * (1 - b)) * CERTAIN).astype(np.uint32)
 
 

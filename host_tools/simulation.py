@@ -1,14 +1,14 @@
 """Run trials of an experiment on any firmware and measure them.
 
-Native trials run in the C engine; those of the other firmwares robot by robot and message by message in
-Python, with the same draws. The series of informed estimates of a trial is dropped as soon as K and e are
-known.
+Native trials run in the C engine, those of the reference in arrays; those of the mirror, and what the arrays
+cannot do, robot by robot and message by message in Python. All see the same draws. The series of informed
+estimates of a trial is dropped as soon as K and e are known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.fixed_point import ONE, UNITS_PER_ALPHA, b_hat_to_raw
-from firmware_py.reference import AUTHORS, PAPER, ReferenceRobot
+from firmware_py.reference import ReferenceRobot
 from firmware_py.robot import FixedPointRobot, Observation, Robot, Status
-from host_tools.draws import observations
+from host_tools import float64
 from host_tools.errors import UsageError
-from host_tools.experiments import Convention, Experiment
+from host_tools.experiments import Experiment
 from host_tools.firmwares import RobotMaker, load_firmware
 from host_tools.scores import DELTA, settling_step
-from host_tools.sensors import black_probabilities
+from host_tools.trial_world import TrialWorld
 
 if TYPE_CHECKING:
     from host_tools.engine.native import RawOutcome
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 """What is recorded of a robot, named as the attributes of ``Robot``."""
 
+_STEPS_AT_ONCE = 512
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 
@@ -63,12 +64,20 @@ def run_trials(experiment: Experiment, first: int, trials: int, thinning: int = 
 
     Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
     """
-    if experiment.firmware == "native":
+    if experiment.firmware == "native" and not experiment.is_dynamic:
         return _run_native(experiment, first, trials, thinning)
-    each = [_run_robots(experiment, first + index, thinning) for index in range(trials)]
+    each = [_run_one(experiment, first + index, thinning) for index in range(trials)]
     return Measured(
         first, *(np.concatenate([getattr(one, name) for one in each], axis=axis) for name, axis in _AXES)
     )
+
+
+def _run_one(experiment: Experiment, trial: int, thinning: int) -> Measured:
+    if experiment.firmware == "native":
+        return _run_native(experiment, trial, 1, thinning)
+    if experiment.firmware == "reference" and thinning == 0 and float64.can_run(experiment):
+        return _run_float64(experiment, trial)
+    return run_by_message(experiment, trial, thinning)
 
 
 _AXES = (("settled", 0), ("errors", 0), ("b_hat", 0), ("tests", 0), ("updates", 0), ("records", 1))
@@ -121,65 +130,108 @@ def _records_of(experiment: Experiment, raw: RawOutcome, recorded: bool) -> NDAr
     return records
 
 
-def _run_robots(experiment: Experiment, trial: int, thinning: int) -> Measured:
-    """One trial in Python."""
+def _run_float64(experiment: Experiment, trial: int) -> Measured:
+    outcome = float64.run(experiment, trial)
+    counts = (outcome.tests, outcome.updates)
+    return _measured(experiment, trial, outcome.x, outcome.b_hat, counts)
+
+
+def run_by_message(experiment: Experiment, trial: int, thinning: int = 0) -> Measured:
+    """One trial in Python, robot by robot and message by message, as a swarm would."""
     robots = _make_robots(experiment)
-    shape = (experiment.steps, experiment.robots)
-    seen = observations(
-        experiment.seed, trial, np.broadcast_to(black_probabilities(experiment, trial), shape)
-    )
+    exchange = _Exchange(robots, late=experiment.latency > 0)
     x, b_hat, records = [_all(robots, "x")], [], [_snapshot(robots)] if thinning else []
-    for step, colours in enumerate(seen.tolist(), start=1):
-        _tick(robots, colours)
+    for step, (seen, pairs) in enumerate(_steps(experiment, trial), start=1):
+        exchange.tick(seen, pairs)
         x.append(_all(robots, "x"))
         if step % experiment.filter_period == 0:
             b_hat.append(_all(robots, "b_hat"))
         if thinning and step % thinning == 0:
             records.append(_snapshot(robots))
-    pairs = [measure(series, 1.0, experiment.fill_ratio) for series in np.array(x).T]
     counters = [robot.counters for robot in robots]
+    counts = [np.array([getattr(each, name) for each in counters]) for name in ("tests", "updates")]
+    measured = _measured(experiment, trial, np.array(x).T, np.array(b_hat), counts)
+    shape = (-1, len(QUANTITIES), len(robots))
+    return replace(measured, records=np.array(records).reshape(shape).swapaxes(0, 1)[:, np.newaxis])
+
+
+def _measured(
+    experiment: Experiment,
+    trial: int,
+    x: NDArray[np.float64],
+    b_hat: NDArray[np.float64],
+    counts: Sequence[NDArray[np.int64]],
+) -> Measured:
+    """One trial from its series of x, shape (N, T + 1), which is not needed any more."""
+    pairs = [measure(series, 1.0, experiment.fill_ratio) for series in x]
     return Measured(
         trial,
         np.array([[settled for settled, _ in pairs]]),
         np.array([[error for _, error in pairs]]),
-        np.array(b_hat).reshape(1, -1, len(robots)),
-        np.array([[counter.tests for counter in counters]]),
-        np.array([[counter.updates for counter in counters]]),
-        np.array(records).reshape(-1, len(QUANTITIES), len(robots)).swapaxes(0, 1)[:, np.newaxis],
+        b_hat.reshape(1, -1, experiment.robots),
+        counts[0].reshape(1, -1),
+        counts[1].reshape(1, -1),
+        np.empty((len(QUANTITIES), 1, 0, experiment.robots)),
     )
+
+
+Pairs = Sequence[Sequence[int]]
+"""Robots and whom they hear."""
+
+
+def _steps(experiment: Experiment, trial: int) -> Iterator[tuple[Sequence[Observation], Pairs]]:
+    """What each robot observes in every step, and who hears whom."""
+    world, none = TrialWorld(experiment, trial), [Observation.NONE] * experiment.robots
+    for first in range(0, experiment.steps, _STEPS_AT_ONCE):
+        scene = world.advance(min(_STEPS_AT_ONCE, experiment.steps - first))
+        for black, observes, hears in zip(scene.black.tolist(), scene.observes, scene.hears, strict=True):
+            yield [_COLOURS[colour] for colour in black] if observes else none, np.argwhere(hears).tolist()
 
 
 def _make_robots(experiment: Experiment) -> list[Robot]:
     make: RobotMaker = load_firmware(experiment.firmware)
     if experiment.firmware == "reference":
-        conventions = AUTHORS if experiment.conventions is Convention.AUTHORS else PAPER
+        conventions = float64.conventions_of(experiment)
         make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
         make(experiment.config(robot), robot, experiment.b_hat(robot)) for robot in range(experiment.robots)
     ]
 
 
-def _tick(robots: Sequence[Robot], colours: Sequence[bool]) -> None:
-    """One step of all robots together: all observe, every one hears every other, all settle."""
-    due = False
-    for robot, black in zip(robots, colours, strict=True):
-        due = robot.observe(_COLOURS[black]) == Status.DUE  # periods are equal, so all are due at once
-    if due:
-        for sender, robot in enumerate(robots):
-            _broadcast(sender, robot, [*robots[:sender], *robots[sender + 1 :]])
-    for robot in robots:
-        robot.settle()
+class _Exchange:
+    """Steps of all robots together: all observe, hear their pairs' messages, and settle.
 
+    Messages that are ``late`` reach whoever hears the sender in the step after the one that they were said
+    in: until a robot observes again its values are those it said.
+    """
 
-def _broadcast(sender: int, robot: Robot, others: Sequence[Robot]) -> None:
-    if isinstance(robot, FixedPointRobot):
-        x_raw, alpha_raw = robot.x_hat_raw, robot.alpha_raw
-        for neighbour in cast(Sequence[FixedPointRobot], others):
-            neighbour.receive_raw(sender, x_raw, alpha_raw)
-    else:
-        x_hat, alpha = robot.x_hat, robot.alpha
-        for other in others:
-            other.receive(sender, x_hat, alpha)
+    def __init__(self, robots: Sequence[Robot], late: bool) -> None:
+        self._robots, self._late = robots, late
+        self._was_due = False
+        self._deliver = self._send_raw if isinstance(robots[0], FixedPointRobot) else self._send
+
+    def tick(self, seen: Sequence[Observation], pairs: Pairs) -> None:
+        """One step."""
+        if self._late and self._was_due:
+            self._deliver(pairs)
+        for robot, observation in zip(self._robots, seen, strict=True):
+            # Periods are equal, so all are due at once.
+            self._was_due = robot.observe(observation) == Status.DUE
+        if self._was_due and not self._late:
+            self._deliver(pairs)
+        for robot in self._robots:
+            robot.settle()
+
+    def _send(self, pairs: Pairs) -> None:
+        said = [(robot.x_hat, robot.alpha) for robot in self._robots]
+        for receiver, sender in pairs:
+            self._robots[receiver].receive(sender, *said[sender])
+
+    def _send_raw(self, pairs: Pairs) -> None:
+        robots = cast(Sequence[FixedPointRobot], self._robots)
+        said = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
+        for receiver, sender in pairs:
+            robots[receiver].receive_raw(sender, *said[sender])
 
 
 def _all(robots: Sequence[Robot], quantity: str) -> list[float]:

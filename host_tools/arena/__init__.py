@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from host_tools import _arena
 from host_tools.errors import UsageError
 
-TICKS_PER_SECOND = 10
 MAX_ROBOTS: int = _arena.lib.MCP_ASDF_ARENA_MAX_ROBOTS
 MAX_TICKS = 2**32 - 1
 """At most so many in one call."""
@@ -25,6 +24,7 @@ MAX_TICKS = 2**32 - 1
 _REASONS = {
     "SIDE": "the arena is {0.width} x {0.height} m; choose sides above 0.1408 (a robot), up to 1000",
     "SPEED": "speed is {0.speed} m/s; choose one above 0, up to 0.814, the Khepera IV's limit",
+    "TICK": "ticks_per_second is {0.ticks_per_second}; choose at least 11.86 times the speed, {0.speed} m/s",
     "RANGE": "radio_range is {0.radio_range} m; choose one above 0, up to 1000",
     "TILE": "the side of a tile is {0.floor.side} m; choose one with at most 100000 tiles along the arena",
     "FILL_RATIO": "fill ratio is {0.floor.fill_ratio}; it must be within 0 to 1",
@@ -79,6 +79,8 @@ class ArenaSettings:
         speed: Limit of a wheel, in m/s.
         radio_range: Distance of centres below which two robots hear each other, in metres.
         see_past: Whether two robots hear each other in spite of a body between them.
+        ticks_per_second: At least 11.86 a metre times ``speed``, so that no robot turns by more than 1.6 in
+            one.
     """
 
     robots: int
@@ -88,6 +90,7 @@ class ArenaSettings:
     speed: float = 0.1414
     radio_range: float = 0.7
     see_past: bool = False
+    ticks_per_second: int = 10
 
 
 def square_side(robots: int, density: float, radio_range: float = 0.7) -> float:
@@ -146,7 +149,8 @@ class Arena:
             raise UsageError(f"robots is {settings.robots}; choose 1 to {MAX_ROBOTS}")
         self.settings = settings
         self._arena = _arena.ffi.new("mcp_asdf_arena_t *")
-        config, self._image = _config(settings, seed)
+        values, self._image = config_values(settings, seed, _arena.ffi)
+        config = _arena.ffi.new("mcp_asdf_arena_config_t *", values)
         status = _arena.lib.mcp_asdf_arena_init(self._arena, config)
         if status != _arena.lib.MCP_ASDF_ARENA_OK:
             raise UsageError(_FIXES[status].format(settings))
@@ -218,25 +222,25 @@ def _check_ticks(ticks: int) -> int:
     return ticks
 
 
-def _config(settings: ArenaSettings, seed: int) -> tuple[Any, NDArray[np.uint8] | None]:
-    """The C settings, and the image that they point to and that must live as long."""
-    config = _arena.ffi.new(
-        "mcp_asdf_arena_config_t *",
-        {
-            "seed": seed,
-            "robots": settings.robots,
-            "see_past": settings.see_past,
-            "width": settings.width,
-            "height": settings.height,
-            "speed": settings.speed,
-            "range": settings.radio_range,
-        },
-    )
+def config_values(settings: ArenaSettings, seed: int, ffi: Any) -> tuple[dict[str, Any], object]:
+    """The members of a C ``mcp_asdf_arena_config_t``, and what they point to and that must live as long.
+
+    ``ffi`` is that of the extension module which the struct is for.
+    """
+    values = {
+        "seed": seed,
+        "robots": settings.robots,
+        "see_past": settings.see_past,
+        "width": settings.width,
+        "height": settings.height,
+        "speed": settings.speed,
+        "range": settings.radio_range,
+        "tick": 1 / settings.ticks_per_second if settings.ticks_per_second > 0 else 0.0,
+    }
     floor = settings.floor
     if isinstance(floor, Tiles):
-        config.tile, config.fill_ratio = floor.side, floor.fill_ratio
-        return config, None
+        return values | {"tile": floor.side, "fill_ratio": floor.fill_ratio}, None
     image = np.ascontiguousarray(floor.pixels, dtype=np.uint8)
-    config.image = _arena.ffi.cast("uint8_t *", image.ctypes.data)
-    config.rows, config.columns = image.shape
-    return config, image
+    rows, columns = image.shape
+    pointer = ffi.cast("uint8_t *", image.ctypes.data)
+    return values | {"image": pointer, "rows": rows, "columns": columns}, image

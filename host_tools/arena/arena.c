@@ -8,7 +8,6 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-#define TICK 0.1
 #define MAX_SIDE 1000.0
 #define MAX_TILES 100000.0 /* along a side, so that their numbers fit 32 bits */
 #define MAX_SPEED 0.814
@@ -26,9 +25,9 @@
 
 /* Bodies are moved in parts of a tick, with a few passes over contacts and motors in each. */
 #define PARTS 10
-#define PART (TICK / PARTS)
 #define PASSES 10
-#define MOTOR (1.5 / 0.4 * PART) /* change of velocity in a part: 1.5 N on 0.4 kg */
+#define ACCELERATION (1.5 / 0.4) /* of the motors: 1.5 N on 0.4 kg */
+#define LARGEST_TURN 1.6         /* in a tick, for rotate() */
 #define FRICTION_ROBOTS 0.49
 #define FRICTION_WALL 0.07
 
@@ -67,8 +66,8 @@ static const double INVERSE[] = {0,       1,       1. / 2,  1. / 3,  1. / 4,  1.
                                  1. / 8,  1. / 9,  1. / 10, 1. / 11, 1. / 12, 1. / 13, 1. / 14, 1. / 15,
                                  1. / 16, 1. / 17, 1. / 18, 1. / 19, 1. / 20, 1. / 21};
 
-/* Rotate (*cx, *cy) by an angle of at most 1.6 and keep its length 1; series up to a^17, wrong by 1e-13 at
- * most. */
+/* Rotate (*cx, *cy) by an angle of at most LARGEST_TURN and keep its length 1; series up to a^17, wrong by
+ * 1e-13 at most. */
 static void rotate(double *cx, double *cy, double angle)
 {
     const double q = angle * angle;
@@ -154,8 +153,9 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
     if (config->image != NULL) {
         return pixel(config, x, y);
     }
-    const uint64_t column = (uint64_t)((x + config->width / 2) * arena->tiles_per_metre);
-    const uint64_t row = (uint64_t)((y + config->height / 2) * arena->tiles_per_metre);
+    /* By way of signed numbers, for which processors have an instruction. */
+    const uint64_t column = (uint64_t)(int64_t)((x + config->width / 2) * arena->tiles_per_metre);
+    const uint64_t row = (uint64_t)(int64_t)((y + config->height / 2) * arena->tiles_per_metre);
     return (double)(mix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
 }
 
@@ -263,9 +263,11 @@ void mcp_asdf_arena_obstacle(const mcp_asdf_arena_t *arena, uint32_t robot, doub
     see_walls(arena->config.height / 2, y, dy, clear);
     *ahead = *left = 0;
     for (int k = 0; k < SENSORS; k++) {
-        const double reading = mcp_asdf_arena_reading(clear[k]);
-        *ahead += reading * AHEAD[k];
-        *left += reading * LEFT[k];
+        if (clear[k] <= SENSOR_REACH) {
+            const double reading = mcp_asdf_arena_reading(clear[k]);
+            *ahead += reading * AHEAD[k];
+            *left += reading * LEFT[k];
+        }
     }
 }
 
@@ -340,7 +342,7 @@ static void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
  * body turns for one part of the tick as before; the motors are strong enough for any turn. */
 static void turn(mcp_asdf_arena_t *arena, uint32_t i)
 {
-    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * PART;
+    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
     arena->spin[i] = arena->wanted_spin[i];
     if (angle != 0) {
         rotate(&arena->cx[i], &arena->cy[i], angle);
@@ -353,10 +355,10 @@ static void move_alone(mcp_asdf_arena_t *arena, uint32_t i)
                  wanted_y = arena->wanted_speed[i] * arena->cy[i];
     int part = 0;
     for (; part < PARTS && (arena->vx[i] != wanted_x || arena->vy[i] != wanted_y); part++) {
-        advance(arena, i, PART);
-        drive(arena, i, wanted_x, wanted_y, MOTOR);
+        advance(arena, i, arena->part);
+        drive(arena, i, wanted_x, wanted_y, arena->motor);
     }
-    advance(arena, i, (PARTS - part) * PART);
+    advance(arena, i, (PARTS - part) * arena->part);
     turn(arena, i);
 }
 
@@ -412,7 +414,8 @@ static void touch_walls(const mcp_asdf_arena_t *arena, struct crowd *crowd, uint
 /* Walls last: where the passes of `settle_velocities` end undecided, it is not the wall that gives way. */
 static void find_contacts(const mcp_asdf_arena_t *arena, struct crowd *crowd)
 {
-    const double margin = 2 * arena->config.speed * PART, limit = (DIAMETER + margin) * (DIAMETER + margin);
+    const double margin = 2 * arena->config.speed * arena->part,
+                 limit = (DIAMETER + margin) * (DIAMETER + margin);
     crowd->contact_count = 0;
     for (uint32_t p = 0; p < arena->close_count; p++) {
         const uint32_t a = arena->close[p].a, b = arena->close[p].b;
@@ -428,14 +431,16 @@ static void find_contacts(const mcp_asdf_arena_t *arena, struct crowd *crowd)
     }
 }
 
-/* The motors' share of a pass: towards the wanted velocity, all passes together at most MOTOR. */
+/* The motors' share of a pass: towards the wanted velocity, all passes together at most what they can give in
+ * a part. */
 static void drive_crowd(mcp_asdf_arena_t *arena, struct crowd *crowd)
 {
+    const double limit = arena->motor;
     for (uint32_t m = 0; m < crowd->count; m++) {
         const uint32_t i = crowd->member[m];
         double gx = crowd->given_x[m] + crowd->wanted_x[m] - arena->vx[i];
         double gy = crowd->given_y[m] + crowd->wanted_y[m] - arena->vy[i];
-        const double squared = gx * gx + gy * gy, share = squared > MOTOR * MOTOR ? MOTOR / sqrt(squared) : 1;
+        const double squared = gx * gx + gy * gy, share = squared > limit * limit ? limit / sqrt(squared) : 1;
         gx *= share;
         gy *= share;
         arena->vx[i] += gx - crowd->given_x[m];
@@ -455,7 +460,7 @@ static void resolve(mcp_asdf_arena_t *arena, struct contact *c)
     const double rx = arena->vx[a] - (b < 0 ? 0 : arena->vx[b]),
                  ry = arena->vy[a] - (b < 0 ? 0 : arena->vy[b]);
     const double closing = rx * c->nx + ry * c->ny, sliding = ry * c->nx - rx * c->ny + spins;
-    const double push = larger(0, c->push + share * (closing - c->gap / PART));
+    const double push = larger(0, c->push + share * (closing - c->gap / arena->part));
     const double rub = clamp(c->rub + share * sliding, -friction * push, friction * push);
     const double along = push - c->push, across = rub - c->rub;
     const double dx = along * c->nx - across * c->ny, dy = along * c->ny + across * c->nx;
@@ -504,7 +509,7 @@ static void move_crowd(mcp_asdf_arena_t *arena)
     gather(arena, &crowd);
     for (int part = 0; part < PARTS; part++) {
         for (uint32_t m = 0; m < crowd.count; m++) {
-            advance(arena, crowd.member[m], PART);
+            advance(arena, crowd.member[m], arena->part);
         }
         find_contacts(arena, &crowd);
         settle_velocities(arena, &crowd);
@@ -534,7 +539,7 @@ static void move_all(mcp_asdf_arena_t *arena)
 /* Distance of centres within which two bodies could meet in one tick. */
 static double touching_distance(const mcp_asdf_arena_t *arena)
 {
-    return DIAMETER + 2 * arena->config.speed * TICK;
+    return DIAMETER + 2 * arena->config.speed * arena->config.tick;
 }
 
 /* Distance of centres within which a sensor could see a body. */
@@ -545,7 +550,7 @@ static double touching_distance(const mcp_asdf_arena_t *arena)
 static void watch(mcp_asdf_arena_t *arena)
 {
     const double matters = larger(arena->config.range, larger(touching_distance(arena), SEEING_DISTANCE));
-    const double limit = matters + 2 * arena->config.speed * TICK * TICKS_BETWEEN_LOOKS;
+    const double limit = matters + 2 * arena->config.speed * arena->config.tick * TICKS_BETWEEN_LOOKS;
     uint32_t count = 0;
     for (uint32_t i = 0; i < arena->config.robots; i++) {
         for (uint32_t j = i + 1; j < arena->config.robots; j++) {
@@ -564,7 +569,7 @@ static void forget_pairs(mcp_asdf_arena_t *arena)
     for (uint32_t i = 0; i < arena->config.robots; i++) {
         arena->in_range[i][0] = arena->in_range[i][1] = 0;
         arena->near[i][0] = arena->near[i][1] = 0;
-        arena->may_touch[i] = (uint8_t)wall_within(arena, i, arena->config.speed * TICK);
+        arena->may_touch[i] = (uint8_t)wall_within(arena, i, arena->config.speed * arena->config.tick);
     }
     arena->link_count = arena->close_count = 0;
 }
@@ -679,6 +684,9 @@ static mcp_asdf_arena_status_t check(const mcp_asdf_arena_config_t *config)
     if (!(config->range > 0 && config->range <= MAX_SIDE)) {
         return MCP_ASDF_ARENA_ERR_RANGE;
     }
+    if (!(config->tick > 0 && 2 * config->speed / WHEEL_DISTANCE * config->tick <= LARGEST_TURN)) {
+        return MCP_ASDF_ARENA_ERR_TICK;
+    }
     return check_floor(config);
 }
 
@@ -726,6 +734,8 @@ mcp_asdf_arena_status_t mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_a
     arena->colour_limit = config->fill_ratio * 0x1p53;
     arena->colours = mix(config->seed ^ 0x636F6C6F7572);
     arena->tiles_per_metre = 1 / config->tile;
+    arena->part = config->tick / PARTS;
+    arena->motor = ACCELERATION * arena->part;
     for (uint32_t i = 0; i < config->robots && status == MCP_ASDF_ARENA_OK; i++) {
         status = place(arena, i, &counter);
         face_anywhere(arena, i, &counter);

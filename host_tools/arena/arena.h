@@ -3,7 +3,7 @@
  * only.
  *
  * The model and its sources are in docs/arena.md. Units: metres, seconds, radians; the origin is the middle
- * of the floor, x to the east, y to the north; a tick is 0.1 s. The same configuration gives the same bits on
+ * of the floor, x to the east, y to the north. The same configuration gives the same bits on
  * every machine with IEEE 754 doubles, since only + - * / and square roots are used (build without
  * contraction of a * b + c, which is what -std=c99 means to gcc; for clang arena.c says so itself).
  *
@@ -28,7 +28,8 @@ typedef enum {
     MCP_ASDF_ARENA_ERR_TILE = -5,
     MCP_ASDF_ARENA_ERR_FILL_RATIO = -6,
     MCP_ASDF_ARENA_ERR_IMAGE = -7,
-    MCP_ASDF_ARENA_ERR_CROWDED = -8 /* no room was found for all robots */
+    MCP_ASDF_ARENA_ERR_CROWDED = -8, /* no room was found for all robots */
+    MCP_ASDF_ARENA_ERR_TICK = -9
 } mcp_asdf_arena_status_t;
 
 typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN = 2 } mcp_asdf_wheels_t;
@@ -41,11 +42,15 @@ typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN
  *   height       inner side along y, likewise
  *   speed        limit of a wheel, above 0 .. 0.814, the Khepera IV's own
  *   range        of communication, between centres, above 0 .. 1000
+ *   tick         seconds, above 0 and such that a robot turns on the spot by at most 1.6 in a tick: up to
+ *                0.0843 m divided by the speed
  *   tile         side of a tile, at least a hundred-thousandth of the longer side
  *   fill_ratio   chance that a tile is black, 0 .. 1
  *   image        NULL for tiles. Otherwise rows * columns pixels stretched over the floor, the first row in
- * the north: 0 is white, all else black. It must outlive the arena; tile and fill_ratio are then not looked
- * at columns      of the image, above 0 rows         of the image, above 0 */
+ *                the north: 0 is white, all else black. It must outlive the arena; tile and fill_ratio are
+ *                then not looked at
+ *   columns      of the image, above 0
+ *   rows         of the image, above 0 */
 typedef struct {
     uint64_t seed;
     uint32_t robots;
@@ -54,6 +59,7 @@ typedef struct {
     double height;
     double speed;
     double range;
+    double tick;
     double tile;
     double fill_ratio;
     const uint8_t *image;
@@ -92,7 +98,7 @@ typedef struct {
     /* Private. Velocities now, and what the wheels ask for; who is in range or could be seen, by bit j % 64
      * of word j / 64; the robots and pairs that could touch within a tick; the pairs that could matter within
      * ticks_to_watch ticks; tiles in a metre, where their hashes start and the limit below which one is
-     * black. */
+     * black; seconds of a part of a tick and the change of velocity that motors can give in it. */
     double vx[MCP_ASDF_ARENA_MAX_ROBOTS];
     double vy[MCP_ASDF_ARENA_MAX_ROBOTS];
     double spin[MCP_ASDF_ARENA_MAX_ROBOTS];
@@ -109,6 +115,8 @@ typedef struct {
     double tiles_per_metre;
     uint64_t colours;
     double colour_limit;
+    double part;
+    double motor;
 } mcp_asdf_arena_t;
 
 /* Where mcp_asdf_arena_run() writes what each tick leaves: arrays of [ticks][robots], with a last axis of [2]

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from host_tools.arena import TICKS_PER_SECOND, Motion
+from host_tools.arena import Motion
 
 LAGS = (1, 10, 50, 100, 500)
 """In ticks."""
+
+_TICKS_PER_SECOND = 10
+"""Of the arenas whose motion this is."""
 
 
 def motion_statistics(motion: Motion) -> dict[str, float]:
@@ -40,7 +43,7 @@ def _rounds(adjacency: NDArray[np.bool_]) -> dict[str, float]:
 def _driving(motion: Motion) -> dict[str, float]:
     steps = np.linalg.norm(np.diff(motion.position, axis=0), axis=2)
     return {
-        "speed": float(steps.mean()) * TICKS_PER_SECOND,
+        "speed": float(steps.mean()) * _TICKS_PER_SECOND,
         "ticks straight": float((motion.wheels == 0).mean()),
         "ticks in a soft turn": float((motion.wheels == 1).mean()),
         "ticks in a hard turn": float((motion.wheels == 2).mean()),
@@ -72,7 +75,7 @@ def _avoidances(motion: Motion) -> dict[str, float]:
     turns = np.abs(angle[first + lengths + 1, robots] - angle[first + 1, robots])
     at_robot = np.concatenate([np.zeros((1, motion.avoids.shape[1])), motion.sees_robot.cumsum(axis=0)])
     seen = at_robot[first + lengths + 1, robots] - at_robot[first + 1, robots] > 0
-    seconds = motion.avoids.size / TICKS_PER_SECOND
+    seconds = motion.avoids.size / _TICKS_PER_SECOND
     return {
         "avoidances in 1000 s": 1000 * len(lengths) / seconds,
         "avoidances of a robot": float(seen.mean()),

@@ -41,6 +41,18 @@ _HELP = {
     "drift_period": "steps between the changes of a stepped drift",
     "drift_diffusion": "standard deviation of a Wiener process's change in a step",
     "lowest_accuracy": "below which no drift takes the true accuracy",
+    "density": "swarm density D of a square arena",
+    "width": "side of a rectangular arena along x in place of a density, metres",
+    "height": "its side along y",
+    "speed": "limit of a wheel, m/s",
+    "radio_range": "distance below which two robots hear each other, metres",
+    "floor": "what moving robots observe",
+    "tile": "side of a tile, metres",
+    "picture": "path of the picture of a floor",
+    "picture_sha256": "of that file, checked if given",
+    "ticks_per_second": "steps in a second",
+    "observation_period": "steps between observations",
+    "latency": "steps that a message takes, 0 or 1",
     "steps": "length of a trial",
     "trials": "how many",
     "seed": "of everything random",
@@ -57,7 +69,7 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
         choices = [member.value for member in kind] if issubclass(kind, Enum) else None
         group.add_argument(
             f"--{field.name.replace('_', '-')}",
-            type=str if choices or field.name in ("omega", "firmware") else kind,
+            type=str if choices or field.name == "omega" else kind,
             choices=choices or (list(FIRMWARES) if field.name == "firmware" else None),
             metavar=None if choices or field.name == "firmware" else field.name.split("_")[-1].upper(),
             help=f"{_HELP[field.name]} (default {default.value if isinstance(default, Enum) else default})",
@@ -69,6 +81,8 @@ def given_parameters(args: argparse.Namespace) -> dict[str, Any]:
     """The parameters that were given. Raises UsageError for two that say the same."""
     given = {field.name: getattr(args, field.name) for field in fields(Experiment)}
     given = {name: value for name, value in given.items() if value is not None}
+    if "picture" in given:
+        given.setdefault("picture_sha256", "")  # not that of the picture in FILE
     if "omega" in given:
         given["omega"] = parse_omega(given["omega"])
     if args.flawed_proportion is not None and "flawed" in given:

@@ -15,7 +15,7 @@ void mcp_asdf_engine_philox(const uint32_t counter[4], const uint32_t key[2], ui
 mcp_asdf_status_t engine_check(const mcp_asdf_experiment_t *experiment)
 {
     if (experiment->robots < 1 || experiment->robots > MCP_ASDF_ENGINE_MAX_ROBOTS || experiment->steps < 1 ||
-        experiment->steps > INT32_MAX - 1) {
+        experiment->steps > INT32_MAX - 1 || experiment->observation_period < 1) {
         return MCP_ASDF_ERR_CONFIG;
     }
     const mcp_asdf_config_t *const first = experiment->configs[0];
@@ -165,7 +165,8 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment,
     mcp_asdf_status_t status = engine_check(experiment);
     for (uint32_t index = 0; index < experiment->trials && status == MCP_ASDF_OK; ++index) {
         const trial_t trial = engine_trial(experiment, outcome, index);
-        status = run_trial(experiment, index, &trial);
+        status = experiment->arenas == NULL ? run_trial(experiment, index, &trial)
+                                            : moving_run(experiment, index, &trial);
     }
     return status;
 }

@@ -1,15 +1,17 @@
-/* Many robots in a fully connected swarm, driven through the firmware's own functions. For PCs only.
+/* Many robots, driven through the firmware's own functions. For PCs only.
  *
- * A trial is N robots that take T steps together: all observe, each hears all others, all settle (latency 0
- * of Algorithm 1). What happens depends on the experiment, the seed and the trial's number alone, not on
- * which trials run in one call or on which of the two functions runs them; docs/experiments.md describes the
- * draws. Nothing here is static or shared: any number of threads may run trials at once.
+ * A trial is N robots that take T steps together: all observe, each hears others, all settle. In a fully
+ * connected swarm each hears all others (latency 0 of Algorithm 1); in a moving world, arena.h, those that
+ * are linked in this step. What happens depends on the experiment, the seed and the trial's number alone, not
+ * on which trials run in one call or on which of the two functions runs them; docs/experiments.md describes
+ * the draws. Nothing here is static or shared: any number of threads may run trials at once.
  */
 #ifndef MCP_ASDF_ENGINE_H
 #define MCP_ASDF_ENGINE_H
 
 #include <stddef.h>
 
+#include "arena.h"
 #include "mcp_asdf.h"
 
 #define MCP_ASDF_ENGINE_MAX_ROBOTS 128
@@ -24,8 +26,12 @@
  *   b_hat         [N] assumed accuracies at the start, as mcp_asdf_init() takes them
  *   black         probability that a robot observes black, unit 2^-31, 0 .. MCP_ASDF_ENGINE_CERTAIN;
  *                 black[i trial_stride + k step_stride + j robot_stride] is that of the i-th of these
- *                 trials in step k for robot j, all from 0
- *   thinning      record every robot each `thinning` steps; 0 for never */
+ *                 trials in step k for robot j, all from 0. In a moving world it is that on a black floor;
+ *                 on a white one the robot observes white with it
+ *   thinning      record every robot each `thinning` steps; 0 for never
+ *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
+ *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
+ *   latency       0: a message reaches who is linked in its step; 1: in the step after */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;
@@ -39,6 +45,9 @@ typedef struct {
     size_t step_stride;
     size_t robot_stride;
     uint32_t thinning;
+    const mcp_asdf_arena_config_t *arenas;
+    uint32_t observation_period;
+    uint32_t latency;
 } mcp_asdf_experiment_t;
 
 /* A robot's values after a step, in the firmware's units. */
@@ -55,8 +64,9 @@ typedef struct {
 
 /* What comes out, in memory of the caller.
  *   robots    [trials][N] at the end
- *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 if
- *             comms_period is 1, as all robots then have the same x to the bit, otherwise N
+ *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 in a fully
+ *             connected swarm if comms_period is 1, as all robots then have the same x to the bit, otherwise
+ *             N
  *   b_hat     [trials][T / filter_period][N] assumed accuracies after each filter step
  *   records   [trials][T / thinning][N]; not used if thinning is 0 */
 typedef struct {
@@ -67,16 +77,18 @@ typedef struct {
 } mcp_asdf_outcome_t;
 
 /* Run the trials one by one, calling the firmware for every robot and step. O(trials steps robots).
- * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number of robots or steps out of range or
- * settings that differ between robots where they must not. */
+ * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number of robots or steps out of range,
+ * settings that differ between robots where they must not, or an arena that cannot be. */
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment,
                                       const mcp_asdf_outcome_t *outcome);
 
-/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, the same probability for every robot and
- * trial, nothing recorded, and counts that stay within MCP_ASDF_ENGINE_LANES_MAX_COUNT. */
+/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, nothing recorded, counts that stay within
+ * MCP_ASDF_ENGINE_LANES_MAX_COUNT and, in a fully connected swarm, the same probability for every robot and
+ * trial. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
-/* The same outcome to the bit, faster: between filter steps several trials are computed side by side.
+/* The same outcome to the bit, faster: between filter steps several trials are computed side by side, or
+ * several robots if they move.
  * Fails as mcp_asdf_engine_run() does. Needs mcp_asdf_engine_has_lanes(). */
 mcp_asdf_status_t mcp_asdf_engine_run_lanes(const mcp_asdf_experiment_t *experiment,
                                             const mcp_asdf_outcome_t *outcome);

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from firmware_py.fixed_point import b_hat_to_raw
 from firmware_py.robot import Filter, FirmwareError, Status
 from host_tools import _engine
+from host_tools.arena import config_values
+from host_tools.draws import world_seed
 from host_tools.experiments import Experiment
+from host_tools.moving import arena_settings, make_arena
 from host_tools.sensors import black_probabilities
 
 RECORD = np.dtype(
@@ -30,6 +33,7 @@ RECORD = np.dtype(
 """A robot's values after a step, in the firmware's units."""
 
 COUNTERS = ("tests", "updates")
+_STRIDES = ("trial_stride", "step_stride", "robot_stride")
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class RawOutcome:
 
     Attributes:
         x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have
-            the same.
+            the same for sure.
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
         counters: Tests and updates of each robot, shape (trials, N) each; they stop at 65535.
         records: Values of every robot each ``thinning`` steps, shape (trials, T // thinning, N), of dtype
@@ -68,8 +72,8 @@ def run(
     """Run trials ``first`` .. ``first + trials - 1`` of a native experiment; record if ``thinning`` is not 0.
 
     ``lanes`` chooses the faster of two engines of equal results, or not; by default it is used where it can
-    be. Raises FirmwareError as the firmware's init fails. O(trials steps robots), and four bytes for each
-    estimate.
+    be. Raises FirmwareError as the firmware's init fails and UsageError as ``make_arena``. O(trials steps
+    robots), and four bytes for each estimate.
     """
     outcome = _allocate(experiment, trials, thinning)
     call = _Call(experiment, first, trials, thinning)
@@ -78,6 +82,8 @@ def run(
     function = engine.mcp_asdf_engine_run_lanes if use_lanes else engine.mcp_asdf_engine_run
     status = Status(function(call.experiment, _pointers(outcome)))
     if status is not Status.OK:
+        for index in range(trials if experiment.is_dynamic else 0):
+            make_arena(experiment, first + index)  # knows more about what is wrong with it
         raise FirmwareError(status, "the firmware refuses the experiment's settings")
     counters = outcome.counters
     for index in range(trials * experiment.robots):
@@ -91,41 +97,54 @@ class _Call:
     """The engine's description of some trials, and what its pointers point to."""
 
     def __init__(self, experiment: Experiment, first: int, trials: int, thinning: int) -> None:
+        self._kept: list[Any] = []
+        members = {
+            "seed": experiment.seed,
+            "first_trial": first,
+            "trials": trials,
+            "robots": experiment.robots,
+            "steps": experiment.steps,
+            "thinning": thinning,
+            "observation_period": experiment.observation_period,
+            "latency": experiment.latency,
+            **self._robots(experiment),
+            **self._sensors(experiment, first, trials),
+        }
+        if experiment.is_dynamic:
+            members["arenas"] = self._arenas(experiment, first, trials)
+        self.experiment = _engine.ffi.new("mcp_asdf_experiment_t *", members)
+
+    def _robots(self, experiment: Experiment) -> dict[str, Any]:
         ffi, count = _engine.ffi, experiment.robots
-        shared = {robot: experiment.config(robot) for robot in (0, count - 1)}
-        made = {config: _config(config) for config in shared.values()}
-        self._kept: list[Any] = [pointer for pair in made.values() for pointer in pair]
-        configs = ffi.new(
-            "mcp_asdf_config_t *[]", [made[experiment.config(robot)][0] for robot in range(count)]
-        )
-        b_hat = ffi.new("uint32_t[]", [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(count)])
-        black = np.stack(
-            [
-                black_probabilities(experiment, first + index)
-                for index in range(self._worlds(experiment, trials))
-            ]
-        )
+        made = {config: _config(config) for config in map(experiment.config, (0, count - 1))}
+        configs = [made[experiment.config(robot)][0] for robot in range(count)]
+        b_hat = [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(count)]
+        members = {
+            "configs": ffi.new("mcp_asdf_config_t *[]", configs),
+            "b_hat": ffi.new("uint32_t[]", b_hat),
+        }
+        self._kept += [made, members]
+        return members
+
+    def _sensors(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
+        worlds = range(self._worlds(experiment, trials))
+        black = np.stack([black_probabilities(experiment, first + index) for index in worlds])
         strides = [
             stride // 4 if size > 1 else 0 for stride, size in zip(black.strides, black.shape, strict=True)
         ]
-        self._kept += [configs, b_hat, black]
-        self.experiment = ffi.new(
-            "mcp_asdf_experiment_t *",
-            {
-                "seed": experiment.seed,
-                "first_trial": first,
-                "trials": trials,
-                "robots": count,
-                "steps": experiment.steps,
-                "configs": configs,
-                "b_hat": b_hat,
-                "black": ffi.cast("uint32_t *", ffi.from_buffer(black)),
-                "trial_stride": strides[0],
-                "step_stride": strides[1],
-                "robot_stride": strides[2],
-                "thinning": thinning,
-            },
-        )
+        self._kept.append(black)
+        pointer = _engine.ffi.cast("uint32_t *", _engine.ffi.from_buffer(black))
+        return {"black": pointer, **dict(zip(_STRIDES, strides, strict=True))}
+
+    def _arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
+        settings = arena_settings(experiment)
+        made = [
+            config_values(settings, world_seed(experiment.seed, first + index), _engine.ffi)
+            for index in range(trials)
+        ]
+        arenas = _engine.ffi.new("mcp_asdf_arena_config_t[]", [values for values, _ in made])
+        self._kept += [made, arenas]
+        return arenas
 
     @staticmethod
     def _worlds(experiment: Experiment, trials: int) -> int:
@@ -148,7 +167,7 @@ def _config(config: Any) -> tuple[Any, Any]:
 
 def _allocate(experiment: Experiment, trials: int, thinning: int) -> RawOutcome:
     count, steps = experiment.robots, experiment.steps
-    columns = 1 if experiment.comms_period == 1 else count
+    columns = 1 if experiment.comms_period == 1 and not experiment.is_dynamic else count
     return RawOutcome(
         x=np.empty((trials, columns, steps + 1), np.uint32),
         b_hat=np.empty((trials, steps // experiment.filter_period, count), np.uint32),

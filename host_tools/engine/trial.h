@@ -10,7 +10,8 @@ typedef mcp_asdf_outcome_t trial_t;
 
 static inline uint32_t engine_columns(const mcp_asdf_experiment_t *experiment)
 {
-    return experiment->configs[0]->comms_period == 1 ? 1 : experiment->robots;
+    const bool is_same = experiment->arenas == NULL && experiment->configs[0]->comms_period == 1;
+    return is_same ? 1 : experiment->robots;
 }
 
 static inline trial_t engine_trial(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
@@ -32,6 +33,11 @@ mcp_asdf_status_t engine_start(const mcp_asdf_experiment_t *experiment, const tr
 
 /* One tick of all robots, which have the same periods and therefore broadcast in the same ticks. */
 void engine_tick(mcp_asdf_t *robots, uint32_t count, const uint8_t *observations);
+
+/* Run trial `index` in its arena; the same, between filter steps in lanes. Fail as mcp_asdf_engine_run(). */
+mcp_asdf_status_t moving_run(const mcp_asdf_experiment_t *experiment, uint32_t index, const trial_t *trial);
+mcp_asdf_status_t moving_run_lanes(const mcp_asdf_experiment_t *experiment, uint32_t index,
+                                   const trial_t *trial);
 
 /* Write down what the outcome shows of `step`, 1 .. T. */
 void engine_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step);

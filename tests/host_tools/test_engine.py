@@ -17,6 +17,7 @@ from host_tools import _engine, draws
 from host_tools.engine import native
 from host_tools.experiments import Activation, Drift, Experiment, Mode
 from host_tools.simulation import QUANTITIES, run_trials
+from host_tools.trial_world import TrialWorld
 
 SHORT = Experiment(steps=700, filter_period=100, trials=3, seed=77)
 
@@ -59,15 +60,14 @@ def test_the_upper_half_of_a_seed_counts() -> None:
     assert (draws.words(1, 0, 4, 40, 0) == draws.words(1 + 2**32, 0, 4, 40, 0)).mean() < 0.01
 
 
-@pytest.mark.parametrize(("probability", "expected"), [(0, 0.0), (draws.CERTAIN, 1.0)])
-def test_certain_observations_are_certain(probability: int, expected: float) -> None:
-    black = np.full((4000, 2), probability, np.uint32)
-    assert draws.observations(1, 0, black).mean() == expected
+@pytest.mark.parametrize("colour", [0.0, 1.0])
+def test_certain_observations_are_certain(colour: float) -> None:
+    world = TrialWorld(Experiment(fill_ratio=colour, true_accuracy=1.0, steps=4000), 0)
+    assert world.advance(4000).black.mean() == colour
 
 
 def test_observations_are_as_probable_as_asked() -> None:
-    black = np.full((100_000, 4), round(0.545 * draws.CERTAIN), np.uint32)
-    seen = draws.observations(9, 0, black)
+    seen = TrialWorld(Experiment(robots=4, steps=100_000, seed=9), 0).advance(100_000).black
     deviation = (0.545 * 0.455 / seen.size) ** 0.5
     assert abs(seen.mean() - 0.545) < 4 * deviation
     shifted = np.corrcoef(seen[1:].ravel(), seen[:-1].ravel())[0, 1]
@@ -253,10 +253,10 @@ def test_a_refusal_of_the_firmware_is_told() -> None:
             native.run(Refused(steps=10), 0, 1, lanes=lanes)
 
 
-def test_divisions_in_lanes_are_exact(tmp_path: Path) -> None:
-    engine, core = ROOT / "host_tools/engine", CORE.parent
-    sources = (Path(__file__).with_name("lanes_check.c"), engine / "engine.c", core / "mcp_asdf.c")
+def test_divisions_and_estimates_in_lanes_are_exact(tmp_path: Path) -> None:
     program = tmp_path / "lanes_check"
-    options = ("-std=c99", "-O2", "-DLANES_ONE_TARGET", f"-I{engine}", f"-I{core}")
-    run(require("gcc", "gcc"), *options, *sources, "-o", program)
+    headers = (f"-I{ROOT / 'host_tools/engine'}", f"-I{ROOT / 'host_tools/arena'}", f"-I{CORE.parent}")
+    source = Path(__file__).with_name("lanes_check.c")
+    sources = (source, CORE)
+    run(require("gcc", "gcc"), "-std=c99", "-O2", "-DLANES_ONE_TARGET", *headers, *sources, "-o", program)
     run(program)

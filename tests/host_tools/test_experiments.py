@@ -17,7 +17,7 @@ from firmware_py.robot import Config, Filter, Observation
 from host_tools.draws import CERTAIN
 from host_tools.errors import UsageError
 from host_tools.experiment_files import read_experiments
-from host_tools.experiments import Activation, Drift, Experiment, ExperimentError, Mode
+from host_tools.experiments import Activation, Drift, Experiment, ExperimentError, Floor, Mode, Topology
 from host_tools.sensors import black_probabilities, true_accuracies
 
 AUTHORS = Path(__file__).parents[1] / "data/authors_parameters.yml"
@@ -77,6 +77,12 @@ def test_parameters_come_back() -> None:
         mode=Mode.ASDF_MINUS, omega=Decimal("0.15"), drift=Drift.STEPPED, drift_rate=-1e-4, seed=2**64 - 1
     )
     assert Experiment.from_parameters(experiment.parameters()) == experiment
+
+
+def test_a_whole_number_may_stand_for_a_float() -> None:
+    assert repr(Experiment(true_accuracy=1, fill_ratio=0)) == repr(
+        Experiment(true_accuracy=1.0, fill_ratio=0.0)
+    )
 
 
 @pytest.mark.parametrize(
@@ -225,6 +231,22 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_experiments(tmp_path / "absent.toml")
 
 
+def test_the_physical_experiment_comes_with_the_program() -> None:
+    found = read_experiments(Path("physical"))
+    assert len(set(found)) == 2 * 3 * 4
+    assert {each.flawed for each in found} == {0, 2, 4, 8}
+    assert {(each.sides, each.fill_ratio, each.floor, each.speed) for each in found} == {
+        ((3.0353, 3.0226), 0.448, Floor.CODE, 0.1)
+    }
+    first = found[0]
+    assert first.ticks_per_second / first.observation_period == 2, "observations a second"
+    assert first.steps / first.ticks_per_second == 1000, "seconds"
+    density = first.robots * np.pi * first.radio_range**2 / np.prod(first.sides)
+    assert density == pytest.approx(1.3, abs=0.05)
+    with pytest.raises(UsageError, match=r"no file studio; what comes with the program is .*physical"):
+        read_experiments(Path("studio"))
+
+
 # --- The authors' YAML -----------------------------------------------------------------------------------
 
 
@@ -241,6 +263,14 @@ def test_numbers_may_be_written_in_any_way(tmp_path: Path) -> None:
     for written in ("4.0e+4", "4e4", "40000", "40000.0", '"40000"'):
         found = experiments_of(tmp_path, AUTHORS.read_text().replace("1.0e+3", written), "file.yml")
         assert found[0].steps == 40_000
+
+
+def test_what_is_not_fully_connected_moves(tmp_path: Path) -> None:
+    text = AUTHORS.read_text().replace("fullyConnected: True", "fullyConnected: False")
+    found = experiments_of(tmp_path, text, "file.yml")
+    assert {(each.topology, each.latency, each.density, each.robots) for each in found} == {
+        (Topology.DYNAMIC, 1, 1.0, 10)
+    }
 
 
 def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -> None:
@@ -264,7 +294,7 @@ def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -
         ("incSteps: 3", "incSteps: 4", "line 6: incSteps is 4"),
         ("  max: 5", "  max: 11", "line 5: flawedRobotRange.max: flawed is 11"),
         ("AccW: 0.55", "AccW: 0.6", "line 9: flawedSensorAccW is 0.6"),
-        ("fullyConnected: True", "fullyConnected: False", "line 17: fullyConnected is false"),
+        ("numRobots: 10", "numRobots: 129", "line 2: numRobots: robots is 129"),
         ("fullyConnected: True", "fullyConnected: 7", "line 17: fullyConnected is '7'"),
         ("BRAVO", "DELTA", "line 18: method is 'DELTA'; choose one of ALPHA, BRAVO"),
         ("type_2_err_prob: 0.1", "type_2_err_prob: 1.5", "line 20: filterSpecificParams.type_2_err_prob"),
