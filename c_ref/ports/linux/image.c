@@ -1,0 +1,66 @@
+/* The state's file; image.h is the manual. */
+#include "image.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <limits.h>
+#include <stdio.h>
+#include <unistd.h>
+
+image_status_t image_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id)
+{
+    uint8_t image[MCP_ASDF_IMAGE_SIZE + 1];
+    mcp_asdf_t loaded;
+    const int fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (fd < 0) {
+        return errno == ENOENT ? IMAGE_ABSENT : IMAGE_UNREADABLE;
+    }
+    const ssize_t size = read(fd, image, sizeof image);
+    const int error = errno;
+    (void)close(fd);
+    if (size < 0) {
+        errno = error;
+        return IMAGE_UNREADABLE;
+    }
+    if (size != MCP_ASDF_IMAGE_SIZE || mcp_asdf_restore(&loaded, config, image) != MCP_ASDF_OK) {
+        return IMAGE_REFUSED;
+    }
+    if (loaded.id != id) {
+        return IMAGE_OF_ANOTHER;
+    }
+    *robot = loaded;
+    return IMAGE_OK;
+}
+
+static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
+{
+    int error = 0;
+    const int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+    if (fd < 0) {
+        return errno;
+    }
+    errno = ENOSPC; /* what a short write means */
+    if (write(fd, image, MCP_ASDF_IMAGE_SIZE) != MCP_ASDF_IMAGE_SIZE || fsync(fd) != 0) {
+        error = errno;
+    }
+    return close(fd) == 0 || error != 0 ? error : errno;
+}
+
+int image_save(const char *path, const mcp_asdf_t *robot)
+{
+    char temporary[PATH_MAX];
+    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    const int length = snprintf(temporary, sizeof temporary, "%s.new", path);
+    if (length < 0 || (size_t)length >= sizeof temporary) {
+        return ENAMETOOLONG;
+    }
+    mcp_asdf_save(robot, image);
+    int error = write_file(temporary, image);
+    if (error == 0 && rename(temporary, path) != 0) {
+        error = errno;
+    }
+    if (error != 0) {
+        (void)unlink(temporary);
+    }
+    return error;
+}

@@ -1,0 +1,247 @@
+/* Reading the command line; options.h is the manual. */
+#include "options.h"
+
+#include <errno.h>
+#include <getopt.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LARGEST UINT32_MAX
+
+extern const uint32_t MCP_ASDF_NODE_TABLE[];
+
+static const char usage[] =
+    "One robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
+    "\n"
+    "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
+    "  --id N                 of robot and node, 0 to 127\n"
+    "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
+    "  --filter WHEN          re-estimate that: adaptive (if the test rejects), always, off (adaptive)\n"
+    "  --comms-period TICKS   between broadcasts (1)\n"
+    "  --filter-period TICKS  between tests, a multiple of the former (1000)\n"
+    "  --memory N             observations at which counts are halved, even, 64 to 2^32 - 2 (2^32 - 2)\n"
+    "\n"
+    "Clock and observations, one of:\n"
+    "  --lockstep             do what command frames say\n"
+    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen; - is the standard input\n"
+    "  --sensor FILE          in real time, read anew in every tick: 0 white, 1 black\n"
+    "\n"
+    "  --rate N               ticks a second, 1 to 1000 (10); in lockstep of simulated time\n"
+    "  --ticks N              end after so many (0: no limit)\n"
+    "  --telemetry-period TICKS  between telemetry frames (0: none; in lockstep every tick)\n"
+    "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
+    "  --priority N           of estimates, 0 to 7 (4)\n"
+    "  --receive-buffer BYTES of the kernel (0: its default)\n"
+    "  --state FILE           go on from there, and save there at the end\n"
+    "  --save-period TICKS    save there in between, too (0: no)\n"
+    "\n"
+    "Ends with a line of JSON. Status 0: by --ticks, the end of observations, SIGINT or SIGTERM;\n"
+    "1: the bus or the observations failed; 2: the command line is wrong.\n";
+
+/* Numbers first, then texts, then what takes no argument. */
+enum option_index {
+    ID,
+    COMMS_PERIOD,
+    FILTER_PERIOD,
+    MEMORY,
+    RATE,
+    TICKS,
+    TELEMETRY_PERIOD,
+    SUBJECT,
+    TELEMETRY_SUBJECT,
+    COMMAND_SUBJECT,
+    PRIORITY,
+    RECEIVE_BUFFER,
+    SAVE_PERIOD,
+    INTERFACE,
+    B_HAT,
+    FILTER,
+    OBSERVATIONS,
+    SENSOR,
+    STATE,
+    LOCKSTEP,
+    HELP,
+    VERSION,
+    ALL
+};
+
+#define WITH_ARGUMENT LOCKSTEP
+
+/* Every option; those with numbers have a range and a usual value. */
+static const struct {
+    const char *name;
+    uint32_t least, most, usual;
+} table[ALL] = {[ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
+                [COMMS_PERIOD] = {"comms-period", 1, LARGEST, 1},
+                [FILTER_PERIOD] = {"filter-period", 1, LARGEST, 1000},
+                [MEMORY] = {"memory", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX, MCP_ASDF_MEMORY_MAX},
+                [RATE] = {"rate", 1, 1000, 10},
+                [TICKS] = {"ticks", 0, LARGEST, 0},
+                [TELEMETRY_PERIOD] = {"telemetry-period", 0, LARGEST, 0},
+                [SUBJECT] = {"subject", 0, MCP_ASDF_SUBJECT_MAX, 3000},
+                [TELEMETRY_SUBJECT] = {"telemetry-subject", 0, MCP_ASDF_SUBJECT_MAX, 3001},
+                [COMMAND_SUBJECT] = {"command-subject", 0, MCP_ASDF_SUBJECT_MAX, 3002},
+                [PRIORITY] = {"priority", 0, MCP_ASDF_PRIORITY_MAX, 4},
+                [RECEIVE_BUFFER] = {"receive-buffer", 0, INT32_MAX, 0},
+                [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
+                [INTERFACE] = {.name = "interface"},
+                [B_HAT] = {.name = "b-hat"},
+                [FILTER] = {.name = "filter"},
+                [OBSERVATIONS] = {.name = "observations"},
+                [SENSOR] = {.name = "sensor"},
+                [STATE] = {.name = "state"},
+                [LOCKSTEP] = {.name = "lockstep"},
+                [HELP] = {.name = "help"},
+                [VERSION] = {.name = "version"}};
+
+/* ---- Values ----------------------------------------------------------------------------------------- */
+
+static void fail(enum option_index which, const char *value, const char *fix)
+{
+    (void)fprintf(stderr, "mcp_asdf_node: --%s is %s; %s\n", table[which].name, value, fix);
+    exit(EXIT_USAGE);
+}
+
+static uint32_t number(const char *const given[ALL], enum option_index which)
+{
+    const char *const text = given[which];
+    char *end = NULL;
+    if (text == NULL) {
+        return table[which].usual;
+    }
+    errno = 0;
+    const unsigned long long value = strtoull(text, &end, 10);
+    if (errno != 0 || end == text || *end != '\0' || strchr(text, '-') != NULL ||
+        value < table[which].least || value > table[which].most) {
+        char fix[64];
+        (void)snprintf(fix, sizeof fix, "choose a whole number, %lu to %lu",
+                       (unsigned long)table[which].least, (unsigned long)table[which].most);
+        fail(which, text, fix);
+    }
+    return (uint32_t)value;
+}
+
+static uint32_t b_hat(const char *text)
+{
+    const double unit = 4294967296.0;
+    char *end = NULL;
+    const double value = strtod(text, &end) * unit;
+    if (end == text || *end != '\0' || !(value >= MCP_ASDF_B_HAT_MIN && value <= MCP_ASDF_B_HAT_MAX)) {
+        fail(B_HAT, text, "choose 2^-20 to 1 - 2^-20, for example 0.95");
+    }
+    return (uint32_t)llrint(value);
+}
+
+static uint8_t filter(const char *text)
+{
+    static const char *const filters[] = {"adaptive", "always",
+                                          "off"}; /* at the places of mcp_asdf_filter_t */
+    for (unsigned i = MCP_ASDF_ADAPTIVE; i <= MCP_ASDF_OFF; ++i) {
+        if (strcmp(text, filters[i]) == 0) {
+            return (uint8_t)i;
+        }
+    }
+    fail(FILTER, text, "choose adaptive, always or off");
+    return MCP_ASDF_OFF;
+}
+
+/* ---- The whole -------------------------------------------------------------------------------------- */
+
+/* Remember what is given for each option; of one given twice the last counts. */
+static void collect(const char *given[ALL], int count, char *const arguments[])
+{
+    enum { FIRST = 256 }; /* beyond what getopt_long() returns by itself */
+    struct option known[ALL + 1] = {0};
+    for (int i = 0; i < ALL; ++i) {
+        known[i].name = table[i].name;
+        known[i].has_arg = i < WITH_ARGUMENT ? required_argument : no_argument;
+        known[i].val = FIRST + i;
+    }
+    for (int found = 0; (found = getopt_long(count, arguments, "", known, NULL)) != -1;) {
+        if (found < FIRST) {
+            exit(EXIT_USAGE); /* getopt_long() has said why */
+        }
+        given[found - FIRST] = optarg != NULL ? optarg : "";
+    }
+    if (optind < count) {
+        (void)fprintf(stderr, "mcp_asdf_node: %s belongs to no option; see --help\n", arguments[optind]);
+        exit(EXIT_USAGE);
+    }
+}
+
+static void answer_questions(const char *const given[ALL])
+{
+    if (given[HELP] != NULL) {
+        (void)fputs(usage, stdout);
+        exit(EXIT_SUCCESS);
+    }
+    if (given[VERSION] != NULL) {
+        (void)printf("mcp_asdf_node %d.%d.%d\n", MCP_ASDF_VERSION_MAJOR, MCP_ASDF_VERSION_MINOR,
+                     MCP_ASDF_VERSION_PATCH);
+        exit(EXIT_SUCCESS);
+    }
+}
+
+/* What no option can see alone. */
+static void check(const options_t *options, const char *const given[ALL])
+{
+    const mcp_asdf_config_t *config = &options->node.config;
+    const uint16_t estimate = options->node.estimate.subject, telemetry = options->node.telemetry.subject;
+    const uint16_t command = options->node.command.subject;
+    if (given[INTERFACE] == NULL || given[ID] == NULL) {
+        fail(given[INTERFACE] == NULL ? INTERFACE : ID, "missing", "see --help");
+    }
+    if ((given[LOCKSTEP] != NULL) + (given[OBSERVATIONS] != NULL) + (given[SENSOR] != NULL) != 1) {
+        fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
+             "choose one of --lockstep, --observations, --sensor");
+    }
+    if (config->filter_period % config->comms_period != 0) {
+        fail(FILTER_PERIOD, given[FILTER_PERIOD] == NULL ? "1000" : given[FILTER_PERIOD],
+             "choose a multiple of --comms-period");
+    }
+    if (config->memory % 2 != 0) {
+        fail(MEMORY, given[MEMORY], "choose an even number");
+    }
+    if (estimate == telemetry || estimate == command || telemetry == command) {
+        fail(SUBJECT, given[SUBJECT] == NULL ? "3000" : given[SUBJECT],
+             "choose three different subjects for estimates, telemetry and commands");
+    }
+}
+
+static node_settings_t node_settings(const char *const given[ALL])
+{
+    const node_settings_t settings = {
+        .config = {.table = MCP_ASDF_NODE_TABLE,
+                   .comms_period = number(given, COMMS_PERIOD),
+                   .filter_period = number(given, FILTER_PERIOD),
+                   .memory = number(given, MEMORY),
+                   .filter = filter(given[FILTER])},
+        .estimate = {(uint16_t)number(given, SUBJECT), (uint8_t)number(given, PRIORITY)},
+        .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
+        .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
+        .b_hat = b_hat(given[B_HAT]),
+        .ticks_per_second = number(given, RATE),
+        .telemetry_period = number(given, TELEMETRY_PERIOD),
+        .id = (uint8_t)number(given, ID),
+        .lockstep = given[LOCKSTEP] != NULL};
+    return settings;
+}
+
+void options_read(options_t *options, int count, char *const arguments[])
+{
+    const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "adaptive"};
+    collect(given, count, arguments);
+    answer_questions(given);
+    const options_t read = {.node = node_settings(given),
+                            .interface = given[INTERFACE],
+                            .observations = given[OBSERVATIONS],
+                            .sensor = given[SENSOR],
+                            .state = given[STATE],
+                            .save_period = number(given, SAVE_PERIOD),
+                            .ticks = number(given, TICKS),
+                            .receive_buffer = number(given, RECEIVE_BUFFER)};
+    check(&read, given);
+    *options = read;
+}

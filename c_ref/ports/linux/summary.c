@@ -1,0 +1,52 @@
+/* Printing the summary; docs/socketcan.md explains its members. */
+#include "summary.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+
+#define U32 "%" PRIu32
+
+static void print_robot(const mcp_asdf_t *robot)
+{
+    const mcp_asdf_counters_t counters = mcp_asdf_counters(robot);
+    (void)printf("\"t\": " U32 ", \"n\": " U32 ", \"b_hat\": " U32 ", \"x_hat\": " U32 ", \"alpha\": " U32,
+                 robot->t, robot->n, robot->b_hat, mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
+    (void)printf(", \"x_bar\": " U32 ", \"beta\": %" PRIu64 ", \"x\": " U32, mcp_asdf_x_bar(robot),
+                 mcp_asdf_beta(robot), mcp_asdf_x(robot));
+    (void)printf(", \"accepted\": %u, \"repeated\": %u, \"rejected\": %u, \"tests\": %u, \"updates\": %u",
+                 counters.accepted, counters.repeated, counters.rejected, counters.tests, counters.updates);
+}
+
+static void print_node(const node_counts_t *counts)
+{
+    (void)printf(", \"estimates\": " U32 ", \"heartbeats\": " U32 ", \"telemetry\": " U32
+                 ", \"unsent\": " U32,
+                 counts->estimates, counts->heartbeats, counts->telemetry, counts->unsent);
+    (void)printf(", \"heard\": " U32 ", \"collisions\": " U32 ", \"refused\": " U32 ", \"others\": " U32,
+                 counts->heard, counts->collisions, counts->refused, counts->others);
+    (void)printf(", \"obeyed\": " U32 ", \"disobeyed\": " U32, counts->obeyed, counts->disobeyed);
+}
+
+static void print_bus(const bus_t *bus)
+{
+    const bus_counts_t *counts = &bus->counts;
+    (void)printf(
+        ", \"filtered_by\": \"%s\", \"received\": " U32 ", \"overflowed\": " U32 ", \"queue_full\": " U32,
+        bus->is_filtered ? "kernel" : "node", counts->received, counts->overflowed, counts->queue_full);
+    (void)printf(", \"error_frames\": " U32 ", \"bus_off\": " U32 ", \"downs\": " U32
+                 ", \"odd_packets\": " U32,
+                 counts->error_frames, counts->bus_off, counts->downs, counts->odd_packets);
+}
+
+bool summary_print(const char *ended, const node_t *node, const bus_t *bus, const source_t *source,
+                   const ticker_t *ticker)
+{
+    (void)printf("{\"id\": %u, \"ended\": \"%s\", \"ticks\": " U32 ", ", node->settings->id, ended,
+                 node->ticks);
+    print_robot(&node->robot);
+    print_node(&node->counts);
+    print_bus(bus);
+    (void)printf(", \"missing\": " U32 ", \"skipped\": " U32 ", \"worst_lateness_us\": %" PRId64 "}\n",
+                 source->missing, ticker->skipped, ticker->worst / 1000);
+    return fflush(stdout) == 0 && ferror(stdout) == 0;
+}

@@ -1,0 +1,52 @@
+"""Tests marked ``socketcan`` run on a kernel with CAN: this machine's, or else one guest's for all of them.
+
+In the second case each test's report is that of the same test in the guest.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from socketcan.guest import why_not_native
+from socketcan.relay import REPORTS, Reporter, reports_of
+from socketcan.vcan import Vcan, interfaces
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "socketcan: needs a kernel with CAN, and gets one")
+    if REPORTS in os.environ:
+        config.pluginmanager.register(Reporter(config, os.environ[REPORTS]))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+    if item.get_closest_marker("socketcan") is None or REPORTS in os.environ or not why_not_native():
+        return None
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for report in reports_of(item):
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+@pytest.fixture(autouse=True)
+def one_cpu() -> Iterator[None]:
+    """Keep the test and all that it starts on one CPU.
+
+    A virtual interface delivers on the sender's CPU, so that of frames from two CPUs receivers may see
+    either first. Lockstep needs a bus that keeps the order.
+    """
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(allowed)})
+    yield
+    os.sched_setaffinity(0, allowed)
+
+
+@pytest.fixture
+def vcan() -> Iterator[Vcan]:
+    """A virtual CAN interface of the test's own, up."""
+    interface = Vcan()
+    with interfaces(interface.name):
+        yield interface

@@ -1,0 +1,65 @@
+"""Python nodes on a real bus, each with a thread and a socket of its own, and who drives them all."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Collection
+from types import TracebackType
+
+import can
+from socketcan.vcan import Vcan
+from targets.c_node import twin
+
+from firmware_py.robot import Observation
+from host_tools.lockstep import Lockstep
+from host_tools.node import send_all
+
+PATIENCE = 60.0
+"""Seconds for anything to happen: emulated machines may be slow."""
+
+_BOTH = (Observation.WHITE, Observation.BLACK)
+
+
+class PythonNode:
+    """A Python node in lockstep, on integers. A context manager: inside, it is on the bus."""
+
+    def __init__(self, vcan: Vcan, robot_id: int, b_hat: float, filter_period: int) -> None:
+        self.node = twin(robot_id, b_hat, filter_period=filter_period)
+        self._bus = vcan.bus()
+        self._thread = threading.Thread(target=self._run)
+        self._is_over = False
+
+    def __enter__(self) -> PythonNode:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over = True
+        self._thread.join()
+        self._bus.shutdown()
+
+    def _run(self) -> None:
+        send_all(self._bus, self.node.start(), PATIENCE)
+        while not self._is_over:
+            frame = self._bus.recv(0.05)
+            if frame is not None:
+                send_all(self._bus, self.node.hear(frame), PATIENCE)
+
+
+def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:
+    """Let robots observe what a seeded generator draws, exchange and settle.
+
+    Returns all frames that came in, in order: all but the commands.
+    """
+    draw = random.Random(seed)
+    frames: list[can.Message] = []
+    lockstep = Lockstep(bus, timeout=PATIENCE, watch=frames.append)
+    lockstep.wait_until_up(robots, PATIENCE)
+    for _ in range(ticks):
+        lockstep.observe({robot: draw.choice(_BOTH) for robot in robots})
+        lockstep.estimates(robots)
+        lockstep.settle(robots)
+    return [frame for frame in frames if frame.is_rx]

@@ -1,0 +1,256 @@
+"""The C node on a real CAN bus of the Linux kernel, beside Python nodes, and what a bus may do to it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from can.typechecking import CanFilters
+from socketcan.candump import Candump
+from socketcan.robots import PATIENCE, PythonNode, drive
+from socketcan.vcan import FRAME, Vcan
+from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
+
+from firmware_py.robot import Observation
+from host_tools.cli import main
+from host_tools.frames import (
+    Command,
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    decode_command,
+    decode_heartbeat,
+    encode,
+)
+from host_tools.lockstep import DRIVER_ID, Lockstep
+
+pytestmark = pytest.mark.socketcan
+
+NODE_BITS, EXTENDED = 0x7F, 0x8000_0000
+Start = Callable[..., CNode]
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Kind], list[str]]:
+    return lambda kind: built(kind, tmp_path_factory)
+
+
+@pytest.fixture
+def start(build: Callable[[Kind], list[str]], vcan: Vcan) -> Iterator[Start]:
+    """Starts C nodes on the interface, and stops those that are left."""
+    started: list[CNode] = []
+
+    def start_node(robot_id: int, *options: object, kind: Kind = PLAIN, **streams: Any) -> CNode:
+        started.append(CNode(build(kind), vcan.name, robot_id, *options, **streams))
+        return started[-1]
+
+    yield start_node
+    for node in started:
+        node.__exit__()
+
+
+# ---- Robots together ----
+
+
+@pytest.mark.parametrize("kind", [PLAIN, CORTEX_A8], ids=lambda kind: kind.name)
+def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
+    kind: Kind, start: Start, vcan: Vcan, tmp_path: Path
+) -> None:
+    ticks = 25
+    others = (PythonNode(vcan, 1, 0.95, filter_period=5), PythonNode(vcan, 2, 0.75, filter_period=5))
+    with Candump(vcan, tmp_path) as candump, vcan.bus() as bus, others[0], others[1]:
+        node = start(0, "--lockstep", "--b-hat", 0.55, "--filter-period", 5, "--ticks", ticks, kind=kind)
+        seen = drive(bus, range(3), ticks, seed=5)
+        figures = node.summary()
+        log = candump.frames()
+    expected = twin(0, 0.55, filter_period=5)
+    told = [frame for frame in log if frame.arbitration_id & NODE_BITS != 0]
+    answers = expected.start() + [answer for frame in told for answer in expected.hear(frame)]
+    assert content(answers) == content(frame for frame in log if frame.arbitration_id & NODE_BITS == 0)
+    assert_same_robot(figures, expected)
+    assert figures["updates"] > 0 and figures["heard"] == 2 * ticks
+    by_others = [frame for frame in log if frame.arbitration_id & NODE_BITS != DRIVER_ID]
+    assert content(by_others) == content(seen), "candump and python-can saw the same"
+    needed = [frame for frame in log if is_needed(frame)]
+    last = max(number for number, frame in enumerate(needed) if is_command_to(0, frame))
+    needed = needed[: last + 1]
+    if kind is PLAIN:
+        assert (figures["filtered_by"], figures["received"], figures["others"]) == ("kernel", len(needed), 0)
+    else:
+        assert figures["filtered_by"] == "node"
+        assert figures["received"] - figures["others"] == len(needed)
+
+
+def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    with vcan.bus() as bus:
+        start(3, "--lockstep", "--b-hat", 0.75, "--filter-period", 4)
+        Lockstep(bus).wait_until_up([3], PATIENCE)
+    robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4")
+    run = ("--robots", "3", "--ticks", "11", "--timeout", "60", "--report", str(report))
+    assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan.name]) == 0
+    assert report.exists()
+
+
+def is_needed(frame: can.Message) -> bool:
+    """Whether it is an estimate of another robot than 0, or a command."""
+    subject, sender = frame.arbitration_id >> 8 & 0x1FFF, frame.arbitration_id & NODE_BITS
+    return subject == 3002 or (subject == 3000 and sender != 0)
+
+
+def is_command_to(robot: int, frame: can.Message) -> bool:
+    command = decode_command(frame)
+    return isinstance(command, Command) and command.target == robot
+
+
+def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
+    robots, ticks = range(8), 15
+    with vcan.bus() as bus:
+        nodes = [start(robot, "--lockstep", "--ticks", ticks, "--filter-period", 5) for robot in robots]
+        drive(bus, robots, ticks, seed=6)
+        summaries = [node.summary() for node in nodes]
+    assert {each["heard"] for each in summaries} == {7 * ticks}
+    assert len({each["x"] for each in summaries}) == 1
+    assert len({each["x_hat"] for each in summaries}) > 1
+
+
+# ---- What the kernel is asked for ----
+
+
+def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) -> None:
+    node = start(0, "--lockstep", "--ticks", 1)
+    of_node_0: CanFilters = [{"can_id": 0, "can_mask": NODE_BITS, "extended": True}]
+    with vcan.bus() as bus, vcan.socket() as own:
+        bus.set_filters(of_node_0)
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        lockstep.wait_until_up([0], PATIENCE)
+        needed = encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat()).arbitration_id | EXTENDED
+        near = (
+            needed ^ 0x100,
+            needed ^ 0x80,
+            needed ^ 0x800000,
+            needed ^ 0x2000000,
+            needed & 0x7FF,
+            needed | 0x4000_0000,
+        )
+        for _ in range(50):
+            for identifier in near:
+                own.send(FRAME.pack(identifier, 8, bytes(8)))
+        own.send(FRAME.pack(needed, 8, bytes([0, 0, 64, 0, 0, 128, 63, 0xE0])))
+        lockstep.observe({0: Observation.BLACK})
+        lockstep.settle([0])
+    figures = node.summary()
+    assert (figures["received"], figures["heard"], figures["obeyed"]) == (3, 1, 2)
+
+
+def test_frames_that_overflow_the_receive_buffer_are_counted(
+    start: Start, vcan: Vcan, tmp_path: Path
+) -> None:
+    sensor = tmp_path / "value"
+    sensor.write_text("1", encoding="ascii")
+    node = start(0, "--sensor", sensor, "--receive-buffer", 4096)
+    estimate = encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat())
+    with vcan.bus() as bus:
+        assert bus.recv(PATIENCE) is not None
+        node.process.send_signal(signal.SIGSTOP)
+        for _ in range(500):
+            bus.send(estimate, timeout=PATIENCE)
+        node.process.send_signal(signal.SIGCONT)
+        wait_for(bus, 3)
+        bus.send(estimate, timeout=PATIENCE)  # the kernel tells of lost frames with the next one
+        wait_for(bus, 3)
+    figures = node.stop()
+    assert figures["overflowed"] > 400
+    assert figures["overflowed"] + figures["heard"] == 501
+    assert figures["received"] == figures["heard"]
+
+
+def wait_for(bus: can.BusABC, frames: int) -> None:
+    for _ in range(frames):
+        assert bus.recv(PATIENCE) is not None
+
+
+# ---- Faults ----
+
+
+def test_an_interface_may_go_down_and_up(start: Start, vcan: Vcan, tmp_path: Path) -> None:
+    check_interruption(start, vcan, tmp_path, lambda: vcan.set("down"), lambda: vcan.set("up"))
+
+
+def test_an_interface_may_vanish_and_come_back(start: Start, vcan: Vcan, tmp_path: Path) -> None:
+    check_interruption(start, vcan, tmp_path, vcan.delete, vcan.add)
+
+
+def check_interruption(
+    start: Start, vcan: Vcan, folder: Path, begin: Callable[[], None], end: Callable[[], None]
+) -> None:
+    """The node ticks on meanwhile, and afterwards sends and hears again."""
+    sensor = folder / "value"
+    sensor.write_text("1", encoding="ascii")
+    node = start(0, "--sensor", sensor, "--rate", 50)
+    with vcan.bus() as bus:
+        wait_for(bus, 5)
+    begin()
+    time.sleep(0.5)
+    end()
+    with vcan.bus() as bus:
+        wait_for(bus, 5)
+        bus.send(encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat()), timeout=PATIENCE)
+        wait_for(bus, 5)
+    figures = node.stop()
+    assert figures["downs"] == 1
+    assert figures["unsent"] > 0
+    assert figures["heard"] == 1
+    assert figures["t"] == figures["ticks"] >= 20
+
+
+def test_error_frames_of_the_controller_are_heard(start: Start, vcan: Vcan) -> None:
+    node = start(0, "--lockstep", "--rate", 1)
+    told: list[Health] = []
+    with vcan.bus() as bus, vcan.socket() as own:
+        lockstep = Lockstep(bus, timeout=PATIENCE, watch=lambda frame: told.extend(health_in(frame)))
+        lockstep.wait_until_up([0], PATIENCE)
+        for kind in (0x40, 0x40, 0x100):  # bus-off, restarted
+            own.send(FRAME.pack(0x2000_0000 | kind, 8, bytes(8)))
+            lockstep.observe({0: Observation.BLACK})
+            lockstep.settle([0])
+    figures = node.stop()
+    assert told == [Health.NOMINAL, Health.WARNING, Health.NOMINAL]
+    assert (figures["error_frames"], figures["bus_off"]) == (3, 2)
+
+
+def health_in(frame: can.Message) -> list[Health]:
+    heartbeat = decode_heartbeat(frame)
+    return [heartbeat.health] if isinstance(heartbeat, Heartbeat) else []
+
+
+def test_a_full_send_queue_costs_frames_but_no_tick(start: Start, vcan: Vcan, tmp_path: Path) -> None:
+    text = tmp_path / "observations"
+    text.write_text("1" * 60, encoding="ascii")
+    done = subprocess.run(
+        ["tc", "qdisc", "add", "dev", vcan.name, "root", "netem", "delay", "300ms", "limit", "2"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        pytest.skip(f"the kernel has no queue that delays: {done.stderr.strip()}")
+    with vcan.socket(1) as own:
+        figures = start(0, "--observations", text, "--rate", 100).summary()
+        arrived = 0
+        while True:
+            try:
+                own.recv(FRAME.size)
+                arrived += 1
+            except TimeoutError:
+                break
+    assert figures["t"] == 60
+    assert figures["queue_full"] > 0 < figures["unsent"]
+    assert arrived == figures["estimates"] + figures["heartbeats"] - figures["unsent"]

@@ -1,0 +1,115 @@
+"""Whole swarms on a real CAN bus of the Linux kernel."""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import struct
+from contextlib import ExitStack
+from pathlib import Path
+
+import can
+import pytest
+from socketcan.candump import Candump
+from socketcan.vcan import FRAME, Vcan, interfaces
+
+from firmware_py.mirror import alpha_units
+from firmware_py.native import NativeRobot
+from firmware_py.robot import Config, Filter, Observation, Status
+from host_tools.cli import main
+from host_tools.frames import FrameFormat, Message, encode
+
+ESTIMATE = struct.Struct("<I4xHBIx")
+"""What a robot needs of a frame: identifier, x_hat in two parts, alpha."""
+
+pytestmark = pytest.mark.socketcan
+
+
+PERIODS = ("--filter-period", "4", "--telemetry-period", "4")
+SWARM = ("swarm", "--robots", "20", "--ticks", "5", *PERIODS, "--quiet")
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The log of the swarm on a bus inside the process."""
+    return logged(tmp_path_factory.mktemp("simulated"), "--interface", "virtual")
+
+
+def logged(folder: Path, *bus: str) -> list[str]:
+    """The swarm's log on a bus."""
+    assert main([*SWARM, *bus, "--log", str(folder / "run.log")]) == 0
+    return lines(folder / "run.log")
+
+
+def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_have(
+    vcan: Vcan, tmp_path: Path, simulated: list[str]
+) -> None:
+    with Candump(vcan, tmp_path) as candump:
+        real = logged(tmp_path, "--interface", "socketcan", "--channel", vcan.name)
+        told = candump.lines()
+    assert told == real == simulated
+    assert len(told) == 20 * (5 + 1 + 2)
+
+
+def test_twenty_robots_with_an_interface_each_leave_the_same_log(
+    tmp_path: Path, simulated: list[str]
+) -> None:
+    name = f"v{os.getpid()}r"
+    with interfaces(*(f"{name}{robot}" for robot in range(20))):
+        assert logged(tmp_path, "--interface", "socketcan", "--channel", f"{name}{{robot}}") == simulated
+
+
+def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, tmp_path: Path) -> None:
+    settings = ("swarm", "--robots", "2", "--ticks", "10", "--filter-period", "4", "--quiet", "--log")
+    many, one = tmp_path / "many.log", tmp_path / "one.log"
+    bus = ("--interface", "socketcan", "--channel", vcan.name)
+    assert main([*settings, str(many), *bus, "--processes"]) == 0
+    assert main([*settings, str(one), "--interface", "virtual"]) == 0
+    assert estimates(many) == estimates(one)
+    assert len(estimates(many)) == 20
+
+
+def estimates(log: Path) -> list[str]:
+    """The broadcasts of a log, sorted."""
+    return sorted(line for line in lines(log) if line.startswith("106BB8"))
+
+
+def lines(log: Path) -> list[str]:
+    """Frames of a log as candump writes them, without time and interface."""
+    with can.LogReader(log) as reader:
+        return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in reader]
+
+
+def test_126_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan: Vcan) -> None:
+    rounds, draw = 20, random.Random(9)
+    robots = [NativeRobot(Config(filter=Filter.OFF), robot, draw.uniform(0.6, 0.99)) for robot in range(126)]
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(vcan.socket()) for _ in robots]
+        for transfer in range(rounds):
+            due = [robot.observe(Observation(draw.random() < 0.6)) for robot in robots]
+            assert set(due) == {Status.DUE}
+            exchange(robots, sockets, transfer)
+            settled = {(robot.settle(), robot.x_raw) for robot in robots}
+            assert settled == {(Status.OK, informed(robots))}
+    assert {robot.counters.accepted for robot in robots} == {125 * rounds}
+
+
+def exchange(robots: list[NativeRobot], sockets: list[socket.socket], transfer: int) -> None:
+    """Each robot broadcasts; each hears all others."""
+    for number, (robot, own) in enumerate(zip(robots, sockets, strict=True)):
+        message = Message(number, robot.x_hat_raw, robot.alpha_raw, transfer % 32)
+        frame = encode(message, FrameFormat())
+        own.send(FRAME.pack(frame.arbitration_id | 0x8000_0000, 8, bytes(frame.data)))
+    for robot, own in zip(robots, sockets, strict=True):
+        receive = own.recv
+        for _ in range(len(robots) - 1):
+            sender, low, high, alpha = ESTIMATE.unpack(receive(FRAME.size))
+            robot.receive_raw(sender & 0x7F, high << 16 | low, alpha)
+
+
+def informed(robots: list[NativeRobot]) -> int:
+    """Eq. 7 over the whole swarm, the exact quotient; the same for every robot."""
+    weights = [alpha_units(robot.alpha_raw) for robot in robots]
+    total = sum(weight * robot.x_hat_raw for weight, robot in zip(weights, robots, strict=True))
+    return total // sum(weights)

@@ -1,0 +1,172 @@
+"""Building and running ``mcp_asdf_node``, and the Python node that has to say the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from support import ROOT, require, run
+
+from firmware_py.mirror import MirrorRobot
+from firmware_py.robot import Config, Filter
+from host_tools.node import NodeSettings, RobotNode, Subjects
+from host_tools.tables import generate, parse_omega
+
+NODES = "MCP_ASDF_NODES"
+"""Environment variable: a folder with builds of the node, by name."""
+
+PROGRAM = "mcp_asdf_node"
+SOURCES = ROOT / "c_ref/ports/linux"
+WARNINGS = (
+    "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wdouble-promotion -Wundef -Werror"
+)
+SANITIZERS = " -fsanitize=address,undefined -fno-sanitize-recover=all"
+TABLE = generate(parse_omega("0.05"), q=127)
+"""The table that the node is linked with."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A build of the node.
+
+    Attributes:
+        name: Of the build.
+        compiler: Its compiler, and the Debian packages that have it.
+        runner: What runs the program, and the Debian packages that have it; empty if it runs by itself.
+        flags: For the compiler.
+        toolchain: CMake's toolchain file, if there is one.
+    """
+
+    name: str
+    compiler: tuple[str, str]
+    runner: tuple[str, ...] = ()
+    flags: str = ""
+    toolchain: str = ""
+
+    def build(self, folder: Path) -> list[str]:
+        """Build the node and return the command that runs it; skips the test where tools are missing."""
+        require("ninja")
+        require(*self.compiler)
+        settings = ["-DCMAKE_BUILD_TYPE=RelWithDebInfo"]
+        if self.toolchain:
+            settings.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake' / self.toolchain}")
+        run("cmake", "-G", "Ninja", "-S", SOURCES, "-B", folder, *settings, CFLAGS=WARNINGS + self.flags)
+        run("cmake", "--build", folder)
+        return self.command(folder)
+
+    def command(self, folder: Path) -> list[str]:
+        """What runs the node built in ``folder``; skips the test where tools are missing."""
+        if self.runner:
+            require(self.runner[0], "qemu-user")
+        return [*self.runner, str(folder / PROGRAM)]
+
+
+HOST = Kind("host", ("gcc", "gcc"), flags=SANITIZERS)
+PLAIN = Kind("plain", ("gcc", "gcc"))
+CORTEX_A8 = Kind(
+    "cortex-a8",
+    ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
+    ("qemu-arm", "-cpu", "cortex-a8"),
+    toolchain="cortex-a8.cmake",
+)
+
+
+class CNode:
+    """A running ``mcp_asdf_node``."""
+
+    def __init__(
+        self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
+    ) -> None:
+        """Start it with the options given; ``streams`` are those of subprocess.Popen."""
+        arguments = ["--interface", interface, "--id", robot_id, *options]
+        self.process = subprocess.Popen(
+            [*command, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **streams,
+        )
+
+    def summary(self, status: int = 0) -> dict[str, Any]:
+        """Its last line, when it has ended by itself with ``status``."""
+        printed, complaints = self.process.communicate(timeout=60)
+        assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
+        assert not complaints or status
+        (line,) = printed.splitlines()
+        figures: dict[str, Any] = json.loads(line)
+        return figures
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> dict[str, Any]:
+        """Its last line, after that signal."""
+        self.process.send_signal(number)
+        return self.summary()
+
+    def __enter__(self) -> CNode:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+def twin(
+    robot_id: int,
+    b_hat: float = 0.95,
+    subjects: Subjects | None = None,
+    ticks_per_second: int = 10,
+    **config: Any,
+) -> RobotNode:
+    """The Python node of the same options, on plain integers."""
+    robot = MirrorRobot(Config(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config}), robot_id, b_hat)
+    return RobotNode(robot, NodeSettings(robot_id, subjects or Subjects(), ticks_per_second))
+
+
+def content(frames: Iterable[can.Message]) -> list[str]:
+    """Frames as candump writes them, for comparison."""
+    return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in frames]
+
+
+def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
+    """The C node's summary has every number of the Python node."""
+    robot, traffic = node.robot, node.traffic
+    assert isinstance(robot, MirrorRobot)
+    numbers = {
+        "t": robot.t,
+        "n": robot.n,
+        "b_hat": robot.b_hat_raw,
+        "x_hat": robot.x_hat_raw,
+        "alpha": robot.alpha_raw,
+        "x_bar": robot.x_bar_raw,
+        "beta": robot.beta_raw,
+        "x": robot.x_raw,
+        **vars(robot.counters),
+        "ticks": node.ticks,
+        "estimates": traffic.estimates_sent,
+        "heartbeats": traffic.heartbeats_sent,
+        "telemetry": traffic.telemetry_sent,
+        "heard": traffic.received,
+        "obeyed": traffic.obeyed,
+        "disobeyed": traffic.disobeyed,
+    }
+    assert {name: figures[name] for name in numbers} == numbers
+
+
+def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The command of a build that the session makes once, unless it is there already."""
+    if kind not in _BUILT:
+        ready = Path(os.environ.get(NODES, ""), kind.name, PROGRAM)
+        is_ready = NODES in os.environ and ready.exists()
+        folder = ready.parent if is_ready else tmp_path_factory.mktemp(kind.name)
+        _BUILT[kind] = kind.command(folder) if is_ready else kind.build(folder)
+    return _BUILT[kind]
+
+
+_BUILT: dict[Kind, list[str]] = {}

@@ -1,0 +1,535 @@
+"""The C node says and computes what the Python node does, here and on a Cortex-A8, and survives faults.
+
+The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`` has those on a real bus.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+
+import can
+import pytest
+from support import ROOT, require, run
+from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
+from targets.unix_bus import Peer, UnixBus
+
+from firmware_py.fixed_point import b_hat_to_raw
+from firmware_py.robot import Filter, Observation
+from host_tools.frames import (
+    Action,
+    Command,
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    Telemetry,
+    decode_heartbeat,
+    decode_telemetry,
+    encode,
+    encode_command,
+)
+from host_tools.lockstep import Lockstep
+from host_tools.node import RobotNode, Subjects
+
+C_FILES = sorted(SOURCES.glob("*.c"))
+DEFINITIONS = ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table", f"-I{ROOT / 'c_ref/src'}")
+CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 0x100
+BOTH = [Observation.WHITE, Observation.BLACK]
+
+
+@pytest.fixture(scope="module", params=[HOST, CORTEX_A8], ids=lambda kind: kind.name)
+def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    kind: Kind = request.param
+    return built(kind, tmp_path_factory)
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[UnixBus]:
+    with UnixBus(tmp_path / "bus") as opened:
+        yield opened
+
+
+Start = Callable[..., CNode]
+
+
+@pytest.fixture
+def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
+    """Starts nodes on the bus, and stops those that are left."""
+    started: list[CNode] = []
+
+    def start_node(robot_id: int, *options: object, **streams: object) -> CNode:
+        started.append(CNode(command, bus.channel_info, robot_id, *options, **streams))
+        return started[-1]
+
+    yield start_node
+    for node in started:
+        node.__exit__()
+
+
+def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
+    """What a Python node in lockstep says when it is told ``frames``."""
+    return node.start() + [answer for frame in frames for answer in node.hear(frame)]
+
+
+# ---- Lockstep: the same frames, the same bits ----
+
+
+def test_nodes_in_lockstep_say_what_python_nodes_say(start: Start, bus: UnixBus) -> None:
+    options = ("--lockstep", "--filter-period", 10, "--rate", 7, "--ticks", 60)
+    accuracies = (0.95, 0.55, 0.75)
+    nodes, peers = [], []
+    for robot, b_hat in enumerate(accuracies):
+        nodes.append(start(robot, *options, "--b-hat", b_hat))
+        peers.append(bus.accept())
+    drive(bus, range(3), 60, seed=1)
+    tests = updates = 0
+    for robot, b_hat in enumerate(accuracies):
+        expected = twin(robot, b_hat, ticks_per_second=7, filter_period=10)
+        assert content(replay(expected, peers[robot].told)) == content(peers[robot].said)
+        figures = nodes[robot].summary()
+        assert_same_robot(figures, expected)
+        assert figures["ended"] == "ticks"
+        assert figures["heartbeats"] == 9
+        tests, updates = tests + figures["tests"], updates + figures["updates"]
+    assert tests > 6 and updates > 0
+
+
+def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
+    """Let robots observe what a seeded generator draws, exchange, and settle."""
+    draw = random.Random(seed)
+    lockstep = Lockstep(bus, timeout=20)
+    lockstep.wait_until_up(robots, 20)
+    for _ in range(ticks):
+        lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
+        lockstep.estimates(robots)
+        lockstep.settle(robots)
+
+
+SUBJECTS = Subjects(FrameFormat(7, 0), FrameFormat(8, 6), FrameFormat(9, 3))
+ODD_SUBJECTS = ("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, "--priority", 0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: int) -> None:
+    firmware = ("--comms-period", 2, "--filter-period", 4, "--filter", "always", "--memory", 64)
+    node = start(5, "--lockstep", "--rate", 3, *ODD_SUBJECTS, *firmware)
+    peer = bus.accept()
+    expected = twin(5, 0.95, SUBJECTS, 3, comms_period=2, filter_period=4, filter=Filter.ALWAYS, memory=64)
+    draw = random.Random(seed)
+    frames = [any_frame(draw) for _ in range(3000)]
+    answers = replay(expected, frames)
+    last = expected._tick_of_command or 0
+    frames += [
+        command_frame(last, 5, action) for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)
+    ]
+    answers += [answer for frame in frames[-3:] for answer in expected.hear(frame)]
+    tell_and_hear(bus, peer, frames, len(answers))
+    assert content(answers) == content(peer.said)
+    figures = node.stop()
+    assert_same_robot(figures, expected)
+    rejected = figures["refused"] + figures["others"] + figures["error_frames"]
+    assert rejected == expected.traffic.rejected.total()
+    assert all(figures[name] > 50 for name in ("refused", "others", "error_frames", "collisions"))
+    assert all(figures[name] > 50 for name in ("obeyed", "disobeyed", "repeated", "rejected"))
+    assert figures["updates"] >= 5
+
+
+def command_frame(tick: int, target: int, action: Action) -> can.Message:
+    return encode_command(Command(126, tick, target, action, 0), SUBJECTS.commands)
+
+
+def any_frame(draw: random.Random) -> can.Message:
+    """A frame for the test above: legal, or with something wrong."""
+    if draw.random() < 0.5:
+        message = Message(
+            draw.randrange(8), draw.randrange(2**23 + 1), draw.choice((0, 1, draw.getrandbits(30))), 0
+        )
+        frame = encode(message, SUBJECTS.estimates)
+    else:
+        action = draw.choice(list(Action))
+        frame = command_frame(draw.randrange(2), draw.choice((5, 5, 255, 4)), action)
+    if draw.random() < 0.7:
+        return frame
+    return draw.choice(SPOILERS)(frame, draw)
+
+
+def spoilt(frame: can.Message, **changes: object) -> can.Message:
+    fields = {"arbitration_id": frame.arbitration_id, "data": frame.data} | changes
+    return can.Message(**fields)  # type: ignore[arg-type]
+
+
+SPOILERS: tuple[Callable[[can.Message, random.Random], can.Message], ...] = (
+    lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id ^ 1 << draw.randrange(29)),
+    lambda frame, draw: spoilt(frame, data=draw.randbytes(8)),
+    lambda frame, draw: spoilt(frame, data=frame.data[: draw.randrange(8)]),
+    lambda frame, draw: spoilt(frame, data=b"\xff" * 7 + frame.data[7:]),
+    lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id & 0x7FF, is_extended_id=False),
+    lambda frame, draw: spoilt(frame, data=None, dlc=8, is_remote_frame=True),
+    lambda frame, draw: spoilt(frame, is_fd=True),
+    lambda frame, draw: spoilt(frame, arbitration_id=CAN_ERR_PROT, is_error_frame=True),
+)
+
+
+def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: int) -> None:
+    """Send all frames, and listen until there are so many answers."""
+    for number, frame in enumerate(frames):
+        bus.send(frame)
+        if number % 20 == 19:  # else the answers fill the socket and are dropped
+            while bus.recv(0) is not None:
+                pass
+    while len(peer.said) < answers:
+        assert bus.recv(20) is not None, f"{len(peer.said)} answers, expected {answers}"
+
+
+# ---- Real time ----
+
+
+def test_observations_come_from_a_file_or_the_standard_input(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    draw = random.Random(7)
+    symbols = [draw.choice("01-") for _ in range(300)]
+    text = tmp_path / "observations"
+    text.write_text("\n".join(symbols) + " \t\n", encoding="ascii")
+    options = ("--rate", 1000, "--telemetry-period", 100, "--filter-period", 30, "--observations")
+    expected = twin(5, filter_period=30)
+    for symbol in symbols:
+        expected.robot.step(Observation("01-".index(symbol)))
+    for path in (text, "-"):
+        with text.open() as stream:
+            node = start(5, *options, path, stdin=stream)
+        peer = bus.accept()
+        hear_out(bus, peer)
+        hear_out(bus, peer)
+        figures = node.summary()
+        assert (figures["ended"], figures["ticks"], figures["missing"]) == ("observations", 300, 0)
+        assert (figures["t"], figures["n"]) == (300 - symbols.count("-"), symbols.count("1"))
+        assert figures["x"] == int(expected.robot.x * 2**23)
+        assert (figures["estimates"], figures["telemetry"], figures["heartbeats"]) == (300, 3, 1)
+        telemetry = [each for frame in peer.said if isinstance(each := decode_telemetry(frame), Telemetry)]
+        assert [each.transfer_id for each in telemetry] == [0, 1, 2]
+        assert telemetry[-1].x == figures["x"]
+
+
+def hear_out(bus: UnixBus, peer: Peer) -> None:
+    """Listen until a node has ended."""
+    while not peer.is_gone:
+        bus.recv(0.1)
+
+
+def test_an_input_without_observations_is_missed_but_not_waited_for(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--rate", 200, "--ticks", 40, "--observations", "-", stdin=subprocess.PIPE)
+    bus.accept()
+    assert node.process.stdin is not None
+    node.process.stdin.write("1\n1 0")
+    node.process.stdin.flush()
+    figures = {**waited(node)}
+    assert (figures["t"], figures["n"], figures["ended"]) == (3, 2, "ticks")
+    assert figures["missing"] == 37
+
+
+def waited(node: CNode) -> dict[str, object]:
+    """Its summary, while its standard input stays open."""
+    node.process.wait(60)
+    return node.summary()
+
+
+def test_a_sensor_s_file_is_read_anew_in_every_tick(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    sensor = tmp_path / "value"
+    sensor.write_text("1\n", encoding="ascii")
+    node = start(5, "--rate", 100, "--sensor", sensor)
+    peer = bus.accept()
+    seen = []
+    for content_now in ("1\n", "0\n", "what?\n", None, "1"):
+        replace(sensor, content_now)
+        seen.append(len(peer.said))
+        wait_for_more(bus, peer, 6)
+    figures = node.stop()
+    assert 5 < figures["n"] < figures["t"]
+    assert figures["missing"] > 5
+    assert figures["t"] + figures["missing"] == figures["ticks"]
+    assert figures["ended"] == "signal"
+
+
+def replace(path: Path, text: str | None) -> None:
+    """Let the file at once have another content, or not be there."""
+    if text is None:
+        path.unlink()
+    else:
+        path.with_suffix(".new").write_text(text, encoding="ascii")
+        path.with_suffix(".new").replace(path)
+
+
+def wait_for_more(bus: UnixBus, peer: Peer, frames: int) -> None:
+    goal = len(peer.said) + frames
+    while len(peer.said) < goal:
+        assert bus.recv(20) is not None
+
+
+def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    text = tmp_path / "observations"
+    text.write_text("01" * 1000, encoding="ascii")
+    node = start(5, "--rate", 100, "--observations", text)
+    peer = bus.accept()
+    begin = time.monotonic()
+    wait_for_more(bus, peer, 10)
+    node.process.send_signal(signal.SIGSTOP)
+    time.sleep(0.3)
+    node.process.send_signal(signal.SIGCONT)
+    wait_for_more(bus, peer, 5)
+    figures = node.stop()
+    elapsed = time.monotonic() - begin
+    assert figures["skipped"] >= 25
+    assert figures["worst_lateness_us"] >= 250_000
+    assert figures["ticks"] + figures["skipped"] <= 100 * elapsed + 30, "faster than the clock"
+
+
+# ---- Faults of the surroundings ----
+
+
+def test_error_frames_show_in_the_node_s_health(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--lockstep", "--rate", 1)
+    peer = bus.accept()
+    told: list[Health] = []
+    reports = (
+        (CAN_ERR_PROT, 0, Health.NOMINAL),
+        (CAN_ERR_CRTL, 0x08, Health.ADVISORY),
+        (CAN_ERR_CRTL, 0x10, Health.CAUTION),
+        (CAN_ERR_CRTL, 0x40, Health.NOMINAL),
+        (CAN_ERR_BUSOFF, 0, Health.WARNING),
+        (CAN_ERR_PROT, 0, Health.WARNING),
+        (CAN_ERR_RESTARTED, 0, Health.NOMINAL),
+    )
+    lockstep = Lockstep(bus, timeout=20, watch=lambda frame: told.extend(health_in(frame)))
+    lockstep.wait_until_up([5], 20)
+    for kind, controller, _ in ((CAN_ERR_PROT, 0, None), *reports):
+        data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
+        bus.send(can.Message(arbitration_id=kind, is_error_frame=True, data=data))
+        lockstep.observe({5: Observation.BLACK})
+        lockstep.estimates([5])
+        lockstep.settle([5])
+    assert told[1:] == [health for *_, health in reports]  # the first is that of the start
+    figures = node.stop()
+    assert (figures["error_frames"], figures["bus_off"]) == (8, 1)
+    assert len(peer.said) == 8 + 8 + 8
+
+
+def health_in(frame: can.Message) -> list[Health]:
+    heartbeat = decode_heartbeat(frame)
+    return [heartbeat.health] if isinstance(heartbeat, Heartbeat) else []
+
+
+def test_packets_that_are_no_frames_are_counted(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--lockstep", "--ticks", 1)
+    peer = bus.accept()
+    for packet in (b"x", bytes(15), bytes(17), bytes(71)):
+        peer.connection.send(packet)
+    drive(bus, range(5, 6), 1, seed=1)
+    assert node.summary()["odd_packets"] == 4
+
+
+def test_a_bus_that_closes_ends_the_run_with_a_failure(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--lockstep")
+    bus.accept().connection.close()
+    assert node.summary(status=1)["ended"] == "bus closed"
+
+
+def test_a_full_queue_costs_frames_but_no_tick(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    text = tmp_path / "observations"
+    text.write_text("1" * 400, encoding="ascii")
+    node = start(5, "--rate", 1000, "--observations", text)
+    peer = bus.accept()
+    figures = node.summary()  # meanwhile no one reads
+    assert figures["t"] == 400
+    assert figures["unsent"] > 0 < figures["queue_full"]
+    hear_out(bus, peer)
+    assert len(peer.said) == figures["estimates"] + figures["heartbeats"] - figures["unsent"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_run_cleanly(start: Start, bus: UnixBus, number: signal.Signals) -> None:
+    node = start(5, "--lockstep")
+    drive_one(bus, bus.accept())
+    figures = node.stop(number)
+    assert (figures["ended"], figures["ticks"]) == ("signal", 1)
+
+
+def drive_one(bus: UnixBus, peer: Peer) -> None:
+    drive(bus, range(5, 6), 1, seed=1)
+    assert len(peer.said) == 3
+
+
+# ---- State ----
+
+
+def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    text, state = tmp_path / "observations", tmp_path / "state"
+    text.write_text("110", encoding="ascii")
+    options = ("--filter-period", 10, "--state", state, "--rate", 1000, "--observations", text)
+    expected = twin(5, filter_period=10)
+    for _ in range(4):
+        node = start(5, *options)
+        peer = bus.accept()
+        figures = node.summary()
+        hear_out(bus, peer)
+        for symbol in "110":
+            expected.robot.step(Observation(int(symbol)))
+    assert (figures["t"], figures["n"], figures["ticks"]) == (12, 8, 3)
+    assert figures["x"] == int(expected.robot.x * 2**23)
+    assert state.read_bytes() == expected.robot.save()  # type: ignore[attr-defined]
+    assert not state.with_name("state.new").exists()
+
+
+def test_state_is_saved_in_between(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    node = start(5, "--lockstep", "--state", state, "--save-period", 4)
+    bus.accept()
+    drive(bus, range(5, 6), 7, seed=3)
+    node.process.kill()
+    expected, draw = twin(5), random.Random(3)
+    for _ in range(4):
+        expected.robot.step(draw.choice(BOTH))
+    assert state.read_bytes() == expected.robot.save()  # type: ignore[attr-defined]
+
+
+def test_a_state_that_does_not_fit_is_refused(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    image = twin(5).robot.save()  # type: ignore[attr-defined]
+    cases = (
+        (image[:-1], (), "damaged"),
+        (image + b"x", (), "damaged"),
+        (image[:20] + bytes([image[20] ^ 1]) + image[21:], (), "damaged"),
+        (image, ("--filter-period", 10), "periods"),
+        (twin(6).robot.save(), (), "another robot"),  # type: ignore[attr-defined]
+    )
+    state = tmp_path / "state"
+    for content_now, options, why in cases:
+        state.write_bytes(content_now)
+        assert why in complaint(start(5, "--lockstep", "--state", state, *options))
+        assert state.read_bytes() == content_now
+    assert "state" in complaint(start(5, "--lockstep", "--state", tmp_path))
+
+
+def test_a_state_that_cannot_be_saved_is_a_failure(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    node = start(5, "--lockstep", "--state", tmp_path / "missing" / "state")
+    bus.accept()
+    bus.recv(20)
+    node.process.terminate()
+    _, complaints = node.process.communicate(timeout=20)
+    assert node.process.returncode == 1
+    assert "cannot save the state" in complaints
+
+
+def complaint(node: CNode) -> str:
+    """What a node says that does not start."""
+    printed, complaints = node.process.communicate(timeout=20)
+    assert (node.process.returncode, printed) == (2, "")
+    return str(complaints)
+
+
+# ---- Bad usage ----
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ("--id 128 --lockstep", "--id is 128; choose a whole number, 0 to 127"),
+        ("--id -1 --lockstep", "--id is -1; "),
+        ("--id 1x --lockstep", "--id is 1x; "),
+        ("--lockstep", "--id is missing; see --help"),
+        ("--id 1", "choose one of --lockstep, --observations, --sensor"),
+        ("--id 1 --lockstep --observations -", "choose one of --lockstep, --observations, --sensor"),
+        ("--id 1 --lockstep --b-hat 1", "--b-hat is 1; choose 2^-20 to 1 - 2^-20"),
+        ("--id 1 --lockstep --b-hat nan", "--b-hat is nan; "),
+        ("--id 1 --lockstep --b-hat 0.5x", "--b-hat is 0.5x; "),
+        ("--id 1 --lockstep --filter no", "--filter is no; choose adaptive, always or off"),
+        (
+            "--id 1 --lockstep --comms-period 3",
+            "--filter-period is 1000; choose a multiple of --comms-period",
+        ),
+        ("--id 1 --lockstep --memory 65", "--memory is 65; choose an even number"),
+        ("--id 1 --lockstep --rate 0", "--rate is 0; choose a whole number, 1 to 1000"),
+        ("--id 1 --lockstep --ticks 4294967296", "--ticks is 4294967296; "),
+        ("--id 1 --lockstep --subject 6144", "--subject is 6144; "),
+        ("--id 1 --lockstep --subject 3002", "choose three different subjects"),
+        ("--id 1 --lockstep --priority 8", "--priority is 8; "),
+        ("--id 1 --observations /no/such/file", "/no/such/file"),
+        ("--id 1 --sensor /no/such/file", "/no/such/file"),
+        ("--id 1 --lockstep surplus", "surplus belongs to no option"),
+        ("--id 1 --lockstep --unknown", "unknown"),
+        ("--id 1 --lockstep --ticks", "ticks"),
+    ],
+)
+def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> None:
+    assert told in refusal(command, "--interface", "unix:/no/such/socket", *options.split())
+
+
+def refusal(command: list[str], *options: str) -> str:
+    """What the node says of options that will not do."""
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    return done.stderr
+
+
+def test_a_bus_that_cannot_be_joined_is_named(command: list[str], tmp_path: Path) -> None:
+    node = ("--id", "1", "--lockstep")
+    assert "--interface is missing" in refusal(command, *node)
+    told = refusal(command, *node, "--interface", "nocan7")
+    commands = ("modprobe vcan", "ip link add dev nocan7 type vcan", "ip link set nocan7 up")
+    assert [line.strip() for line in told.splitlines()[1:]] == list(commands)
+    for path in ("/no/such/socket", str(tmp_path), "/" + "x" * 200):
+        assert f"cannot join unix:{path}: " in refusal(command, *node, "--interface", f"unix:{path}")
+
+
+def test_help_and_version(command: list[str]) -> None:
+    told = run(*command, "--help")
+    assert told.startswith("One robot on a CAN bus: mcp_asdf_node ")
+    assert run(*command, "--version") == f"mcp_asdf_node {metadata.version('mcp-asdf')}\n"
+    source = (SOURCES / "options.c").read_text(encoding="utf-8")
+    names = set(re.findall(r'\[[A-Z_0-9]+\] = \{(?:\.name = )?"([a-z-]+)"', source))
+    assert names - {"help", "version"} == set(re.findall(r"--([a-z-]+)", told))
+
+
+def test_accuracies_are_read_as_python_reads_them(start: Start, bus: UnixBus) -> None:
+    draw = random.Random(11)
+    texts = ["0.95", "0.55", "9.5367431640625e-07", "0.99999904632568359375", "0.5000000001164153"]
+    texts += [repr(draw.uniform(0.001, 0.999)) for _ in range(5)]
+    for robot, text in enumerate(texts):
+        node = start(robot, "--lockstep", "--b-hat", text)
+        bus.accept()
+        assert bus.recv(20) is not None
+        assert node.stop()["b_hat"] == b_hat_to_raw(float(text))
+
+
+# ---- The sources ----
+
+
+@pytest.mark.parametrize("path", C_FILES, ids=lambda path: path.name)
+def test_clang_tidy_finds_nothing(path: Path) -> None:
+    run(require("clang-tidy"), "--quiet", path, "--", "-std=c99", *DEFINITIONS)
+
+
+def test_cppcheck_finds_nothing() -> None:
+    checks = ("--enable=warning,style,performance,portability", "--std=c99", "--quiet", "--error-exitcode=1")
+    run(
+        require("cppcheck", "cppcheck"), *checks, "--suppress=knownConditionTrueFalse", *DEFINITIONS, *C_FILES
+    )
+
+
+def test_gcc_s_analyser_finds_nothing(tmp_path: Path) -> None:
+    options = ("-std=c99", "-fanalyzer", "-O2", "-Werror", *DEFINITIONS)
+    run(require("gcc", "gcc"), *options, "-c", *C_FILES, cwd=tmp_path)
+
+
+def test_no_file_is_long() -> None:
+    lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES.iterdir()}
+    assert max(lengths.values()) <= 300
+    assert lengths["node.c"] <= 150, "the logic of a node alone"
