@@ -70,8 +70,7 @@ class BusChoice:
             bus = create_bus_from_namespace(self._args, **self._defaults)
         except argparse.ArgumentError as error:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
-        wrapper = _WRAPPERS.get(self.interface)
-        return bus if wrapper is None else wrapper(bus)
+        return wrapped(self.interface, bus)
 
     def arguments(self) -> list[str]:
         """The options with which a command of another process joins the same bus.
@@ -107,6 +106,12 @@ class BusChoice:
         channel = self.channel or "can0"
         ways = _VIRTUAL if channel.startswith("vcan") else _REAL
         return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
+
+
+def wrapped(interface: str, bus: can.BusABC) -> can.BusABC:
+    """A connection on which others' frames count as received and no own ones come, whatever the interface."""
+    wrapper = _WRAPPERS.get(interface)
+    return bus if wrapper is None else wrapper(bus)
 
 
 class _Wrapper(can.BusABC):

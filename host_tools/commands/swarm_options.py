@@ -203,8 +203,9 @@ def _open_device(interface: str, channel: str) -> can.BusABC:
     # python-can gives slcan adapters two seconds to start; what answers on a socket has started.
     extra: dict[str, Any] = {"sleep_after_open": 0} if interface == "slcan" else {}
     try:
-        return can.Bus(interface=interface, channel=channel, ignore_config=True, **extra)
+        bus = can.Bus(interface=interface, channel=channel, ignore_config=True, **extra)
     except (can.CanError, OSError, ValueError) as error:
         raise UsageError(
             f"cannot open the device at {interface}:{channel}: {error}; is it there, and not in use?"
         ) from error
+    return buses.wrapped(interface, bus)

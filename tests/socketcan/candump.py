@@ -17,7 +17,7 @@ _LINE = re.compile(r"\(\d+\.\d+\) (\S+) ([0-9A-F]+)#([0-9A-F]*)( [TR])?\n")
 
 
 def listeners(interface: str) -> int:
-    """How many sockets hear everything on the interface: the kernel has a line for each."""
+    """How many sockets that hear everything are on the interface: the kernel has a line for each."""
     lines = Path("/proc/net/can/rcvlist_all").read_text(encoding="ascii").splitlines()
     return sum(line.split()[:1] == [interface] for line in lines)
 

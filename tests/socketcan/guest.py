@@ -57,7 +57,7 @@ FILES = (
     "-fsdev local,id=files,path=/,security_model=none,readonly=on,multidevs=remap "
     "-device virtio-9p-pci,fsdev=files,mount_tag=files"
 )
-"""This machine's files once more: virtme-ng's own share of them caches nothing, which is four times slower."""
+"""This machine's files once more: virtme-ng's own share caches nothing, which is four times slower."""
 
 INSIDE = """\
 root=/run/files

@@ -6,13 +6,17 @@ import os
 import random
 import socket
 import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import can
 import pytest
-from socketcan.candump import Candump
+from socketcan.candump import Candump, listeners
+from socketcan.robots import PATIENCE
 from socketcan.vcan import FRAME, Vcan, interfaces
+from targets.c_node import PLAIN, CNode, built
 
 from firmware_py.mirror import alpha_units
 from firmware_py.native import NativeRobot
@@ -68,6 +72,32 @@ def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, t
     assert main([*settings, str(one), "--interface", "virtual"]) == 0
     assert estimates(many) == estimates(one)
     assert len(estimates(many)) == 20
+
+
+def test_the_c_node_is_a_robot_of_an_emulated_swarm(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    settings = ("swarm", "--robots", "4", "--ticks", "12", "--filter-period", "4", "--quiet", "--log")
+    real, one, name = tmp_path / "real.log", tmp_path / "one.log", f"v{os.getpid()}d"
+    bus = ("--interface", "socketcan", "--channel", f"{name}{{robot}}", "--device", f"0=socketcan:{name}0")
+    with interfaces(*(f"{name}{robot}" for robot in range(4))):
+        command = built(PLAIN, tmp_path_factory)
+        flawed = ("--lockstep", "--filter-period", 4, "--b-hat", 0.55)
+        with ThreadPoolExecutor() as pool:
+            starting = pool.submit(start_when_heard, command, f"{name}0", *flawed)
+            assert main([*settings, str(real), *bus]) == 0
+            with starting.result() as node:
+                assert node.stop()["updates"] > 0
+    assert main([*settings, str(one), "--interface", "virtual"]) == 0
+    assert estimates(real) == estimates(one)
+
+
+def start_when_heard(command: list[str], interface: str, *options: object) -> CNode:
+    """Start robot 0 when somebody waits for its first heartbeat."""
+    deadline = time.monotonic() + PATIENCE
+    while listeners(interface) == 0 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return CNode(command, interface, 0, *options)
 
 
 def estimates(log: Path) -> list[str]:
