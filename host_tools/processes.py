@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -88,7 +89,8 @@ def start_nodes(
             lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
 
     A heartbeat is due every ``ticks_per_second`` ticks. A node writes its log, and what ``mcp-asdf replay``
-    needs, where ``log_of`` says. Raises UsageError if a bus is inside this process or two robots have one id.
+    needs, where ``log_of`` says. On SocketCAN this process and the new ones stay on one processor, see
+    ``keep_order``. Raises UsageError if a bus is inside this process or two robots have one id.
     """
     ids = [robot.id for robot in robots]
     if len(set(ids)) < len(ids):
@@ -100,9 +102,20 @@ def start_nodes(
         commands.append(
             [sys.executable, "-m", "host_tools.cli", "node", *words, *bus_of(robot.id).arguments()]
         )
+    if any(bus_of(robot).interface == "socketcan" for robot in ids):
+        keep_order()
     with ExitStack() as stack:
         nodes = stack.enter_context(NodeProcesses())
         for robot, command in zip(robots, commands, strict=True):
             nodes.start(robot.id, command)
         stack.pop_all()  # all is well: whoever called ends them
     return nodes
+
+
+def keep_order() -> None:
+    """Let this process, and those it starts, run on one processor only.
+
+    A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several of them one
+    robot may hear a command before the estimate that it followed, and lockstep needs the same order for all.
+    """
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -308,3 +308,18 @@ def test_a_bus_inside_this_process_is_no_place_for_others() -> None:
         start_nodes([record(3)], lambda robot: choice, Subjects(), 10)
     with pytest.raises(UsageError, match=r"two robots have one id among \[3, 3\]"):
         start_nodes([record(3), record(3)], lambda robot: choice, Subjects(), 10)
+
+
+@pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{1}]), ("udp_multicast", [])])
+def test_only_processes_on_socketcan_keep_to_one_processor(
+    interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    choice = choose_bus(parser.parse_args([f"--interface={interface}", "--channel=vcan0"]))
+    kept: list[set[int]] = []
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 1, 2})
+    monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some))
+    monkeypatch.setattr("host_tools.processes.NodeProcesses.start", lambda self, robot, command: None)
+    with start_nodes([record(3)], lambda robot: choice, Subjects(), 10):
+        assert kept == processors
