@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from scipy import stats  # type: ignore[import-untyped]
 
+from firmware_py.native import NativeRobot
 from firmware_py.reference import (
     ALGORITHM_1,
     AUTHORS,
@@ -44,6 +46,7 @@ from firmware_py.robot import (
     Status,
 )
 from firmware_py.table import Table
+from host_tools.tables import generate, parse_omega
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05
@@ -79,15 +82,19 @@ class Trace:
         self.observations = np.unpackbits(packed, axis=1)
 
     def robots(self, conventions: Conventions) -> list[Robot]:
+        omega = self.data["omega"]
+        return [ReferenceRobot(*each, conventions, omega=omega) for each in self._setups(None)]
+
+    def firmware(self) -> list[Robot]:
+        table = generate(parse_omega(str(self.data["omega"])), self.data["num_robots"] - 1)
+        return [NativeRobot(*each) for each in self._setups(table)]
+
+    def _setups(self, table: Table | None) -> Iterator[tuple[Config, int, float]]:
         size, tau, data = self.data["num_robots"], self.data["tau"], self.data
-        robots: list[Robot] = []
         for i in range(size):
             flawed = i >= size - data["flawed_count"]
-            filters = flawed or data["mode"] == "asdf_plus"
-            config = Config(filter=Filter.ADAPTIVE if filters else Filter.OFF, filter_period=tau)
-            b_hat = data["flawed_b" if flawed else "true_b"]
-            robots.append(ReferenceRobot(config, i, b_hat, conventions, omega=data["omega"]))
-        return robots
+            filters = Filter.ADAPTIVE if flawed or data["mode"] == "asdf_plus" else Filter.OFF
+            yield Config(table, filters, filter_period=tau), i, data["flawed_b" if flawed else "true_b"]
 
     def mismatches(self, block: str, conventions: Conventions) -> list[str]:
         """Run all steps; say where a value differs by more than 1e-12 of it (of 1 below 1)."""
@@ -139,6 +146,25 @@ def test_every_value_and_update_of_the_authors_programs(
     name: str, block: str, conventions: Conventions
 ) -> None:
     assert Trace(name).mismatches(block, conventions) == []
+
+
+@pytest.mark.parametrize("name", [TRACE_A, TRACE_B])
+def test_the_firmware_stays_within_its_error_of_the_authors_values(name: str) -> None:
+    """docs/design.md, section 7, where |2 b_hat - 1| is 0.1 and more. No decision differs in these runs, so
+    errors do not add up: b_hat carries that of x_bar times its slope, and alpha twice that of b_hat."""
+    trace = Trace(name)
+    out, robots = trace.data["out"]["m-1"], trace.firmware()
+    limits = {"x": 7e-7, "x_hat": 7e-7, "x_bar": 7e-7, "b_hat": 1e-6, "alpha": 5e-6}
+    compared = 0
+    for step in range(1, trace.data["steps"] + 1):
+        run_step(robots, trace.observations[:, step - 1])
+        for quantity, limit in limits.items():
+            for robot, value in zip(robots, out[quantity].get(str(step), []), strict=False):
+                compared += 1
+                error = abs(getattr(robot, quantity) - value)
+                assert error <= limit * max(1.0, abs(value)), f"step {step}: {quantity} of robot {robot}"
+    assert compared >= 5 * len(robots) * 6
+    assert sum(robot.counters.updates for robot in robots) == out["filter_updates"]
 
 
 @pytest.mark.parametrize(

@@ -111,9 +111,9 @@ def lines(log: Path) -> list[str]:
         return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in reader]
 
 
-def test_126_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan: Vcan) -> None:
+def test_127_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan: Vcan) -> None:
     rounds, draw = 20, random.Random(9)
-    robots = [NativeRobot(Config(filter=Filter.OFF), robot, draw.uniform(0.6, 0.99)) for robot in range(126)]
+    robots = [NativeRobot(Config(filter=Filter.OFF), robot, draw.uniform(0.6, 0.99)) for robot in range(127)]
     with ExitStack() as stack:
         sockets = [stack.enter_context(vcan.socket()) for _ in robots]
         for transfer in range(rounds):
@@ -122,7 +122,7 @@ def test_126_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan
             exchange(robots, sockets, transfer)
             settled = {(robot.settle(), robot.x_raw) for robot in robots}
             assert settled == {(Status.OK, informed(robots))}
-    assert {robot.counters.accepted for robot in robots} == {125 * rounds}
+    assert {robot.counters.accepted for robot in robots} == {126 * rounds}
 
 
 def exchange(robots: list[NativeRobot], sockets: list[socket.socket], transfer: int) -> None:
