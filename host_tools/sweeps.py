@@ -14,7 +14,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import groupby, islice
 from multiprocessing import active_children, get_context
@@ -199,12 +199,13 @@ def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
 def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
     """Run jobs in processes; yields results as they come. Not more than two a worker wait at any time."""
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), initializer=_ignore_interrupts)
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
         running: dict[Future[Measured], Job] = {}
         while True:
-            for job in islice(jobs, 2 * workers - len(running)):
-                running[pool.submit(job.run)] = job
+            with _interrupts_held():
+                for job in islice(jobs, 2 * workers - len(running)):
+                    running[pool.submit(job.run)] = job
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -219,9 +220,23 @@ def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Me
         pool.shutdown(cancel_futures=True)
 
 
-def _ignore_interrupts() -> None:
-    """Ctrl-C reaches all processes of a terminal; only the first shall act on it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C reaches all processes of a terminal. Those started in here never hear of it, this one later.
+
+    They inherit the mask, in force before Python is up in them. Here another thread may be given the signal
+    in spite of it, so its handler waits, too.
+    """
+    held: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            signal.raise_signal(signal.SIGINT)
 
 
 def default_workers() -> int:

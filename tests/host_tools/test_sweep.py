@@ -321,5 +321,25 @@ def test_ctrl_c_keeps_what_is_finished(slow_sweep: subprocess.Popen[str], tmp_pa
     assert done >= 3
 
 
+def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
+    children = Path(f"/proc/{slow_sweep.pid}/task/{slow_sweep.pid}/children")
+    if not children.exists():
+        pytest.skip("the kernel does not list the children of a process")
+    deadline = time.monotonic() + 60
+    while not any(map(is_worker, children.read_text().split())) and time.monotonic() < deadline:
+        time.sleep(0.001)
+    os.killpg(slow_sweep.pid, signal.SIGINT)
+    _, errors = slow_sweep.communicate(timeout=60)
+    assert slow_sweep.returncode == 130
+    assert "Traceback" not in errors
+
+
+def is_worker(process: str) -> bool:
+    try:
+        return b"spawn_main" in Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:  # it has ended
+        return False
+
+
 def slow_experiment() -> Experiment:
     return Experiment(firmware="mirror", steps=400, trials=400, robots=4)
