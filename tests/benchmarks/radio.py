@@ -21,7 +21,7 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from host_tools.buses import WithoutEcho
+from host_tools.buses import WithoutEcho, wrapped
 from host_tools.medium import OpenBus, Wiring
 from host_tools.swarm import Swarm
 from host_tools.swarm_settings import Settings
@@ -108,7 +108,9 @@ def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus, bool]]:
     }
     if socketcan is not None:
         chosen[f"socketcan {socketcan}"] = (
-            lambda robot: can.Bus(interface="socketcan", channel=socketcan, ignore_config=True),
+            lambda robot: wrapped(
+                "socketcan", can.Bus(interface="socketcan", channel=socketcan, ignore_config=True)
+            ),
             True,
         )
     return chosen
