@@ -9,10 +9,11 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module, metadata
+from importlib import import_module
 from typing import Protocol, cast
 
 from host_tools.errors import UsageError
+from host_tools.versions import own_version
 
 PROGRAM = "mcp-asdf"
 COMMANDS = (
@@ -104,20 +105,13 @@ def _show_overview(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False
     )
-    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
     listing = parser.add_subparsers(metavar="COMMAND", title="commands (each has its own --help)")
     for name in COMMANDS:
         listing.add_parser(name, help=_load(name).HELP)
     parser.parse_args(arguments)
     parser.print_help(sys.stderr)
     return 2
-
-
-def _version() -> str:
-    try:
-        return metadata.version(PROGRAM)
-    except metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ import json
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from host_tools.experiments import Activation, Experiment, Mode
 from host_tools.files import write_atomically
 from host_tools.scores import DELTA, Limits, score
 from host_tools.simulation import QUANTITIES, Measured
+from host_tools.versions import own_version
 
 FORMAT = 2
 _KEY = b"mcp-asdf"
@@ -51,11 +51,7 @@ _PARAMETERS = tuple(Experiment().parameters())
 
 def versions() -> dict[str, str]:
     """Of everything that results could depend on."""
-    try:
-        own = metadata.version("mcp-asdf")
-    except metadata.PackageNotFoundError:
-        own = "not installed"
-    return {"mcp-asdf": own, "numpy": np.__version__, "python": platform.python_version()}
+    return {"mcp-asdf": own_version(), "numpy": np.__version__, "python": platform.python_version()}
 
 
 def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> pa.Table:

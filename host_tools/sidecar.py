@@ -27,7 +27,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from decimal import Decimal
-from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -40,6 +39,7 @@ from host_tools.errors import UsageError
 from host_tools.firmwares import load_firmware
 from host_tools.frames import FrameFormat
 from host_tools.tables import generate, omega_from_word
+from host_tools.versions import own_version
 
 FORMAT = "mcp-asdf events"
 VERSION = 1
@@ -105,11 +105,7 @@ def config_as_plain(config: Config) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """What the results of a run may depend on, by name."""
-    try:
-        own = metadata.version("mcp-asdf")
-    except metadata.PackageNotFoundError:
-        own = "not installed"
-    return {"mcp-asdf": own, "python-can": can.__version__, "numpy": np.__version__}
+    return {"mcp-asdf": own_version(), "python-can": can.__version__, "numpy": np.__version__}
 
 
 @dataclass(frozen=True)
