@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from host_tools import cli, files
+from host_tools import cli, files, versions
 from host_tools.errors import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
