@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -169,26 +170,34 @@ class Babbler(Injector):
         return [word.to_bytes(FRAME_BYTES, "little") for word in words]
 
 
-class AtSender(Injector):
+class AtSender(Injector, ABC):
     """What happens to a frame before it is on the bus."""
 
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws)
         self._frames = frames
 
+    @abstractmethod
     def act(self, sent: Sent) -> list[Sent]:
         """What becomes of the frame. Error frames stay what they are."""
-        if sent.frame.is_error_frame or not self.fault.is_on(sent.tick, sent.sender):
-            return [sent]
-        return self._act(sent)
-
-    def _act(self, sent: Sent) -> list[Sent]:
-        raise NotImplementedError
 
     def _say(self, sent: Sent, own: Message, x_hat: int, alpha: int) -> list[Sent]:
         """The estimate ``own`` with another content."""
         message = replace(own, x_hat=x_hat, alpha=alpha)
         return [replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))]
+
+
+class _InItsTicks(AtSender):
+    """Knows nothing of frames out of the fault's schedule."""
+
+    def act(self, sent: Sent) -> list[Sent]:
+        if sent.frame.is_error_frame or not self.fault.is_on(sent.tick, sent.sender):
+            return [sent]
+        return self._act(sent)
+
+    @abstractmethod
+    def _act(self, sent: Sent) -> list[Sent]:
+        """What becomes of a frame that the fault may befall."""
 
 
 class _Freeze(AtSender):
@@ -210,7 +219,7 @@ class _Freeze(AtSender):
         return [sent]
 
 
-class _Liar(AtSender):
+class _Liar(_InItsTicks):
     def _act(self, sent: Sent) -> list[Sent]:
         own = decode(sent.frame, self._frames)
         if isinstance(own, Message) and self._strikes(self._draws.of_frame(sent)):
@@ -218,7 +227,7 @@ class _Liar(AtSender):
         return [sent]
 
 
-class _Collide(AtSender):
+class _Collide(_InItsTicks):
     def _act(self, sent: Sent) -> list[Sent]:
         if self.fault.id is None or not self._strikes(self._draws.of_frame(sent)):
             return [sent]
@@ -227,7 +236,7 @@ class _Collide(AtSender):
         return [replace(sent, frame=frame)]
 
 
-class _Error(AtSender):
+class _Error(_InItsTicks):
     def _act(self, sent: Sent) -> list[Sent]:
         if not self._strikes(self._draws.of_frame(sent)):
             return [sent]
@@ -242,7 +251,7 @@ class _Error(AtSender):
         return [replace(sent, frame=error), sent]
 
 
-class _Queue(AtSender):
+class _Queue(_InItsTicks):
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws, frames)
         self._taken: dict[int, tuple[int, int]] = {}
@@ -258,7 +267,7 @@ class _Queue(AtSender):
         return [sent]
 
 
-class OnTheWay(Injector):
+class OnTheWay(Injector, ABC):
     """What happens to a frame on its way to one receiver."""
 
     def act(self, ways: Sequence[Delivery], sent: Sent, receiver: int) -> Sequence[Delivery]:
@@ -270,15 +279,24 @@ class OnTheWay(Injector):
             after for version, way in enumerate(ways) for after in self._act(way, sent, receiver, version)
         ]
 
+    @abstractmethod
+    def _act(self, way: Delivery, sent: Sent, receiver: int, version: int) -> Sequence[Delivery]:
+        """The same for one ``way`` in a tick of the fault, to a receiver that it may befall."""
+
+
+class _ByDraw(OnTheWay):
+    """Strikes each frame by a draw of its own."""
+
     def _act(self, way: Delivery, sent: Sent, receiver: int, version: int) -> Sequence[Delivery]:
         words = self._draws.of_frame(sent, receiver, version)
         return self._struck(way, words) if self._strikes(words) else (way,)
 
+    @abstractmethod
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        raise NotImplementedError
+        """What becomes of a frame that is struck."""
 
 
-class _Loss(OnTheWay):
+class _Loss(_ByDraw):
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
         return ()
 
@@ -306,22 +324,22 @@ class _Burst(OnTheWay):
         return _below(words, share / (1 - share) / length)
 
 
-class _Delay(OnTheWay):
+class _Delay(_ByDraw):
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
         return (replace(way, delay=way.delay + self.fault.ticks),)
 
 
-class _Duplicate(OnTheWay):
+class _Duplicate(_ByDraw):
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
         return way, replace(way, delay=way.delay + self.fault.ticks)
 
 
-class _Reorder(OnTheWay):
+class _Reorder(_ByDraw):
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
         return (replace(way, place=(words[1] >> 11) * 2.0**-53),)
 
 
-class _Corrupt(OnTheWay):
+class _Corrupt(_ByDraw):
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
         frame = copy.copy(way.frame)
         width = 8 * len(frame.data)
@@ -330,7 +348,7 @@ class _Corrupt(OnTheWay):
         return (replace(way, frame=frame),)
 
 
-AT_SENDERS: dict[Kind, type[AtSender]] = {
+AT_SENDERS: dict[Kind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
     Kind.FREEZE: _Freeze,
     Kind.LIAR: _Liar,
     Kind.COLLIDE: _Collide,
@@ -338,7 +356,7 @@ AT_SENDERS: dict[Kind, type[AtSender]] = {
     Kind.QUEUE: _Queue,
 }
 
-ON_THE_WAY: dict[Kind, type[OnTheWay]] = {
+ON_THE_WAY: dict[Kind, Callable[[Fault, Draws], OnTheWay]] = {
     Kind.LOSS: _Loss,
     Kind.BURST: _Burst,
     Kind.DELAY: _Delay,

@@ -7,7 +7,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
@@ -17,8 +17,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
-def stopping() -> Iterator[Callable[[], bool]]:
-    """Yield what tells whether SIGINT or SIGTERM has come, for asking between two steps of work.
+def stopping(signals: Sequence[signal.Signals] = _SIGNALS) -> Iterator[Callable[[], bool]]:
+    """Yield what tells whether one of ``signals`` has come, for asking between two steps of work.
 
     A second signal, if the first finds a step that does not end, raises KeyboardInterrupt at once.
     Outside the main thread, where Python delivers no signals, the answer is always no.
@@ -34,11 +34,11 @@ def stopping() -> Iterator[Callable[[], bool]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    previous = [signal.signal(each, note) for each in _SIGNALS]
+    previous = [signal.signal(each, note) for each in signals]
     try:
         yield lambda: asked
     finally:
-        for each, handler in zip(_SIGNALS, previous, strict=True):
+        for each, handler in zip(signals, previous, strict=True):
             signal.signal(each, handler)
 
 

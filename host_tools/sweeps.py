@@ -26,6 +26,7 @@ from host_tools.errors import UsageError
 from host_tools.experiments import Experiment
 from host_tools.results import describe, read_table, table_of, versions, write_table
 from host_tools.simulation import Measured, run_trials
+from host_tools.stopping import stopping
 
 _MOST_TRIALS = 32
 """Of a job: as many as the engine likes side by side, twice."""
@@ -227,16 +228,14 @@ def _interrupts_held() -> Iterator[None]:
     They inherit the mask, in force before Python is up in them. Here another thread may be given the signal
     in spite of it, so its handler waits, too.
     """
-    held: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-        if held:
-            signal.raise_signal(signal.SIGINT)
+    with stopping((signal.SIGINT,)) as is_asked:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    if is_asked():
+        signal.raise_signal(signal.SIGINT)
 
 
 def default_workers() -> int:

@@ -6,12 +6,10 @@ import argparse
 import json
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.console import Console
@@ -29,6 +27,7 @@ from host_tools.node import Subjects
 from host_tools.processes import NodeProcesses, start_nodes
 from host_tools.sidecar import Header, SidecarWriter, sidecar_path
 from host_tools.slcan import HOST, SlcanServer
+from host_tools.stopping import stopping
 from host_tools.swarm import Swarm
 from host_tools.swarm_run import Hook, Run, run_swarm
 from host_tools.swarm_settings import MAX_ROBOTS_AND_TOOLS, Settings, robot_records
@@ -148,26 +147,13 @@ def _interruptible() -> Iterator[Hook]:
 
     A second Ctrl-C, if the first finds a tick that does not end, acts at once.
     """
-    asked = False
+    with stopping((signal.SIGINT,)) as is_asked:
 
-    def note(signum: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
+        def obey(swarm: Swarm) -> None:
+            if is_asked():
+                raise KeyboardInterrupt
 
-    def obey(swarm: Swarm) -> None:
-        if asked:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
         yield obey
-        return
-    previous = signal.signal(signal.SIGINT, note)
-    try:
-        yield obey
-    finally:
-        signal.signal(signal.SIGINT, previous)
 
 
 def _print(args: argparse.Namespace, outcome: Run, report: dict[str, Any], table: Table) -> None:

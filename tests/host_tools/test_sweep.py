@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -332,6 +333,12 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
     _, errors = slow_sweep.communicate(timeout=60)
     assert slow_sweep.returncode == 130
     assert "Traceback" not in errors
+
+
+def test_workers_start_from_another_thread_too(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as thread:
+        table = thread.submit(run_sweep, Store(tmp_path / "grid.parquet", GRID), 2).result()
+    assert table.equals(run_sweep(Store(tmp_path / "again.parquet", GRID), 1))
 
 
 def is_worker(process: str) -> bool:
