@@ -9,17 +9,18 @@ from typing import Any
 from host_tools.errors import UsageError
 from host_tools.files import write_atomically
 
-_COLUMNS = ("name", "fault", "ticks", "frames", "injected", "broadcasts", "answers", "outcome")
-_TITLES = (
-    "phase",
-    "fault",
-    "ticks",
-    "frames sent",
-    "injected",
-    "equal broadcasts",
-    "equal answers",
-    "outcome",
-)
+COLUMNS = {
+    "name": "phase",
+    "fault": "fault",
+    "ticks": "ticks",
+    "frames": "frames sent",
+    "injected": "injected",
+    "broadcasts": "equal broadcasts",
+    "answers": "equal answers",
+    "outcome": "outcome",
+}
+"""What is said of each phase, and what people call it."""
+
 _SUFFIXES = (".json", ".md")
 
 
@@ -46,11 +47,11 @@ def markdown(report: dict[str, Any]) -> str:
         f"Robot {report['parameters']['controller']['id']} on {report['bus']['interface']} "
         f"{report['bus']['channel'] or ''}, {report['time']}.",
         "",
-        "| " + " | ".join(_TITLES) + " |",
-        "| " + " | ".join(["---"] * len(_TITLES)) + " |",
+        "| " + " | ".join(COLUMNS.values()) + " |",
+        "| " + " | ".join(["---"] * len(COLUMNS)) + " |",
     ]
     for phase in verdict["phases"]:
-        cells = ("" if phase[name] is None else str(phase[name]) for name in _COLUMNS)
+        cells = ("" if phase[name] is None else str(phase[name]) for name in COLUMNS)
         lines.append("| " + " | ".join(cells) + " |")
     everything = {key: report[key] for key in ("parameters", "versions", "model")}
     lines += ["", "To repeat it:", "", "```json", json.dumps(everything, indent=2), "```", ""]

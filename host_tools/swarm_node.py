@@ -131,11 +131,8 @@ class Node:
 
     def hear(self, frame: can.Message) -> None:
         """Take in a frame that a neighbour's radio has sent, whatever has become of it. O(1)."""
-        if not self.is_alive:
-            return
-        message = self._decode(frame)
-        if isinstance(message, Rejection):
-            self.reception.take_other(frame, message)
+        message = self._message_of(frame)
+        if message is None:
             return
         if self.recorder is not None:
             self.recorder.receive(message.sender, message.x_hat, message.alpha)
@@ -149,11 +146,18 @@ class Node:
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Take in a frame that nobody of the swarm has sent. Estimates among them are not listened to."""
-        if not self.is_alive:
-            return
-        message = self._decode(frame)
-        if isinstance(message, Rejection):
-            self.reception.take_other(frame, message)
+        message = self._message_of(frame)
+        if message is None:
             return
         self.reception.strays += 1
         self.reception.collisions += message.sender == self.id
+
+    def _message_of(self, frame: can.Message) -> Message | None:
+        """The estimate in a frame; None, and the rest is counted, where there is none or the node is dead."""
+        if not self.is_alive:
+            return None
+        message = self._decode(frame)
+        if isinstance(message, Rejection):
+            self.reception.take_other(frame, message)
+            return None
+        return message

@@ -25,7 +25,7 @@ from host_tools.logs import FrameLog
 from host_tools.node import filters_for
 from host_tools.node_run import Link, state_of
 from host_tools.radio import Neighbourhood, RadioSettings, choose_ids, like
-from host_tools.radio_report import check_report_path, headline, write_report
+from host_tools.radio_report import COLUMNS, check_report_path, headline, write_report
 from host_tools.radio_run import RadioRun
 from host_tools.radio_verify import Bench, Verification
 from host_tools.sidecar import Header, SidecarWriter, sidecar_path, versions
@@ -225,19 +225,11 @@ def _verify(
 
 def _print_verdict(verdict: dict[str, Any]) -> None:
     table = Table(box=None, padding=(0, 1), header_style="bold")
-    for title in (
-        "phase",
-        "ticks",
-        "frames sent",
-        "injected",
-        "equal broadcasts",
-        "equal answers",
-        "outcome",
-    ):
+    shown = {name: title for name, title in COLUMNS.items() if name != "fault"}
+    for title in shown.values():
         table.add_column(title, justify="left" if title in ("phase", "outcome") else "right")
     for phase in verdict["phases"]:
-        names = ("name", "ticks", "frames", "injected", "broadcasts", "answers", "outcome")
-        table.add_row(*(str(phase[name]) for name in names))
+        table.add_row(*(str(phase[name]) for name in shown))
     console = Console(soft_wrap=True)
     console.print(table)
     console.print(headline(verdict), markup=False)
