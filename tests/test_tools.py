@@ -37,10 +37,12 @@ def test_clang_tidy_finds_nothing(path: Path) -> None:
 NOT_CPPCHECK = ("--suppress=shadowFunction", "--suppress=knownConditionTrueFalse")
 
 
-@pytest.mark.parametrize("split", [0, 1])
-@pytest.mark.parametrize("divide", [0, 1])
-def test_cppcheck_finds_nothing(split: int, divide: int) -> None:
-    choices = (f"-DMCP_ASDF_SPLIT_MULTIPLY={split}", f"-DMCP_ASDF_HARDWARE_DIVIDE={divide}")
+@pytest.mark.parametrize(
+    ("split", "divide", "eight"), [(0, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0), (0, 0, 1)]
+)
+def test_cppcheck_finds_nothing(split: int, divide: int, eight: int) -> None:
+    speed = {"SPLIT_MULTIPLY": split, "HARDWARE_DIVIDE": divide, "EIGHT_BIT": eight}
+    choices = [f"-DMCP_ASDF_{name}={choice}" for name, choice in speed.items()]
     checks = ("--enable=warning,style,performance,portability", "--std=c99", "--inline-suppr", "--quiet")
     run(require("cppcheck", "cppcheck"), *checks, *NOT_CPPCHECK, *choices, "--error-exitcode=1", *C_SOURCES)
 

@@ -6,8 +6,10 @@
  */
 #include "mcp_asdf.h"
 
-/* Two choices of speed, never of result. A target without a fast 32-bit divider estimates quotient digits
- * with a reciprocal; one without a 32 x 32 -> 64 multiplier splits operands into halves. */
+/* Three choices of speed, never of result. A target without a fast 32-bit divider estimates quotient digits
+ * with a reciprocal; one without a 32 x 32 -> 64 multiplier splits operands into halves; one with registers
+ * of eight bits, where products are dear and a shift is a loop of single bits, divides bit by bit and shifts
+ * by bytes first. */
 #ifndef MCP_ASDF_HARDWARE_DIVIDE
 #if defined(__ARM_FEATURE_IDIV) || defined(__riscv_div)
 #define MCP_ASDF_HARDWARE_DIVIDE 1
@@ -22,12 +24,26 @@
 #define MCP_ASDF_SPLIT_MULTIPLY 0
 #endif
 #endif
+#ifndef MCP_ASDF_EIGHT_BIT
+#ifdef __AVR__
+#define MCP_ASDF_EIGHT_BIT 1
+#else
+#define MCP_ASDF_EIGHT_BIT 0
+#endif
+#endif
 
 /* The few functions on the way of every tick are worth repeating, unless size counts. */
 #if defined(__GNUC__) && !defined(__OPTIMIZE_SIZE__)
 #define HOT static inline __attribute__((always_inline))
 #else
 #define HOT static
+#endif
+
+/* A loop that is worth its call wherever it stands. */
+#ifdef __GNUC__
+#define APART static __attribute__((noinline))
+#else
+#define APART static
 #endif
 
 #define TABLE_MAGIC UINT32_C(0x4D435054)
@@ -46,11 +62,62 @@
 
 /* ---- Words ------------------------------------------------------------------------------------------- */
 
+#ifdef __AVR__
+/* avr-gcc calls a loop even for a shift by 32. It is little-endian, and defines what another member reads. */
+typedef union {
+    uint64_t both;
+    uint32_t word[2];
+} words_t;
+
+static inline uint64_t join(uint32_t high, uint32_t low)
+{
+    const words_t words = {.word = {low, high}};
+    return words.both;
+}
+
+static inline uint32_t high_word(uint64_t value)
+{
+    const words_t words = {.both = value};
+    return words.word[1];
+}
+#else
 static inline uint64_t join(uint32_t high, uint32_t low) { return (uint64_t)high << 32 | low; }
 
 static inline uint32_t high_word(uint64_t value) { return (uint32_t)(value >> 32); }
+#endif
 
 static inline uint32_t low_word(uint64_t value) { return (uint32_t)value; }
+
+/* value 2^count modulo 2^32, and value / 2^count rounded down, for a count in [0, 31]. */
+#if MCP_ASDF_EIGHT_BIT
+APART uint32_t shift_left_by(uint32_t value, uint8_t count)
+{
+    for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
+        value <<= 8;
+    }
+    return value << count;
+}
+
+APART uint32_t shift_right_by(uint32_t value, uint8_t count)
+{
+    for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
+        value >>= 8;
+    }
+    return value >> count;
+}
+
+static inline uint32_t shift_left(uint32_t value, uint32_t count)
+{
+    return shift_left_by(value, (uint8_t)count);
+}
+static inline uint32_t shift_right(uint32_t value, uint32_t count)
+{
+    return shift_right_by(value, (uint8_t)count);
+}
+#else
+static inline uint32_t shift_left(uint32_t value, uint32_t count) { return value << count; }
+static inline uint32_t shift_right(uint32_t value, uint32_t count) { return value >> count; }
+#endif
 
 #if MCP_ASDF_SPLIT_MULTIPLY
 static uint64_t multiply(uint32_t a, uint32_t b)
@@ -91,6 +158,20 @@ HOT uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a
 #if defined(__GNUC__) && (defined(__ARM_FEATURE_CLZ) || defined(__x86_64__) || defined(__i386__))
 static inline uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value); }
 static inline uint32_t leading_zero(uint32_t value) { return leading_zeros(value); }
+#elif MCP_ASDF_EIGHT_BIT
+static inline uint32_t leading_zero(uint32_t value) { return ~value >> 31; }
+
+static uint32_t leading_zeros(uint32_t value)
+{
+    uint8_t zeros = 0;
+    for (; value >> 24 == 0; value <<= 8) { /* at most 3 turns, as value > 0 */
+        zeros = (uint8_t)(zeros + 8);
+    }
+    for (uint8_t top = (uint8_t)(value >> 24); top < 0x80; top = (uint8_t)(top << 1)) { /* at most 7 turns */
+        ++zeros;
+    }
+    return zeros;
+}
 #else
 static inline uint32_t leading_zero(uint32_t value) { return ~value >> 31; }
 
@@ -120,7 +201,7 @@ static uint32_t leading_zeros(uint32_t value)
 /* Upper word of (high:low) 2^shift, shift in [0, 31]; needs high < 2^(32 - shift). */
 static inline uint32_t upper(uint32_t high, uint32_t low, uint32_t shift)
 {
-    return high << shift | low >> 1 >> (31 - shift);
+    return shift_left(high, shift) | shift_right(low >> 1, 31 - shift);
 }
 
 static inline uint16_t add_saturating(uint16_t counter, uint32_t more)
@@ -129,9 +210,31 @@ static inline uint16_t add_saturating(uint16_t counter, uint32_t more)
     return (uint16_t)(sum | (0 - (sum >> 16 & 1))); /* sum < 2^17: all ones where bit 16 is set */
 }
 
-/* ---- Division ----------------------------------------------------------------------------------------
- *
- * Long division in digits of 10 to 12 bits. A digit is estimated from the upper bits of remainder and
+/* ---- Division ---------------------------------------------------------------------------------------- */
+
+#if MCP_ASDF_EIGHT_BIT
+/* floor(a 2^bits / d) modulo 2^32 for a < 2 d and d <= 2^31, which keeps a below 2^32. */
+static uint32_t divide_bits(uint32_t a, uint32_t d, uint8_t bits)
+{
+    uint32_t quotient = 0;
+    do {
+        quotient <<= 1;
+        if (a >= d) {
+            a -= d;
+            ++quotient;
+        }
+        a <<= 1; /* < 2 d */
+    } while (bits-- != 0); /* at most 33 turns */
+    return quotient;
+}
+
+/* floor(a 2^32 / d) for a < d. */
+static uint32_t divide(uint32_t a, uint32_t d) { return divide_bits(a, d, 32); }
+
+/* floor(a 2^24 / d) for a < 2 d. */
+static uint32_t divide_24(uint32_t a, uint32_t d) { return divide_bits(a, d, 24); }
+#else
+/* Long division in digits of 10 to 12 bits. A digit is estimated from the upper bits of remainder and
  * divisor, never too large and less than 2 too small, so a remainder stays in [0, 2 divisor) and arithmetic
  * modulo 2^32 gives it exactly; the last remainder corrects the quotient. Divisors are in [2^30, 2^31].
  */
@@ -193,6 +296,7 @@ HOT uint32_t divide_24(uint32_t a, uint32_t d)
     const uint32_t rest2 = (rest << 12) - second * d;
     return (first << 12) + second + (rest2 >= d);
 }
+#endif
 
 /* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by at most 2^3 too small: the upper
  * 31 bits of both numbers, the divisor's rounded up, cost 2^32 (2^-30 + 2^-30). Needs a quotient of at most 1
@@ -245,19 +349,19 @@ static inline bool on_grid(uint32_t alpha) { return alpha_shift(alpha) <= ALPHA_
 
 static inline uint32_t low_units(uint32_t alpha)
 {
-    return alpha_mantissa(alpha) << alpha_shift(alpha);
+    return shift_left(alpha_mantissa(alpha), alpha_shift(alpha));
 } /* mod 2^32 */
 
 static inline uint32_t high_units(uint32_t alpha)
 {
-    return alpha_mantissa(alpha) >> 1 >> (ALPHA_SHIFT_MAX - alpha_shift(alpha));
+    return shift_right(alpha_mantissa(alpha) >> 1, ALPHA_SHIFT_MAX - alpha_shift(alpha));
 }
 
 /* Units of an alpha below 1/2, rounded down; subnormal numbers lose everything, too. */
 static inline uint32_t units_below_half(uint32_t alpha)
 {
     const uint32_t lost = 0 - alpha_shift(alpha);
-    return lost > 23 ? 0 : alpha_mantissa(alpha) >> lost;
+    return lost > 23 ? 0 : shift_right(alpha_mantissa(alpha), lost);
 }
 
 HOT void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
@@ -332,7 +436,7 @@ static void set_accuracy(mcp_asdf_accuracy_t *accuracy, uint32_t b_hat)
     }
     accuracy->c = c;
     const uint32_t g_shift = leading_zeros(g); /* [0, 11] */
-    const uint32_t mantissa = g << g_shift;
+    const uint32_t mantissa = shift_left(g, g_shift);
     accuracy->g_shift = (uint8_t)g_shift;
     accuracy->inverse_g = divide(UINT32_C(1) << 29, mantissa >> 1) + 1; /* > 2^62 / mantissa; g is even */
 
@@ -347,7 +451,7 @@ static void set_accuracy(mcp_asdf_accuracy_t *accuracy, uint32_t b_hat)
         (uint8_t)(2 * g_shift + shift - 2); /* g < 1 - c, so shift >= 2 where g_shift is 0 */
 
     const uint32_t c_shift = leading_zeros(c); /* [1, 19], as c < 2^31 */
-    accuracy->odds = square_of_ratio(0 - c, c << c_shift, &shift);
+    accuracy->odds = square_of_ratio(0 - c, shift_left(c, c_shift), &shift);
     const int32_t exponent = (int32_t)(2 * c_shift) - 30 - (int32_t)shift; /* [-31, 8] */
     const int32_t left = exponent > 0 ? exponent : 0;
     accuracy->odds_left = (uint8_t)left;
@@ -369,10 +473,10 @@ HOT uint32_t confidence_at_end(const mcp_asdf_accuracy_t *accuracy, uint32_t par
                                int32_t *exponent)
 {
     const uint64_t sum =
-        (multiply(part << accuracy->odds_left, accuracy->odds) >> accuracy->odds_right) + rest;
+        (multiply(shift_left(part, accuracy->odds_left), accuracy->odds) >> accuracy->odds_right) + rest;
     const uint32_t high = high_word(sum), low = low_word(sum); /* < 2^52; rest >= 2^29 */
     const uint32_t shift = leading_zeros(high != 0 ? high : low);
-    const uint32_t mantissa = high != 0 ? upper(high, low, shift) : low << shift;
+    const uint32_t mantissa = high != 0 ? upper(high, low, shift) : shift_left(low, shift);
     *exponent += (high != 0 ? 32 : 0) - (int32_t)shift - accuracy->edge_shift;
     return multiply_high(mantissa, accuracy->edge) >> 8; /* [2^22, 2^24) */
 }
@@ -385,15 +489,17 @@ HOT uint32_t confidence_inside(const mcp_asdf_accuracy_t *accuracy, uint32_t nu,
     const uint32_t shift = leading_zeros(spread) - 1;                 /* [0, 19] */
     const uint32_t scale = multiply_high(total, accuracy->g_squared); /* [2^29, 2^31) */
     *exponent += (int32_t)shift - accuracy->g_squared_shift;
-    return divide_24(scale, spread << shift); /* scale < 2^31 <= 2 spread 2^shift */
+    return divide_24(scale, shift_left(spread, shift)); /* scale < 2^31 <= 2 spread 2^shift */
 }
 
 /* Whether nu = floor(part 2^32 / total) <= c, which is part 2^32 < (c + 1) total. The compiler forms the
  * quotient once for this and for what follows; where products are cheap they spare it at an end. */
 HOT bool at_end(uint32_t part, uint32_t total, uint32_t c)
 {
-    return MCP_ASDF_SPLIT_MULTIPLY ? divide(part, total) <= c
-                                   : part <= high_word(multiply(total, c) + (total - 1)); /* < 2^63 */
+    if (MCP_ASDF_SPLIT_MULTIPLY || MCP_ASDF_EIGHT_BIT) {
+        return divide(part, total) <= c;
+    }
+    return part <= high_word(multiply(total, c) + (total - 1)); /* < 2^63 */
 }
 
 /* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat:
@@ -403,8 +509,8 @@ HOT void estimate(mcp_asdf_t *robot)
     const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     const uint32_t blacks = robot->n, whites = robot->t - robot->n;
     const uint32_t shift = leading_zeros(robot->t);
-    const uint32_t total = robot->t << shift >> 1; /* [2^30, 2^31); exact while t < 2^31 */
-    const uint32_t part = (blacks < whites ? blacks : whites) << shift >> 1; /* <= total / 2 */
+    const uint32_t total = shift_left(robot->t, shift) >> 1; /* [2^30, 2^31); exact while t < 2^31 */
+    const uint32_t part = shift_left(blacks < whites ? blacks : whites, shift) >> 1; /* <= total / 2 */
     int32_t exponent = 33 - (int32_t)shift;
     uint32_t x_hat = 0, mantissa;
     if (at_end(part, total, accuracy->c)) { /* eq. 3, first two cases; always so without information */
@@ -418,7 +524,7 @@ HOT void estimate(mcp_asdf_t *robot)
         const uint32_t nu = divide(part, total); /* Q32, [c, 2^31] */
         /* (nu - c) 2^g_shift <= g 2^g_shift / 2 with inverse_g rounded up give x_hat <= 2^22, equal at nu =
          * 1/2 */
-        x_hat = multiply_high((nu - accuracy->c) << accuracy->g_shift, accuracy->inverse_g) >> 7;
+        x_hat = multiply_high(shift_left(nu - accuracy->c, accuracy->g_shift), accuracy->inverse_g) >> 7;
         mantissa = confidence_inside(accuracy, nu, total, &exponent);
     }
     const bool mirrored = (blacks < whites) == accuracy->inverted;
@@ -475,7 +581,7 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 {
     mcp_asdf_status_t status = check_message(robot, sender, x_hat, alpha);
     uint32_t *const word = &robot->heard[(sender & MCP_ASDF_MAX_ID) >> 5];
-    const uint32_t bit = UINT32_C(1) << (sender & 31);
+    const uint32_t bit = shift_left(1, sender & 31);
     if (status == MCP_ASDF_OK) {
         if ((*word & bit) != 0) {
             robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
@@ -593,8 +699,9 @@ static bool test_rejects(const mcp_asdf_t *robot)
     /* k spread / 2^fraction_bits, rounded down, < 2^6 2^58, from k spread = (high:low_word(low)) */
     const uint64_t low = multiply(k, low_word(spread));
     const uint64_t high = multiply(k, high_word(spread)) + high_word(low); /* < 2^59 */
-    const uint64_t threshold = join(high_word(high) << (32 - fraction_bits) | low_word(high) >> fraction_bits,
-                                    low_word(high) << (32 - fraction_bits) | low_word(low) >> fraction_bits);
+    const uint64_t threshold =
+        join(shift_left(high_word(high), 32 - fraction_bits) | shift_right(low_word(high), fraction_bits),
+             shift_left(low_word(high), 32 - fraction_bits) | shift_right(low_word(low), fraction_bits));
     return multiply(difference, difference) > threshold; /* integer > real, so rounding down decides alike */
 }
 

@@ -1,4 +1,4 @@
-/* White box: division in digits. The oracle is the compiler's own 64-bit division. */
+/* White box: division in digits or bits. The oracle is the compiler's own 64-bit division. */
 #include "white_box.h"
 
 #define D_MIN (UINT32_C(1) << 30)
@@ -17,6 +17,7 @@ static uint32_t divisor_near_end(uint32_t i)
 
 static uint32_t random_divisor(void) { return D_MIN + (uint32_t)(check_random() >> 34); }
 
+#if !MCP_ASDF_EIGHT_BIT
 #if !MCP_ASDF_HARDWARE_DIVIDE
 /* "256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1": y = (129 + 2 i) /
  * 256 */
@@ -86,6 +87,16 @@ static void digit_is_less_than_two_too_small(void)
         check_digit(check_random() % (2 * (uint64_t)d), d, 10 + (uint32_t)i % 3);
     }
 }
+
+static void digits_are_within_their_bounds(void)
+{
+#if !MCP_ASDF_HARDWARE_DIVIDE
+    every_seed_is_rounded();
+#endif
+    prepare_bounds_for_every_divisor();
+    digit_is_less_than_two_too_small();
+}
+#endif
 
 static void check_divide(uint64_t a, uint32_t d)
 {
@@ -182,11 +193,9 @@ static void quotient_of_one(void)
 
 int main(void)
 {
-#if !MCP_ASDF_HARDWARE_DIVIDE
-    every_seed_is_rounded();
+#if !MCP_ASDF_EIGHT_BIT
+    digits_are_within_their_bounds();
 #endif
-    prepare_bounds_for_every_divisor();
-    digit_is_less_than_two_too_small();
     divide_at_every_digit_boundary();
     divide_24_at_every_digit_boundary();
     divide_at_the_ends_of_its_range();

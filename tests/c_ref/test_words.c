@@ -64,6 +64,18 @@ static void leading_zeros_of_every_length(void)
     }
 }
 
+/* "for a count in [0, 31]" */
+static void shifts_by_every_count(void)
+{
+    for (uint32_t count = 0; count < 32; ++count) {
+        for (size_t i = 0; i < COUNT(ends); ++i) {
+            GIVEN(ends[i], count, 0);
+            CHECK_EQUAL(shift_left(ends[i], count), ((uint64_t)ends[i] << count) & UINT32_MAX);
+            CHECK_EQUAL(shift_right(ends[i], count), (uint64_t)ends[i] >> count);
+        }
+    }
+}
+
 /* "shift in [0, 31]; needs high < 2^(32 - shift)" */
 static void upper_at_every_shift(void)
 {
@@ -103,6 +115,7 @@ int main(void)
     multiply_partial_products_fit();
     multiply_small_at_the_ends();
     leading_zeros_of_every_length();
+    shifts_by_every_count();
     upper_at_every_shift();
     add_saturating_stops_at_65535();
     words_split_and_join();

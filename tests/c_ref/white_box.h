@@ -24,6 +24,10 @@
 #undef MCP_ASDF_SPLIT_MULTIPLY
 #define MCP_ASDF_SPLIT_MULTIPLY TEST_SPLIT_MULTIPLY
 #endif
+#ifdef TEST_EIGHT_BIT
+#undef MCP_ASDF_EIGHT_BIT
+#define MCP_ASDF_EIGHT_BIT TEST_EIGHT_BIT
+#endif
 
 #include "mcp_asdf.c"
 
