@@ -221,7 +221,7 @@ static uint32_t divide_bits(uint32_t a, uint32_t d, uint8_t bits)
         quotient <<= 1;
         if (a >= d) {
             a -= d;
-            ++quotient;
+            quotient |= 1;
         }
         a <<= 1; /* < 2 d */
     } while (bits-- != 0); /* at most 33 turns */
@@ -333,14 +333,15 @@ HOT uint32_t alpha_bits(uint32_t mantissa, int32_t exponent)
         }
         mantissa &= UINT32_MAX << -exponent; /* bits worth less than a unit go; exponent >= -23 */
     }
-    return ((uint32_t)(exponent + ALPHA_UNIT_EXPONENT - 1) << 23) + mantissa; /* the implicit bit adds one */
+    return shift_left((uint32_t)(exponent + ALPHA_UNIT_EXPONENT - 1), 23) +
+           mantissa; /* the implicit bit adds one */
 }
 
 /* A received alpha is any binary32 number >= 0. From 1/2 to MCP_ASDF_ALPHA_MAX all its bits are on the grid,
  * and it is high 2^32 + low units, high < 2^23. */
 static inline uint32_t alpha_shift(uint32_t alpha)
 {
-    return (alpha >> 23) - ALPHA_UNIT_EXPONENT;
+    return shift_right(alpha, 23) - ALPHA_UNIT_EXPONENT;
 } /* may wrap */
 
 static inline uint32_t alpha_mantissa(uint32_t alpha) { return (alpha & ALPHA_FRACTION) | ALPHA_IMPLICIT; }
