@@ -46,6 +46,28 @@
 #define APART static
 #endif
 
+/* Whether receive() has a way of its own for messages that are added: not where size counts, nor where
+ * products are calls. */
+#if MCP_ASDF_SPLIT_MULTIPLY || MCP_ASDF_EIGHT_BIT || defined(__OPTIMIZE_SIZE__)
+#define QUICK_RECEIVE 0
+#else
+#define QUICK_RECEIVE 1
+#endif
+
+/* HOT only where registers are many, as they are not on cores that split products. */
+#if MCP_ASDF_SPLIT_MULTIPLY
+#define NEAR static
+#else
+#define NEAR HOT
+#endif
+
+/* What it calls for any other message must not take registers from it. */
+#if defined(__GNUC__) && QUICK_RECEIVE
+#define COLD static __attribute__((noinline))
+#else
+#define COLD static
+#endif
+
 #define TABLE_MAGIC UINT32_C(0x4D435054)
 #define TABLE_VERSION UINT32_C(1)
 #define TABLE_HEADER 4
@@ -57,8 +79,10 @@
 #define ALPHA_INFINITE UINT32_C(0x7F800000)
 #define ALPHA_FRACTION UINT32_C(0x007FFFFF)
 #define ALPHA_IMPLICIT UINT32_C(0x00800000)
-#define ALPHA_UNIT_EXPONENT 126 /* biased exponent of binary32 numbers whose last bit is worth 2^-24 */
-#define ALPHA_SHIFT_MAX 31      /* alpha = 24 bits shifted left by at most this */
+#define ALPHA_UNIT_EXPONENT 126      /* biased exponent of binary32 numbers whose last bit is worth 2^-24 */
+#define ALPHA_SHIFT_MAX 31           /* alpha = 24 bits shifted left by at most this */
+#define MOST_LOW (UINT32_C(1) << 31) /* MCP_ASDF_ALPHA_MAX is MOST_HIGH 2^32 + MOST_LOW units */
+#define MOST_HIGH ALPHA_FRACTION
 
 /* ---- Words ------------------------------------------------------------------------------------------- */
 
@@ -141,6 +165,13 @@ static uint32_t multiply_high(uint32_t a, uint32_t b)
     return a1 * b1 + (middle >> 16) + (middle2 >> 16);
 }
 
+/* The upper word of a^2 = a1^2 2^32 + a1 a0 2^17 + a0^2. */
+static uint32_t square_high(uint32_t a)
+{
+    const uint32_t a0 = a & 0xFFFF, a1 = a >> 16;
+    return a1 * a1 + ((a1 * a0 + (a0 * a0 >> 17)) >> 15);
+}
+
 /* a b for a < 2^8 and b < 2^56. */
 static uint64_t multiply_small(uint32_t a, uint64_t b)
 {
@@ -152,6 +183,7 @@ static uint64_t multiply_small(uint32_t a, uint64_t b)
 HOT uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
 HOT uint64_t multiply_small(uint32_t a, uint64_t b) { return a * b; }
 HOT uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
+HOT uint32_t square_high(uint32_t a) { return multiply_high(a, a); }
 #endif
 
 /* Leading zeros of value > 0: [0, 31]; leading_zero() is for values from 2^30 on: 0 or 1. */
@@ -175,7 +207,7 @@ static uint32_t leading_zeros(uint32_t value)
 #else
 static inline uint32_t leading_zero(uint32_t value) { return ~value >> 31; }
 
-static uint32_t leading_zeros(uint32_t value)
+NEAR uint32_t leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
     if (value >> 16 == 0) {
@@ -217,6 +249,7 @@ static inline uint16_t add_saturating(uint16_t counter, uint32_t more)
 static uint32_t divide_bits(uint32_t a, uint32_t d, uint8_t bits)
 {
     uint32_t quotient = 0;
+    uint8_t turns = (uint8_t)(bits + 1); /* at most 33 */
     do {
         quotient <<= 1;
         if (a >= d) {
@@ -224,7 +257,7 @@ static uint32_t divide_bits(uint32_t a, uint32_t d, uint8_t bits)
             quotient |= 1;
         }
         a <<= 1; /* < 2 d */
-    } while (bits-- != 0); /* at most 33 turns */
+    } while (--turns != 0);
     return quotient;
 }
 
@@ -327,59 +360,69 @@ HOT uint32_t alpha_bits(uint32_t mantissa, int32_t exponent)
         mantissa >>= 1;
         ++exponent;
     }
-    if ((uint32_t)exponent > ALPHA_SHIFT_MAX) {
-        if (exponent > 0) {
-            return MCP_ASDF_ALPHA_MAX;
-        }
-        mantissa &= UINT32_MAX << -exponent; /* bits worth less than a unit go; exponent >= -23 */
+    if (exponent < 0) {
+        const uint32_t lost = (uint32_t)-exponent; /* bits worth less than a unit, at most 23 */
+        mantissa = shift_left(shift_right(mantissa, lost), lost);
+    } else if (exponent > ALPHA_SHIFT_MAX) {
+        return MCP_ASDF_ALPHA_MAX;
     }
-    return shift_left((uint32_t)(exponent + ALPHA_UNIT_EXPONENT - 1), 23) +
-           mantissa; /* the implicit bit adds one */
+    /* exponent - 1 in [-24, 30] gives [102, 156]; the implicit bit of the mantissa adds one: < 2^31 */
+    return shift_left((uint32_t)(exponent + ALPHA_UNIT_EXPONENT - 1), 23) + mantissa;
 }
 
 /* A received alpha is any binary32 number >= 0. From 1/2 to MCP_ASDF_ALPHA_MAX all its bits are on the grid,
- * and it is high 2^32 + low units, high < 2^23. */
-static inline uint32_t alpha_shift(uint32_t alpha)
-{
-    return shift_right(alpha, 23) - ALPHA_UNIT_EXPONENT;
-} /* may wrap */
+ * and it is high 2^32 + low units, high < 2^23. Below 1/2 the shift wraps to a large number. */
+static inline uint32_t alpha_shift(uint32_t alpha) { return shift_right(alpha, 23) - ALPHA_UNIT_EXPONENT; }
 
 static inline uint32_t alpha_mantissa(uint32_t alpha) { return (alpha & ALPHA_FRACTION) | ALPHA_IMPLICIT; }
 
 static inline bool on_grid(uint32_t alpha) { return alpha_shift(alpha) <= ALPHA_SHIFT_MAX; }
 
+/* Modulo 2^32: high_units() are the bits that this shift loses. */
 static inline uint32_t low_units(uint32_t alpha)
 {
     return shift_left(alpha_mantissa(alpha), alpha_shift(alpha));
-} /* mod 2^32 */
+}
 
 static inline uint32_t high_units(uint32_t alpha)
 {
-    return shift_right(alpha_mantissa(alpha) >> 1, ALPHA_SHIFT_MAX - alpha_shift(alpha));
+    return QUICK_RECEIVE ? multiply_high(alpha_mantissa(alpha), UINT32_C(1) << alpha_shift(alpha))
+                         : shift_right(alpha_mantissa(alpha) >> 1, ALPHA_SHIFT_MAX - alpha_shift(alpha));
 }
 
 /* Units of an alpha below 1/2, rounded down; subnormal numbers lose everything, too. */
 static inline uint32_t units_below_half(uint32_t alpha)
 {
-    const uint32_t lost = 0 - alpha_shift(alpha);
+    const uint32_t lost = 0 - alpha_shift(alpha); /* the wrapped shift's size: [1, 126] */
     return lost > 23 ? 0 : shift_right(alpha_mantissa(alpha), lost);
 }
 
-HOT void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
+/* The first half of adding a message, and the second. */
+HOT void add_alpha(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
 {
-    sums->alpha += join(high, low);              /* + 2^55 */
-    sums->alpha_x_low += multiply(low, x_hat);   /* + 2^55 */
+    sums->alpha += join(high, low);            /* + 2^55 */
+    sums->alpha_x_low += multiply(low, x_hat); /* + 2^55 */
+}
+
+HOT void add_rest(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t high)
+{
     sums->alpha_x_high += multiply(high, x_hat); /* + 2^46 */
     sums->x_squared += multiply(x_hat, x_hat);   /* + 2^46 */
     sums->x += x_hat;                            /* + 2^23 */
     ++sums->count;
 }
 
+HOT void add_units(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t low, uint32_t high)
+{
+    add_alpha(sums, x_hat, low, high);
+    add_rest(sums, x_hat, high);
+}
+
 HOT bool add_off_grid(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 {
     const uint32_t exponent = alpha >> 23;
     if (exponent > ALPHA_UNIT_EXPONENT) { /* above the largest: cut to it */
-        add_units(sums, x_hat, UINT32_C(1) << 31, ALPHA_FRACTION);
+        add_units(sums, x_hat, MOST_LOW, MOST_HIGH);
         return true;
     }
     const uint32_t low = units_below_half(alpha);
@@ -390,13 +433,18 @@ HOT bool add_off_grid(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
     return true;
 }
 
-bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
+HOT bool add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
 {
     if (!on_grid(alpha)) {
         return add_off_grid(sums, x_hat, alpha);
     }
     add_units(sums, x_hat, low_units(alpha), high_units(alpha));
     return true;
+}
+
+bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha)
+{
+    return add(sums, x_hat, alpha);
 }
 
 /* ---- Accuracy ---------------------------------------------------------------------------------------- */
@@ -407,7 +455,7 @@ HOT uint32_t square_of_ratio(uint32_t a, uint32_t k, uint32_t *shift)
 {
     const uint32_t quotient = divide_24(a >> 1, k >> 1) << 7; /* 2^31 a / k, in (2^30, 2^32) */
     const uint32_t half = leading_zero(quotient);
-    const uint32_t square = multiply_high(quotient << half, quotient << half); /* [2^30, 2^32) */
+    const uint32_t square = square_high(quotient << half); /* [2^30, 2^32) */
     *shift = 2 * half + leading_zero(square);
     return square << leading_zero(square);
 }
@@ -441,7 +489,7 @@ static void set_accuracy(mcp_asdf_accuracy_t *accuracy, uint32_t b_hat)
     accuracy->g_shift = (uint8_t)g_shift;
     accuracy->inverse_g = divide(UINT32_C(1) << 29, mantissa >> 1) + 1; /* > 2^62 / mantissa; g is even */
 
-    const uint32_t square = multiply_high(mantissa, mantissa); /* [2^30, 2^32) */
+    const uint32_t square = square_high(mantissa); /* [2^30, 2^32) */
     const uint32_t square_shift = leading_zero(square);
     accuracy->g_squared = square << square_shift;
     accuracy->g_squared_shift = (uint8_t)(2 * g_shift + square_shift);
@@ -505,21 +553,22 @@ HOT bool at_end(uint32_t part, uint32_t total, uint32_t c)
 
 /* x_hat and alpha from t > 0, n and b_hat. White and black are mirror images, and so are b_hat and 1 - b_hat:
  * only the rarer colour is looked at, under the accuracy above 1/2. */
-HOT void estimate(mcp_asdf_t *robot)
+HOT void estimate(mcp_asdf_t *robot, uint32_t t, uint32_t n)
 {
     const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
-    const uint32_t blacks = robot->n, whites = robot->t - robot->n;
-    const uint32_t shift = leading_zeros(robot->t);
-    const uint32_t total = shift_left(robot->t, shift) >> 1; /* [2^30, 2^31); exact while t < 2^31 */
+    const uint32_t blacks = n, whites = t - n;
+    const uint32_t shift = leading_zeros(t);
+    const uint32_t total = shift_left(t, shift) >> 1; /* [2^30, 2^31); exact while t < 2^31 */
     const uint32_t part = shift_left(blacks < whites ? blacks : whites, shift) >> 1; /* <= total / 2 */
     int32_t exponent = 33 - (int32_t)shift;
-    uint32_t x_hat = 0, mantissa;
+    uint32_t x_hat, mantissa;
     if (at_end(part, total, accuracy->c)) { /* eq. 3, first two cases; always so without information */
         if (accuracy->g_shift == MCP_ASDF_UNINFORMATIVE) {
             robot->x_hat = MCP_ASDF_HALF;
             robot->alpha = 0;
             return;
         }
+        x_hat = 0;
         mantissa = confidence_at_end(accuracy, part, total - part, &exponent);
     } else {
         const uint32_t nu = divide(part, total); /* Q32, [c, 2^31] */
@@ -540,13 +589,14 @@ HOT mcp_asdf_status_t observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
         return MCP_ASDF_ERR_OBSERVATION;
     }
     if (black != MCP_ASDF_NONE) {
-        ++robot->t; /* < memory before, so no wrap */
-        robot->n += black;
-        if (robot->t == robot->config->memory) {
-            robot->t >>= 1;
-            robot->n = (robot->n + (robot->n >> 1 & 1)) >> 1; /* ties to even; <= t */
+        uint32_t t = robot->t + 1, n = robot->n + black; /* < memory before, so no wrap */
+        if (t == robot->config->memory) {
+            t >>= 1;
+            n = (n + (n >> 1 & 1)) >> 1; /* ties to even; <= t */
         }
-        estimate(robot);
+        robot->t = t;
+        robot->n = n;
+        estimate(robot, t, n);
     }
     if (robot->comms_left != 0) { /* 0 if a round was not settled: it is still due */
         --robot->comms_left;
@@ -570,25 +620,18 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
     return alpha >= ALPHA_INFINITE ? MCP_ASDF_ERR_ALPHA : MCP_ASDF_OK; /* sign bit, infinity, not a number */
 }
 
-HOT mcp_asdf_status_t receive_off_grid(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
-{
-    if (!add_off_grid(&robot->open, x_hat, alpha)) {
-        ++robot->silent; /* <= 254: as many as senders, and 127 in add_round() */
-    }
-    return MCP_ASDF_OK;
-}
-
-mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
+/* Receive any message; with QUICK_RECEIVE, any that is not to be added. */
+COLD mcp_asdf_status_t receive_checked(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_status_t status = check_message(robot, sender, x_hat, alpha);
-    uint32_t *const word = &robot->heard[(sender & MCP_ASDF_MAX_ID) >> 5];
-    const uint32_t bit = shift_left(1, sender & 31);
+    uint8_t *const heard = &robot->heard.of[(sender & MCP_ASDF_MAX_ID) >> 3];
+    const uint32_t bit = UINT32_C(1) << (sender & 7);
     if (status == MCP_ASDF_OK) {
-        if ((*word & bit) != 0) {
+        if ((*heard & bit) != 0) {
             robot->counters.repeated = add_saturating(robot->counters.repeated, 1);
             return MCP_ASDF_REPEATED;
         }
-        if (robot->open.count >= MCP_ASDF_MAX_ID) { /* add_round() has filled the round */
+        if (QUICK_RECEIVE || robot->open.count >= MCP_ASDF_MAX_ID) { /* add_round() has filled the round */
             status = MCP_ASDF_ERR_SUMS;
         }
     }
@@ -596,34 +639,99 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
         robot->counters.rejected = add_saturating(robot->counters.rejected, 1);
         return status;
     }
-    *word |= bit;
-    if (!on_grid(alpha)) {
-        return receive_off_grid(robot, x_hat, alpha);
+    *heard = (uint8_t)(*heard | bit);
+    if (!add(&robot->open, x_hat, alpha)) {
+        ++robot->silent; /* <= 254: as many as senders, and 127 in add_round() */
     }
-    add_units(&robot->open, x_hat, low_units(alpha), high_units(alpha));
     return MCP_ASDF_OK;
+}
+
+/* A sender's byte of those heard, and what it becomes when it is marked. */
+typedef struct {
+    uint8_t *heard;
+    uint32_t marked;
+} mark_t;
+
+/* Add a message and mark its sender. The mark is set between the sums: to the compiler a byte may be any part
+ * of them, so it does not begin all at once and run out of registers. */
+HOT void take(mcp_asdf_sums_t *sums, mark_t mark, uint32_t x_hat, uint32_t low, uint32_t high)
+{
+    add_alpha(sums, x_hat, low, high);
+    *mark.heard = (uint8_t)mark.marked;
+    add_rest(sums, x_hat, high);
+}
+
+/* Whether a message may come from this sender: not the robot's own id, which is in range, and none above. */
+HOT bool is_neighbour(const mcp_asdf_t *robot, uint8_t sender)
+{
+    return (uint32_t)(sender ^ robot->id) - 1 < MCP_ASDF_MAX_ID; /* wraps for the own id */
+}
+
+/* Receive a message if it is to be added; else do nothing and return false. All checks are one here, and what
+ * is wrong is left to receive_checked(). Each kind of alpha has a way of its own. */
+HOT bool receive_quickly(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
+{
+    mcp_asdf_sums_t *const open = &robot->open;
+    if (!is_neighbour(robot, sender) || x_hat > MCP_ASDF_ONE) {
+        return false;
+    }
+    uint8_t *const heard = &robot->heard.of[sender >> 3];
+    const uint32_t before = *heard;
+    const mark_t mark = {heard, before | UINT32_C(1) << (sender & 7)};
+    if (mark.marked == before || open->count >= MCP_ASDF_MAX_ID) {
+        return false;
+    }
+    if (on_grid(alpha)) {
+        take(open, mark, x_hat, low_units(alpha), high_units(alpha));
+        return true;
+    }
+    if (alpha_shift(alpha) < alpha_shift(ALPHA_INFINITE)) { /* above the largest: cut to it */
+        take(open, mark, x_hat, MOST_LOW, MOST_HIGH);
+        return true;
+    }
+    if (alpha >> 23 > ALPHA_UNIT_EXPONENT) {
+        return false;
+    }
+    const uint32_t low = units_below_half(alpha);
+    if (low != 0) {
+        take(open, mark, x_hat, low, 0);
+    } else {
+        *heard = (uint8_t)mark.marked;
+        ++robot->silent; /* <= 254, as in receive_checked() */
+    }
+    return true;
+}
+
+mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
+{
+    if (QUICK_RECEIVE && receive_quickly(robot, sender, x_hat, alpha)) {
+        return MCP_ASDF_OK;
+    }
+    return receive_checked(robot, sender, x_hat, alpha);
 }
 
 /* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0, as quotient() needs.
  */
 static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    const uint64_t middle = alpha_x_high + high_word(alpha_x_low);
-    const uint64_t most = alpha >> 9; /* of middle, where the mean is 1.0 */
+    const uint64_t middle =
+        alpha_x_high + high_word(alpha_x_low); /* wraps only where the limits below fail */
+    const uint64_t most = alpha >> 9;          /* of middle, where the mean is 1.0 */
     return alpha <= multiply(MCP_ASDF_MAX_ID, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
            alpha_x_low < UINT64_C(1) << 62 && alpha_x_high < UINT64_C(1) << 53 &&
            (middle < most || (middle == most && low_word(alpha_x_low) <= low_word(alpha) << 23));
 }
 
-/* Whether `count` messages can have given these sums: none too large, no mean above 1.0, no variance below 0.
- */
+/* Whether `count` messages can have given these sums: each alpha at least one unit, none too large, no mean
+ * above 1.0, no variance below 0. */
 static bool sums_possible(const mcp_asdf_sums_t *sums)
 {
     const uint32_t m = sums->count;
-    return m <= MCP_ASDF_MAX_ID && sums->x <= m * MCP_ASDF_ONE &&
+    return m <= MCP_ASDF_MAX_ID && sums->x <= m * MCP_ASDF_ONE && /* < 2^30 */
            sums->x_squared <= multiply(sums->x, MCP_ASDF_ONE) &&
            m * sums->x_squared >= multiply(sums->x, sums->x) && /* < 2^60 */
-           sums->alpha <= multiply(m, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
+           sums->alpha >= m &&
+           sums->alpha <= multiply(m, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX && /* < 2^62 */
            sums->alpha_x_low <= multiply(sums->x, UINT32_MAX) &&
            sums->alpha_x_high <= multiply(sums->x, UINT32_C(0x7FFFFF)) &&
            mean_possible(sums->alpha, sums->alpha_x_low, sums->alpha_x_high);
@@ -632,17 +740,19 @@ static bool sums_possible(const mcp_asdf_sums_t *sums)
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages)
 {
     mcp_asdf_sums_t *const open = &robot->open;
-    if (!sums_possible(sums) || sums->count > messages || open->count + sums->count > MCP_ASDF_MAX_ID ||
-        robot->silent + (messages - sums->count) > MCP_ASDF_MAX_ID) {
+    const uint32_t count = sums->count; /* read once: sums may be *open */
+    if (!sums_possible(sums) || count > messages || open->count + count > MCP_ASDF_MAX_ID ||
+        robot->silent + (messages - count) > MCP_ASDF_MAX_ID) {
         return MCP_ASDF_ERR_SUMS;
     }
+    /* At most 127 messages in all, so each sum stays below what mcp_asdf_sums_t says. */
     open->alpha += sums->alpha;
     open->alpha_x_low += sums->alpha_x_low;
     open->alpha_x_high += sums->alpha_x_high;
     open->x_squared += sums->x_squared;
     open->x += sums->x;
-    open->count += sums->count;
-    robot->silent = (uint8_t)(robot->silent + (messages - sums->count));
+    open->count += count;
+    robot->silent = (uint8_t)(robot->silent + (messages - count));
     return MCP_ASDF_OK;
 }
 
@@ -675,6 +785,7 @@ uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
     const uint32_t x_hat = robot->settled_x_hat, own = robot->settled_alpha; /* own alpha is 0 or in range */
     const uint32_t low = on_grid(own) ? low_units(own) : units_below_half(own);
     const uint32_t high = on_grid(own) ? high_units(own) : 0;
+    /* Of at most 128 robots: < 2^62, and the products as mcp_asdf_sums_t says. */
     const uint64_t alpha = robot->closed_alpha + join(high, low);
     if (alpha == 0) {
         return x_hat;
@@ -706,7 +817,7 @@ static bool test_rejects(const mcp_asdf_t *robot)
     return multiply(difference, difference) > threshold; /* integer > real, so rounding down decides alike */
 }
 
-/* value as a sum of estimates of 1.0. */
+/* value as a sum of estimates of 1.0, value 2^23 < 2^55. */
 static inline uint64_t times_one(uint32_t value) { return join(value >> 9, value << 23); }
 
 /* b_hat from x_bar (eq. 8); false where x_bar says nothing: no confidence in the round, or x_bar = 1/2. */
@@ -766,16 +877,14 @@ HOT bool close_round(mcp_asdf_t *robot)
         robot->filter_left = robot->config->filter_period;
         updated = filter(robot);
     }
+    robot->heard.all[0] = 0;
+    robot->heard.all[1] = 0;
     open->alpha = 0; /* member by member: cheaper than the library call a compiler makes of a whole struct */
     open->alpha_x_low = 0;
     open->alpha_x_high = 0;
     open->x_squared = 0;
     open->x = 0;
     open->count = 0;
-    robot->heard[0] = 0;
-    robot->heard[1] = 0;
-    robot->heard[2] = 0;
-    robot->heard[3] = 0;
     robot->silent = 0;
     robot->comms_left = robot->config->comms_period;
     return updated;
@@ -905,10 +1014,10 @@ static bool senders_possible(const mcp_asdf_t *robot)
     const uint32_t messages = robot->open.count + robot->silent;
     uint32_t heard = 0;
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) {
-        heard += robot->heard[id >> 5] >> (id & 31) & 1;
+        heard += robot->heard.of[id >> 3] >> (id & 7) & 1;
     }
     return robot->silent <= MCP_ASDF_MAX_ID + heard && heard <= messages &&
-           (robot->heard[robot->id >> 5] >> (robot->id & 31) & 1) == 0;
+           (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
 }
 
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
@@ -960,6 +1069,19 @@ static void pass_pair(image_t *image, uint16_t *first, uint16_t *second)
     *second = (uint16_t)(both >> 16);
 }
 
+/* Four bytes as the word of which they are the little-endian bytes. */
+static void pass_bytes(image_t *image, uint8_t *bytes)
+{
+    uint32_t word = 0;
+    for (uint8_t i = 0; i < 4; ++i) {
+        word |= (uint32_t)bytes[i] << 8 * i;
+    }
+    word = pass(image, word);
+    for (uint8_t i = 0; i < 4; ++i) {
+        bytes[i] = (uint8_t)(word >> 8 * i);
+    }
+}
+
 static void pass_sums(image_t *image, mcp_asdf_t *robot)
 {
     pass_double(image, &robot->closed_alpha);
@@ -971,8 +1093,8 @@ static void pass_sums(image_t *image, mcp_asdf_t *robot)
     pass_double(image, &robot->open.x_squared);
     robot->open.x = pass(image, robot->open.x);
     robot->open.count = pass(image, robot->open.count);
-    for (uint8_t i = 0; i < 4; ++i) {
-        robot->heard[i] = pass(image, robot->heard[i]);
+    for (uint8_t i = 0; i < 16; i = (uint8_t)(i + 4)) {
+        pass_bytes(image, &robot->heard.of[i]);
     }
 }
 

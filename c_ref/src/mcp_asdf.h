@@ -19,7 +19,7 @@
  *     mcp_asdf_init() or mcp_asdf_restore(); this is not checked.
  *   - Functions touch nothing but their arguments, so different robots may run in different threads or
  *     interrupts. One robot is not reentrant: if receive() runs in an interrupt, mask that interrupt
- *     around observe(), settle(), step(), x(), save() and restore(), or queue its messages.
+ *     around every other call with the same robot, or queue its messages.
  *   - Every range below is inclusive. Unsigned integers; int may have 16 bits.
  *   - An error (negative status) leaves the robot as it was, except for the counter `rejected` where
  *     a function says so.
@@ -47,8 +47,9 @@ extern "C" {
 #define MCP_ASDF_VERSION_PATCH 0
 #define MCP_ASDF_IMAGE_VERSION 1
 
-/* Where constant tables live, and how a word of one is read. On an AVR they stay in flash. */
-#ifndef MCP_ASDF_ROM
+/* Where constant tables live, and how a word or byte of one is read. On an AVR they stay in flash. Define all
+ * three or none. */
+#if !defined(MCP_ASDF_ROM) && !defined(MCP_ASDF_READ_WORD) && !defined(MCP_ASDF_READ_BYTE)
 #ifdef __AVR__
 #include <avr/pgmspace.h>
 #define MCP_ASDF_ROM PROGMEM
@@ -59,6 +60,8 @@ extern "C" {
 #define MCP_ASDF_READ_WORD(address) (*(address))
 #define MCP_ASDF_READ_BYTE(address) (*(address))
 #endif
+#elif !defined(MCP_ASDF_ROM) || !defined(MCP_ASDF_READ_WORD) || !defined(MCP_ASDF_READ_BYTE)
+#error "define all of MCP_ASDF_ROM, MCP_ASDF_READ_WORD and MCP_ASDF_READ_BYTE, or none"
 #endif
 
 #define MCP_ASDF_MAX_ID 127
@@ -94,8 +97,8 @@ typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1, MCP_ASDF_NONE = 2 } mcp_a
  * a test; never. */
 typedef enum { MCP_ASDF_ADAPTIVE = 0, MCP_ASDF_ALWAYS = 1, MCP_ASDF_OFF = 2 } mcp_asdf_filter_t;
 
-/* Settings, shared by any number of robots and never written: may be in ROM. Both the struct and the
- * table must outlive the robots.
+/* Settings, shared by any number of robots and never written: may be const, though on an AVR not in PROGMEM,
+ * as they are read like any variable. Both the struct and the table must outlive the robots.
  *   table          t-table as `mcp-asdf table` generates it (docs/tables.md); not read and may be null
  *                  unless filter is MCP_ASDF_ADAPTIVE
  *   comms_period   ticks between broadcasts, 1 .. 2^32 - 1
@@ -174,7 +177,10 @@ typedef struct {
     uint32_t alpha;
     uint32_t settled_x_hat; /* the same as the last settle found them: x is formed from these */
     uint32_t settled_alpha;
-    uint32_t heard[4];     /* senders of the open round, bit (id mod 32) of word (id div 32) */
+    union {
+        uint8_t of[16];  /* senders of the open round, bit (id mod 8) of byte (id div 8) */
+        uint64_t all[2]; /* the same, to forget them at once */
+    } heard;
     mcp_asdf_sums_t open;  /* the open round */
     uint64_t closed_alpha; /* sums of the last closed round */
     uint64_t closed_alpha_x_low;
@@ -188,8 +194,8 @@ typedef struct {
  *   b_hat  assumed sensor accuracy, the same for both colours, MCP_ASDF_B_HAT_MIN .. MCP_ASDF_B_HAT_MAX
  * Fails if a period is 0, filter_period is no multiple of comms_period, memory is odd or out of range, or
  * filter is unknown (ERR_CONFIG); the filter is adaptive and the table is null, damaged, out of order or
- * of another format (ERR_TABLE); id > 127 (ERR_ID); b_hat is out of range (ERR_B_HAT). On failure *robot
- * is unchanged. */
+ * of another format (ERR_TABLE; where the damage is to its number of entries, up to 131 words are read); id >
+ * 127 (ERR_ID); b_hat is out of range (ERR_B_HAT). On failure *robot is unchanged. */
 mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id,
                                 uint32_t b_hat);
 
@@ -209,8 +215,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 
 /* Second half of a tick: if a broadcast was due, close the round and, every filter_period ticks, run the
  * filter: test the round against x_hat (eq. 12) and on rejection re-estimate b_hat from x_bar (eq. 8), which
- * shows in x_hat and alpha at the next observation. Then form x. Returns MCP_ASDF_UPDATED after a
- * re-estimate, else MCP_ASDF_OK. Cannot fail. */
+ * shows in x_hat and alpha at the next observation. From here on x() is the informed estimate of this tick.
+ * Returns MCP_ASDF_UPDATED after a re-estimate, else MCP_ASDF_OK. Cannot fail. */
 mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot);
 
 /* A whole tick: observe(z), then settle(). Returns what observe returned and fails as it does; then
@@ -234,11 +240,12 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha);
 /* Add the sums of many messages to the open round at once: what receiving `messages` messages from
  * different senders would do, the memory of who was heard apart. For simulators.
  * Fails if the open round would hold more than 127 messages with alpha > 0 or more than 127 without,
- * sums->count exceeds messages, or that many messages cannot give these sums: one is too large, their mean
- * is above 1.0, or their variance below 0 (ERR_SUMS). */
+ * sums->count exceeds messages, or that many messages cannot give these sums: one is too large, alpha is less
+ * than a unit each, their mean is above 1.0, or their variance below 0 (ERR_SUMS). */
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages);
 
-/* Write the robot's state to an image: little-endian, the same on every target, with version and checksum. */
+/* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
+ * Needs sizeof(mcp_asdf_t) of stack. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 
 /* Make a robot from an image; it goes on as the saved one would have, bit for bit. Needs sizeof(mcp_asdf_t)
@@ -250,6 +257,9 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
 /* Whether the state could have come from calls of these functions (docs/invariants.md): false after a
  * stray write or a bit flip that breaks a relation between members. O(1), writes nothing. */
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot);
+
+/* Own id, 0 .. 127. */
+static inline uint8_t mcp_asdf_id(const mcp_asdf_t *robot) { return robot->id; }
 
 /* Observations counted, and the black ones among them. */
 static inline uint32_t mcp_asdf_t_count(const mcp_asdf_t *robot) { return robot->t; }

@@ -42,8 +42,8 @@ extern "C" {
  *   id       identifier without flags: 29 bits, or 11 with MCP_ASDF_FRAME_STANDARD
  *   flags    MCP_ASDF_FRAME_...; 0 for a classic data frame with a 29-bit identifier, which all of ours are.
  *            Other bits are ignored
- *   length   bytes of data. Of a longer (FD) frame only 8 need to be copied, but the length must be the true
- * one data     bytes in the order of transmission */
+ *   length   bytes of data; the true number even of a longer (FD) frame, of which only 8 need to be copied
+ *   data     bytes in the order of transmission */
 typedef struct {
     uint32_t id;
     uint8_t flags;

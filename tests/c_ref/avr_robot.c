@@ -1,20 +1,23 @@
 /* Plays a script (demo_scripted.c has the format) to a robot's image on a simulated ATmega328P, as its
  * hardware would: tiles as voltages at ADC0, bytes of the radio on the UART, ticks by the chip's own timer.
- * What the UART sends goes to a file. Usage: avr_robot IMAGE FILE < SCRIPT */
+ * What the UART sends goes to a file. Usage: avr_robot IMAGE FILE CLOCK BAUD < SCRIPT
+ * Exits with 3 if the UART was set to a speed that is 2.5 % off. */
 #include <simavr/avr_adc.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
 
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#define CLOCK 16000000
-#define TICK (CLOCK / 10)
-#define BYTE (CLOCK / 11520) /* cycles that a byte takes at 115200 baud */
 #define BLACK_MILLIVOLTS 1000
 #define WHITE_MILLIVOLTS 4000
+#define UART_STATE 0xC0
+#define DOUBLE_SPEED 2
+#define UART_DIVISOR 0xC4 /* and its high byte behind it */
 
+static uint32_t clock_rate, baud; /* Hz, bit/s */
 static avr_t *avr;
 static FILE *output;
 
@@ -51,33 +54,43 @@ static void start(const char *image)
     }
     avr_init(avr);
     avr_load_firmware(avr, &firmware);
-    avr->frequency = CLOCK;
+    avr->frequency = clock_rate;
     avr->vcc = avr->avcc = 5000;
     avr->sleep = stay_awake;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), sent, NULL);
 }
 
+static bool has_right_speed(void)
+{
+    const uint32_t divisor = (uint32_t)avr->data[UART_DIVISOR] + 256U * avr->data[UART_DIVISOR + 1] + 1;
+    const uint32_t made = clock_rate / ((avr->data[UART_STATE] & DOUBLE_SPEED) != 0 ? 8 : 16) / divisor;
+    return labs((long)made - (long)baud) * 40 <= (long)baud;
+}
+
 int main(int count, char **arguments)
 {
-    output = count == 3 ? fopen(arguments[2], "wb") : NULL;
+    output = count == 5 ? fopen(arguments[2], "wb") : NULL;
     if (output == NULL) {
         return 2;
     }
+    clock_rate = (uint32_t)strtoul(arguments[3], NULL, 10);
+    baud = (uint32_t)strtoul(arguments[4], NULL, 10);
     start(arguments[1]);
+    const avr_cycle_count_t tick_length = clock_rate / 10, byte_length = clock_rate / (baud / 10);
     avr_irq_t *const radio = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_t *const sensor = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
-    avr_cycle_count_t now = TICK / 2; /* half a tick away from the robot's */
+    avr_cycle_count_t now = tick_length / 2; /* half a tick away from the robot's */
     run_until(now);
     for (int byte = getchar(); byte != EOF; byte = getchar()) {
         for (int left = byte - 2; left > 0; --left) {
             avr_raise_irq(radio, (uint32_t)getchar());
-            run_until(avr->cycle + BYTE);
+            run_until(avr->cycle + byte_length);
         }
         if (byte <= 1) {
             avr_raise_irq(sensor, byte == 1 ? BLACK_MILLIVOLTS : WHITE_MILLIVOLTS);
-            run_until(now += TICK);
+            run_until(now += tick_length);
         }
     }
-    return fclose(output);
+    return fclose(output) == 0 && has_right_speed() ? 0 : 3;
 }

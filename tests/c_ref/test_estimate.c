@@ -63,6 +63,24 @@ static void confidence_inside_fits(void)
 }
 
 /* "nu = floor(part 2^32 / total) <= c": around the largest part at the end, at both ends of total */
+/* (c + 1) total one above a multiple of 2^32, where the sum in at_end() just reaches the next one. */
+static void at_end_at_its_closest(void)
+{
+    for (int i = 0; i < 20000; ++i) {
+        const uint32_t total = TOTAL_MIN + (check_random_word() >> 2 | 1);
+        uint32_t inverse = total; /* modulo 2^3, as total is odd; each turn doubles the bits */
+        for (int turn = 0; turn < 4; ++turn) {
+            inverse *= 2 - total * inverse;
+        }
+        const uint32_t c = inverse - 1, part = (uint32_t)(((uint64_t)inverse * total) >> 32);
+        CHECK_EQUAL(inverse * total, 1);
+        for (uint32_t near = part - (part > 0); near <= part + 1; ++near) {
+            GIVEN(near, total, c);
+            CHECK(near > total / 2 || at_end(near, total, c) == (((uint64_t)near << 32) / total <= c));
+        }
+    }
+}
+
 static void at_end_as_the_quotient_says(void)
 {
     for (int i = 0; i < 100000; ++i) {
@@ -98,9 +116,9 @@ static void check_estimate(uint32_t t, uint32_t n, uint32_t b_hat)
 {
     mcp_asdf_t robot = robot_at(t, n, b_hat), mirrored = robot_at(t, t - n, b_hat),
                inverted = robot_at(t, t - n, 0 - b_hat);
-    estimate(&robot);
-    estimate(&mirrored);
-    estimate(&inverted);
+    estimate_own(&robot);
+    estimate_own(&mirrored);
+    estimate_own(&inverted);
     GIVEN(t, n, b_hat);
     CHECK(estimate_possible(robot.x_hat, robot.alpha));
     CHECK_EQUAL(robot.x_hat + mirrored.x_hat, MCP_ASDF_ONE);
@@ -138,13 +156,13 @@ static void estimate_at_the_meeting_point(void)
 {
     mcp_asdf_t at = robot_at(UINT32_C(1) << 30, UINT32_C(1) << 28, UINT32_C(3) << 30); /* b_hat = 3/4 */
     mcp_asdf_t past = robot_at(UINT32_C(1) << 30, (UINT32_C(1) << 28) + 1, UINT32_C(3) << 30);
-    estimate(&at);
-    estimate(&past);
+    estimate_own(&at);
+    estimate_own(&past);
     CHECK_EQUAL(at.x_hat, 0);
     CHECK_EQUAL(past.x_hat, 0);
     CHECK(past.alpha - at.alpha <= 8); /* 4/3 2^30 d, which the two formulas round differently */
     at.n += 256;                       /* 2^-22 of t makes 2^-21 in x_hat */
-    estimate(&at);
+    estimate_own(&at);
     CHECK_EQUAL(at.x_hat, 4);
 }
 
@@ -153,6 +171,7 @@ int main(void)
     confidence_at_end_fits();
     confidence_inside_fits();
     at_end_as_the_quotient_says();
+    at_end_at_its_closest();
     x_hat_is_one_half_for_half_blacks();
     estimate_at_the_ends();
     estimate_at_the_meeting_point();

@@ -135,7 +135,7 @@ static void open_sums_are_those_of_messages(void)
     BREAKS(robot.open.count = 128);
     BREAKS(robot.open.count = UINT32_MAX);
     BREAKS(
-        (robot.open.count = UINT32_MAX, robot.heard[0] = 0, robot.heard[3] = 0)); /* with silent it makes 0 */
+        (robot.open.count = UINT32_MAX, robot.heard.of[0] = 0, robot.heard.of[15] = 0)); /* with silent: 0 */
     BREAKS(robot.open.x = 0);
     BREAKS(--robot.open.x_squared);                     /* a variance below 0 */
     BREAKS(robot.open.alpha = 1);                       /* a mean above 1.0 */
@@ -148,12 +148,12 @@ static void senders_are_counted(void)
     BREAKS(robot.silent = 0);  /* two senders were heard */
     KEEPS(robot.silent = 129); /* 127 in sums added at once, and the two senders */
     BREAKS(robot.silent = 130);
-    BREAKS(robot.heard[1] = UINT32_C(1) << (robot.id & 31));
-    for (uint32_t i = 0; i < 4; ++i) {
+    BREAKS(robot.heard.of[5] = 1); /* the own id, 40 */
+    for (uint32_t i = 0; i < 16; ++i) {
         GIVEN(i, 0, 0);
-        BREAKS(robot.heard[i] |= i == 1 ? 0xFF : 0x700);
+        BREAKS(robot.heard.of[i] |= 0x0E);
     }
-    KEEPS(robot.heard[0] = 0); /* messages of add_round have no sender */
+    KEEPS(robot.heard.of[0] = 0); /* messages of add_round have no sender */
 }
 
 /* I9, I10: comms_period is 2, filter_period 6 */

@@ -37,6 +37,19 @@ static void multiply_small_at_the_ends(void)
     }
 }
 
+static void square_high_is_the_upper_word(void)
+{
+    for (size_t i = 0; i < COUNT(ends); ++i) {
+        GIVEN(ends[i], 0, 0);
+        CHECK_EQUAL(square_high(ends[i]), (uint64_t)ends[i] * ends[i] >> 32);
+    }
+    for (int i = 0; i < 1000000; ++i) {
+        const uint32_t value = check_random_word();
+        GIVEN(value, 0, 0);
+        CHECK_EQUAL(square_high(value), (uint64_t)value * value >> 32);
+    }
+}
+
 static uint32_t zeros_by_counting(uint32_t value)
 {
     uint32_t zeros = 0;
@@ -114,6 +127,7 @@ int main(void)
 {
     multiply_partial_products_fit();
     multiply_small_at_the_ends();
+    square_high_is_the_upper_word();
     leading_zeros_of_every_length();
     shifts_by_every_count();
     upper_at_every_shift();

@@ -57,4 +57,7 @@ static inline mcp_asdf_t robot_at(uint32_t t, uint32_t n, uint32_t b_hat)
     return robot;
 }
 
+/* x_hat and alpha from the robot's own t and n. */
+static inline void estimate_own(mcp_asdf_t *robot) { estimate(robot, robot->t, robot->n); }
+
 #endif
