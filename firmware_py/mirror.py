@@ -33,6 +33,7 @@ from firmware_py.robot import (
     check_identity,
     check_periods,
     check_table,
+    whole_number,
 )
 from firmware_py.table import Table, checksum
 
@@ -233,9 +234,9 @@ def sums_possible(sums: Sums) -> bool:
     return (
         0 <= sums.count <= MAX_ID
         and 0 <= sums.x <= sums.count * ONE
-        and sums.x_squared <= sums.x * ONE
+        and 0 <= sums.x_squared <= sums.x * ONE
         and sums.count * sums.x_squared >= sums.x * sums.x
-        and 0 <= sums.alpha <= sums.count * 0xFFFFFF << SHIFT_MAX
+        and sums.count <= sums.alpha <= sums.count * 0xFFFFFF << SHIFT_MAX
         and sums.alpha_x_low <= sums.x * MASK_32
         and sums.alpha_x_high <= sums.x * 0x7FFFFF
         and mean_possible(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
@@ -300,18 +301,18 @@ class MirrorRobot(FixedPointView):
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         check_config(config)
         check_identity(robot_id, b_hat)
-        raw = b_hat_to_raw(b_hat)
+        own_id, raw = whole_number(robot_id), b_hat_to_raw(b_hat)
         self.config = config
-        self.s = State(robot_id, raw, accuracy_of(raw), config.comms_period, config.filter_period)
+        self.s = State(own_id, raw, accuracy_of(raw), config.comms_period, config.filter_period)
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast."""
-        s = self.s
-        if z not in (0, 1, 2):
+        s, seen = self.s, whole_number(z)
+        if seen not in (0, 1, 2):
             return Status.ERR_OBSERVATION
-        if z != Observation.NONE:
+        if seen != Observation.NONE:
             s.t += 1
-            s.n += int(z)
+            s.n += seen
             if s.t == self.config.memory:
                 half = s.n >> 1
                 s.t, s.n = s.t >> 1, half + (half & s.n & 1)  # to nearest, ties to even
@@ -320,8 +321,7 @@ class MirrorRobot(FixedPointView):
             s.comms_left -= 1
         return Status.DUE if s.comms_left == 0 else Status.OK
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as binary32 bits."""
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         s = self.s
         status = self._check_message(sender, x_hat, alpha)
         word, bit = sender >> 5, 1 << (sender & 31)
@@ -346,8 +346,7 @@ class MirrorRobot(FixedPointView):
             return Status.ERR_X_HAT
         return Status.OK if 0 <= alpha < ALPHA_INFINITE else Status.ERR_ALPHA
 
-    def add_round(self, sums: Sums, messages: int) -> Status:
-        """Add the exact sums of ``messages`` messages at once to the open round."""
+    def _add_round(self, sums: Sums, messages: int) -> Status:
         s = self.s
         silent = s.silent + messages - sums.count
         if (
@@ -514,8 +513,9 @@ class MirrorRobot(FixedPointView):
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
         """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
+        plain = bytes(memoryview(image))
         check_config(config)
-        words = struct.unpack(f"<{IMAGE_WORDS}I", image) if len(image) == 4 * IMAGE_WORDS else (0,)
+        words = struct.unpack(f"<{IMAGE_WORDS}I", plain) if len(plain) == 4 * IMAGE_WORDS else (0,)
         if words[0] != IMAGE_MAGIC or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
         robot = cls.__new__(cls)

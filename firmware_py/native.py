@@ -6,6 +6,7 @@ from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
@@ -22,7 +23,10 @@ from firmware_py.robot import (
     Observation,
     Status,
     Sums,
+    whole_number,
+    whole_settings,
 )
+from firmware_py.table import HEADER_WORDS, MAX_Q, Table
 
 __all__ = ["NativeRobot", "ffi", "lib"]
 
@@ -70,7 +74,8 @@ class NativeRobot(FixedPointView):
         """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
         robot = cls.__new__(cls)
         robot._attach(config)
-        whole = image if len(image) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
+        plain = bytes(memoryview(image))
+        whole = plain if len(plain) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
         status = lib.mcp_asdf_restore(robot.pointer, robot._shared.pointer, whole)
         _check(status, config=config)
         return robot
@@ -85,16 +90,14 @@ class NativeRobot(FixedPointView):
         """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast."""
         return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, _MAX_WORD))]
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as binary32 bits."""
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         try:
             return _STATUS[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
         except OverflowError:
             message = _fit(sender, _MAX_BYTE), _fit(x_hat, _MAX_WORD), _fit(alpha, _MAX_WORD)
             return _STATUS[lib.mcp_asdf_receive(self.pointer, *message)]
 
-    def add_round(self, sums: Sums, messages: int) -> Status:
-        """Add the exact sums of ``messages`` messages at once to the open round."""
+    def _add_round(self, sums: Sums, messages: int) -> Status:
         try:
             native_sums = ffi.new("mcp_asdf_sums_t *", vars(sums))
             return _STATUS[lib.mcp_asdf_add_round(self.pointer, native_sums, messages)]
@@ -170,20 +173,31 @@ class _SharedConfig:
     def __init__(self, config: Config) -> None:
         self._table = ffi.NULL
         if config.filter == Filter.ADAPTIVE and config.table is not None:
-            words = config.table.words()
-            self._table = ffi.new("uint32_t[]", [_fit(word, _MAX_WORD) for word in words])
+            self._table = _table_in_c(config.table)
         self.pointer = ffi.new("mcp_asdf_config_t *")
         self.pointer.table = self._table
-        self.pointer.comms_period = _fit(config.comms_period, _MAX_WORD, refused=0)
-        self.pointer.filter_period = _fit(config.filter_period, _MAX_WORD, refused=0)
-        self.pointer.memory = _fit(config.memory, _MAX_WORD, refused=0)
-        self.pointer.filter = _fit(config.filter, _MAX_BYTE)
+        filter_mode, *settings = whole_settings(config)
+        comms_period, filter_period, memory = (_fit(value, _MAX_WORD, refused=0) for value in settings)
+        self.pointer.comms_period = comms_period
+        self.pointer.filter_period = filter_period
+        self.pointer.memory = memory
+        self.pointer.filter = _fit(filter_mode, _MAX_BYTE)
+
+
+def _table_in_c(table: Table) -> Any:
+    """A table's words and zeros up to the longest table: whatever q they claim, C reads what is there."""
+    words = table.words()
+    try:
+        return ffi.new("uint32_t[]", [*words, *[0] * (HEADER_WORDS + MAX_Q - len(words))])
+    except OverflowError:  # a word of more than 32 bits: no table
+        return ffi.NULL
 
 
 _shared_configs: WeakValueDictionary[Config, _SharedConfig] = WeakValueDictionary()
 
 
 def _share(config: Config) -> _SharedConfig:
+    whole_settings(config)  # 1.0 equals 1, and would share its copy
     shared = _shared_configs.get(config)
     if shared is None:
         shared = _shared_configs[config] = _SharedConfig(config)
@@ -192,6 +206,7 @@ def _share(config: Config) -> _SharedConfig:
 
 def _fit(value: int, most: int, refused: int | None = None) -> int:
     """``value`` if the C type holds it, else a number that the C refuses: the largest, unless told."""
+    value = whole_number(value)
     if 0 <= value <= most:
         return value
     return most if refused is None else refused
@@ -204,13 +219,16 @@ def _check(status: int, **settings: object) -> None:
 
 
 def _flatten(name: str, value: Any, kind: Any) -> Iterator[tuple[str, int]]:
-    """Numbers inside a C value by name; members of the counters go without the counters' name."""
+    """Numbers inside a C value by name; members of the counters go without the counters' name.
+
+    Who was heard is taken by words, as in an image, however C divides it.
+    """
     if kind.kind == "struct":
         prefix = f"{name}_" if name and kind != ffi.typeof("mcp_asdf_counters_t") else ""
         for member, field in kind.fields:
             yield from _flatten(prefix + member, getattr(value, member), field.type)
-    elif kind.kind == "array":
-        for index in range(kind.length):
-            yield from _flatten(f"{name}_{index}", value[index], kind.item)
+    elif kind.kind in ("array", "union"):
+        for index, (word,) in enumerate(struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))):
+            yield f"{name}_{index}", word
     elif kind.kind == "primitive":
         yield name, int(value)

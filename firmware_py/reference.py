@@ -5,7 +5,8 @@ measured against. Names and cases are the paper's, with w_hat = b_hat; equation 
 numbered rows in order, so the hypothesis test is eq. 12. Sums are correctly rounded (``math.fsum``,
 ``statistics``): no result depends on the order of the messages.
 
-Where the equations divide by zero a :class:`Conventions` says what they mean.
+Where the equations divide by zero a :class:`Conventions` says what they mean. Arguments outside the ranges
+that a function names, NaN among them, raise ValueError.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from scipy.special import stdtrit  # type: ignore[import-untyped]
 
 from firmware_py.robot import (
     B_HAT_MARGIN,
+    MAX_ALPHA,
     MAX_ID,
     Config,
     Counters,
@@ -31,16 +33,16 @@ from firmware_py.robot import (
     check_identity,
     check_periods,
     check_table,
+    whole_number,
 )
 
 UNINFORMATIVE = 2.0**-12
 """Where |2 b_hat - 1| is below this an observation says nothing."""
 
-MAX_ALPHA = (2 - 2**-23) * 2.0**127
-"""Largest alpha that can be sent: the largest finite IEEE binary32."""
-
 MAX_OMEGA = 0.9
 MAX_COUNT = 65535
+WEIGHT_EXPONENT = 500
+"""Weights are scaled to 2**500: their products with x_hat keep all bits down to x_hat's own least."""
 
 
 @dataclass(frozen=True)
@@ -83,34 +85,36 @@ AUTHORS = Conventions(
 
 
 class Message(NamedTuple):
-    """What a robot broadcasts: its local estimate in [0, 1] and its confidence, >= 0."""
+    """What a robot broadcasts: its local estimate in [0, 1] and its confidence, >= 0 and finite."""
 
     x_hat: float
     alpha: float
 
 
 def local_estimate(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
-    """x_hat in [0, 1] from ``n`` black among ``t`` observations, 0 <= n <= t (eq. 3). O(1).
+    """x_hat in [0, 1] from ``n`` black among ``t`` observations, 0 <= n <= t, and ``b`` in [0, 1] (eq. 3).
 
-    1/2 before the first observation.
+    1/2 before the first observation. O(1).
     """
+    _check_counts(n, t)
+    _check_unit(b, "b")
     if t == 0 or _says_nothing(b, conventions):
         return 0.5
     return max(0.0, min(_quotient(n / t + b - 1, 2 * b - 1), 1.0))
 
 
 def local_confidence(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
-    """alpha >= 0 of the local estimate (eq. 4). O(1).
+    """alpha >= 0 of the local estimate, whose arguments these are (eq. 4). O(1).
 
     0 before the first observation. The numerators of the first two cases are multiplied out, which
     leaves no difference to cancel: t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2. Raises
     ZeroDivisionError where alpha is infinite: a perfect sensor, ``b`` 0 or 1, that saw one colour only.
     """
+    x_hat, d = local_estimate(n, t, b, conventions), (2 * b - 1) ** 2
     if t == 0:
         return 0.0
     if _says_nothing(b, conventions):
         return conventions.zero_confidence
-    x_hat, d = local_estimate(n, t, b, conventions), (2 * b - 1) ** 2
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
     elif x_hat == 1:
@@ -126,7 +130,8 @@ def social_estimate(messages: Sequence[Message]) -> float:
 
 
 def social_confidence(messages: Sequence[Message]) -> float:
-    """beta >= 0 (eq. 6); 0 without messages. O(m)."""
+    """beta >= 0 (eq. 6); 0 without messages. Raises OverflowError above float64's range. O(m)."""
+    _check_messages(messages)
     return math.fsum(message.alpha for message in messages)
 
 
@@ -139,10 +144,12 @@ def informed_estimate(own: Message, messages: Sequence[Message]) -> float:
 
 
 def assumed_accuracy_update(n: int, t: int, x_bar: float, conventions: Conventions = PAPER) -> float | None:
-    """The b_hat that makes ``x_bar`` the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
+    """The b_hat that makes ``x_bar`` in [0, 1] the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
 
     None, no update, before the first observation and where eq. 8 is undefined at x_bar = 1/2.
     """
+    _check_counts(n, t)
+    _check_unit(x_bar, "x_bar")
     if t == 0 or (conventions.guarded and x_bar == 0.5):
         return None
     b = _quotient(n / t + x_bar - 1, 2 * x_bar - 1)
@@ -159,6 +166,8 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
 
     ``m`` >= 2, 0 < ``omega`` < 1. O(1) after the first call with the same arguments.
     """
+    if not (m >= 2 and 0 < omega < 1):
+        raise ValueError(f"m is {m} and omega {omega}; there is a t-score for m >= 2 and 0 < omega < 1")
     return float(stdtrit(m - conventions.lost_degrees, (1 + omega) / 2))
 
 
@@ -167,14 +176,32 @@ def rejects(
 ) -> bool:
     """Whether ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
 
-    Never for m < 2, where the sample has no variance.
+    Never for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
     """
+    if not all(map(math.isfinite, (x_hat, *neighbours))):
+        raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
     m = len(neighbours)
     if m < 2:
         return False
     deviation = abs(mean(neighbours) - x_hat)
     interval = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
     return deviation > interval or (deviation == interval and not conventions.strict)
+
+
+def _check_counts(n: int, t: int) -> None:
+    if not 0 <= n <= t:
+        raise ValueError(f"n is {n} and t {t}; counts are 0 <= n <= t")
+
+
+def _check_unit(value: float, name: str) -> None:
+    if not 0 <= value <= 1:
+        raise ValueError(f"{name} is {value}; it lies in [0, 1]")
+
+
+def _check_messages(messages: Sequence[Message]) -> None:
+    for x_hat, alpha in messages:
+        if not (0 <= x_hat <= 1 and 0 <= alpha < math.inf):
+            raise ValueError(f"a message says {x_hat}, {alpha}; x_hat is in [0, 1], alpha finite and >= 0")
 
 
 def _says_nothing(b: float, conventions: Conventions) -> bool:
@@ -189,10 +216,15 @@ def _quotient(numerator: float, denominator: float) -> float:
 
 
 def _weighted_mean(messages: Sequence[Message], undefined: float) -> float:
-    weight = math.fsum(message.alpha for message in messages)
-    if weight == 0:
+    """Scaling by a power of two changes no bit, but where a product or a sum would leave float64's range."""
+    _check_messages(messages)
+    largest = max((message.alpha for message in messages), default=0.0)
+    if largest == 0:
         return undefined
-    return math.fsum(message.alpha * message.x_hat for message in messages) / weight
+    shift = WEIGHT_EXPONENT - math.frexp(largest)[1]
+    weights = [math.ldexp(message.alpha, shift) for message in messages]
+    moments = [weight * message.x_hat for weight, message in zip(weights, messages, strict=True)]
+    return math.fsum(moments) / math.fsum(weights)
 
 
 class ReferenceRobot:
@@ -215,8 +247,8 @@ class ReferenceRobot:
         check_periods(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
         check_identity(robot_id, b_hat)
-        self._config, self._id, self._conventions = config, robot_id, conventions
-        self._t, self._n, self._b_hat = 0, 0, b_hat
+        self._config, self._id, self._conventions = config, whole_number(robot_id), conventions
+        self._t, self._n, self._b_hat = 0, 0, float(b_hat)
         self._own = Message(x_hat=0.5, alpha=0.0)
         self._open: dict[int, Message] = {}
         self._round: list[Message] = []
@@ -226,7 +258,7 @@ class ReferenceRobot:
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast. O(1)."""
-        if z not in (Observation.WHITE, Observation.BLACK, Observation.NONE):
+        if whole_number(z) not in (Observation.WHITE, Observation.BLACK, Observation.NONE):
             return Status.ERR_OBSERVATION
         if z != Observation.NONE:
             self._take_in(black=z == Observation.BLACK)
@@ -234,11 +266,8 @@ class ReferenceRobot:
         return Status.OK if self._comms_left else Status.DUE
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round. O(1).
-
-        Fails, counting it as rejected, if ``sender`` is outside 0 .. 127 or the own id (ERR_SENDER),
-        ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT), ``alpha`` signed, NaN or above MAX_ALPHA (ERR_ALPHA).
-        """
+        """Take a neighbour's message into the open round; errors are the interface's. O(1)."""
+        sender = whole_number(sender)
         status = self._check_message(sender, x_hat, alpha)
         if status < Status.OK:
             self._count("rejected")
@@ -247,7 +276,7 @@ class ReferenceRobot:
             status = Status.REPEATED
         else:
             self._count("accepted")
-            self._open[sender] = Message(x_hat, alpha)
+            self._open[sender] = Message(float(x_hat), float(alpha))
         return status
 
     def settle(self) -> Status:

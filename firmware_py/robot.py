@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from operator import index
+from typing import Protocol, SupportsIndex, runtime_checkable
 
 from firmware_py.table import Table, TableError
 
@@ -23,6 +24,8 @@ DEFAULT_FILTER_PERIOD = 1000
 DEFAULT_MEMORY = 2**32 - 2
 """Observations at which t and n are halved; the largest the firmware can count."""
 
+MAX_ALPHA = (2 - 2**-23) * 2.0**127
+"""Largest alpha that can be sent: the largest finite IEEE binary32."""
 
 MIN_MEMORY = 64
 MAX_PERIOD = 2**32 - 1
@@ -137,13 +140,20 @@ class Robot(Protocol):
 
     Constructors take ``(config, robot_id, b_hat)``: a :class:`Config`, an id in 0..127 and the
     initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise :class:`FirmwareError`.
+
+    Where an ``int`` is asked for any integer will do, NumPy's included, and where a ``float`` any real
+    number; another type raises TypeError and changes nothing.
     """
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast. O(1)."""
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round. O(1)."""
+        """Take a neighbour's message into the open round. O(1).
+
+        Fails, counting it as rejected, if ``sender`` is outside 0 .. 127 or the own id (ERR_SENDER),
+        ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT), ``alpha`` signed, NaN or above MAX_ALPHA (ERR_ALPHA).
+        """
 
     def settle(self) -> Status:
         """Close the round if a broadcast was due, form x, and filter when the time has come. O(1)."""
@@ -201,6 +211,15 @@ class FixedPointRobot(Robot, Protocol):
     def save(self) -> bytes:
         """The state as an image that ``restore`` takes back."""
 
+    @classmethod
+    def restore(cls, config: Config, image: bytes) -> FixedPointRobot:
+        """A robot from ``save``'s image, whichever firmware saved it; O(q), for the table is checked.
+
+        ``image`` may be a bytearray or a memoryview, too; what is no bytes at all raises TypeError. Raises
+        FirmwareError with ERR_CONFIG or ERR_TABLE as constructors do, and with ERR_IMAGE for an image that
+        is damaged, of another version or impossible with ``config``.
+        """
+
     def state(self) -> dict[str, int]:
         """Every field of the state by name, for comparing two firmwares bit for bit."""
 
@@ -232,10 +251,28 @@ class FixedPointRobot(Robot, Protocol):
         """x in units of 2**-23."""
 
 
+def whole_number(value: SupportsIndex) -> int:
+    """An integer of any kind as an ``int``, whose size is unlimited. Raises TypeError for other types. O(1).
+
+    What is an ``int`` already stays what it is, so that counting integers can run this code.
+    """
+    match value:
+        case int():
+            return value
+    return index(value)
+
+
+def whole_settings(config: Config) -> tuple[int, int, int, int]:
+    """filter, comms_period, filter_period and memory. Raises TypeError for one that is no integer."""
+    filter_mode, comms = whole_number(config.filter), whole_number(config.comms_period)
+    return filter_mode, comms, whole_number(config.filter_period), whole_number(config.memory)
+
+
 def check_periods(config: Config) -> None:
-    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
-    comms, tau, memory = config.comms_period, config.filter_period, config.memory
-    if config.filter not in tuple(Filter):
+    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse, and
+    TypeError for one that is no integer."""
+    mode, comms, tau, memory = whole_settings(config)
+    if mode not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
     if not 1 <= comms <= MAX_PERIOD:
         raise FirmwareError(Status.ERR_CONFIG, f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
@@ -263,8 +300,9 @@ def check_table(table: Table | None) -> Table:
 
 
 def check_identity(robot_id: int, b_hat: float) -> None:
-    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range."""
-    if not 0 <= robot_id <= MAX_ID:
+    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range, and TypeError
+    for an id that is no integer."""
+    if not 0 <= whole_number(robot_id) <= MAX_ID:
         raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
     if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
         raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")

@@ -24,6 +24,7 @@ FORMAT_VERSION = 1
 HEADER_WORDS = 4
 MIN_Q, MAX_Q = 2, 127
 MAX_OMEGA_WORD = round(0.9 * 2**32)
+MAX_WORD = 2**32 - 1
 FNV_OFFSET, FNV_PRIME = 0x811C9DC5, 0x01000193
 
 
@@ -68,6 +69,9 @@ class Table:
     @classmethod
     def from_words(cls, words: Sequence[int]) -> Table:
         """Read a table back. Raises TableError if the firmware would refuse it. O(q)."""
+        for index, word in enumerate(words):
+            if not 0 <= word <= MAX_WORD:
+                raise TableError(f"word {index} is {word}, which is no 32-bit word")
         if len(words) < HEADER_WORDS + MIN_Q:
             raise TableError(f"a table has at least {HEADER_WORDS + MIN_Q} words, not {len(words)}")
         magic, shape, omega_word, stated = words[:HEADER_WORDS]

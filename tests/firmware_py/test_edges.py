@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from dataclasses import astuple, replace
+from dataclasses import astuple, fields, replace
 from fractions import Fraction
 
 import exact
@@ -42,7 +42,17 @@ from robots import (
 from firmware_py.mirror import MirrorRobot
 from firmware_py.native import NativeRobot
 from firmware_py.reference import ReferenceRobot
-from firmware_py.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status, Sums
+from firmware_py.robot import (
+    MAX_ALPHA,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Robot,
+    Status,
+    Sums,
+)
 from firmware_py.table import FORMAT_VERSION, MAX_OMEGA_WORD, Table, checksum
 
 WHITE, BLACK, NONE = Observation.WHITE, Observation.BLACK, Observation.NONE
@@ -329,7 +339,10 @@ REFUSED = {
         (1, math.inf, 1.0),
         (1, 2.0, math.nan),
     ],
-    Status.ERR_ALPHA: [(1, 0.5, bad) for bad in (-0.0, -1.0, -1e-40, math.nan, math.inf, -math.inf, 1e300)],
+    Status.ERR_ALPHA: [
+        *((1, 0.5, bad) for bad in (-0.0, -1.0, -1e-40, math.nan, math.inf, -math.inf, 1e300, -1e300)),
+        *((1, 0.5, MAX_ALPHA * (1 + off)) for off in (2.0**-52, 1e-9, 2.0**-25, 2.0**-24)),
+    ],
 }
 
 
@@ -371,6 +384,14 @@ def test_invalid_raw_messages_change_no_bit(
     before = robot.state()
     assert robot.receive_raw(*message) == status
     assert robot.state() == {**before, "rejected": 1}
+
+
+@of_every_kind
+@pytest.mark.parametrize("alpha", [0.0, 2.0**-24, 2.0**31, MAX_ALPHA * (1 - 2.0**-25), MAX_ALPHA])
+def test_any_alpha_that_can_be_sent_is_taken(kind: AnyType, alpha: float) -> None:
+    robot = new(kind)
+    assert robot.receive(1, 0.5, alpha) == Status.OK
+    assert robot.counters == Counters(accepted=1)
 
 
 @of_every_kind
@@ -962,6 +983,57 @@ def test_sums_too_large_for_their_messages_are_refused(
     assert robot.state() == before
 
 
+C_BITS = {field.name: 64 for field in fields(Sums)} | {"x": 32, "count": 32}
+"""Of the members of ``mcp_asdf_sums_t``."""
+
+
+@of_fixed_point
+@pytest.mark.parametrize("base", [Sums(), ONE_MESSAGE, TWO_MESSAGES], ids=["none", "one", "two"])
+@pytest.mark.parametrize("name", C_BITS)
+def test_sums_that_c_cannot_hold_are_refused(kind: FixedPointType, name: str, base: Sums) -> None:
+    """I11: negative, too large, or what C would cut to a value that is right."""
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    before, image, right = robot.state(), robot.save(), getattr(base, name)
+    modulus = 1 << C_BITS[name]
+    for wrong in (
+        -1,
+        -5,
+        -modulus,
+        right - modulus,
+        right + modulus,
+        modulus - 1,
+        modulus,
+        2**200,
+        -(2**200),
+    ):
+        sums = replace(base, **{name: wrong})
+        assert robot.add_round(sums, max(base.count, 1)) == Status.ERR_SUMS, sums
+        assert (robot.state(), robot.save()) == (before, image)
+    assert robot.add_round(base, base.count) == Status.OK
+
+
+@of_fixed_point
+@pytest.mark.parametrize("messages", [-1, 0, 129, 256, 257, -255, 2**64 + 1])
+def test_as_many_messages_as_no_round_has_are_refused(kind: FixedPointType, messages: int) -> None:
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    before = robot.state()
+    assert robot.add_round(ONE_MESSAGE, messages) == Status.ERR_SUMS
+    assert robot.state() == before
+
+
+@of_fixed_point
+@pytest.mark.parametrize("m", [1, 2, 5, 127])
+def test_each_message_that_counts_has_confidence(kind: FixedPointType, m: int) -> None:
+    """I7: m messages of x_hat = 0 with one unit of alpha each are the least, as sums and in an image."""
+    robot = kind(PLAIN, OWN_ID, 0.75)
+    for alpha in (0, m - 1):
+        assert robot.add_round(Sums(alpha=alpha, count=m), m) == Status.ERR_SUMS
+    assert robot.add_round(Sums(alpha=m, count=m), m) == Status.OK
+    assert robot.holds_invariants()
+    kind.restore(PLAIN, robot.save())
+    check_refused(kind, PLAIN, rewritten(robot.save(), open_alpha=m - 1))
+
+
 CONTRADICTIONS = {
     "mean above 1": replace(ONE_MESSAGE, alpha_x_low=2**47 + 1),
     "mean far above 1": replace(ONE_MESSAGE, alpha=1),
@@ -1083,6 +1155,13 @@ BAD_TABLES = {
     "below 1.0": replace(GOOD, entries=(3 << 26, 1)),
     "64.0": replace(GOOD, fraction_bits=25, entries=(64 << 25, 2 << 25)),
     "far above 64.0": replace(GOOD, fraction_bits=1, entries=(2**31, 2**30)),
+    "33 bits": replace(GOOD, fraction_bits=31, entries=(2**33 - 1, 2**31 + 1)),
+    "below 0, but the largest of 32 bits": replace(GOOD, entries=(-1, 3 << 26)),
+    "below 0, of a fallen row": replace(GOOD, entries=(-1, -2)),
+    "omega below 0": replace(GOOD, omega_word=-1),
+    "q = 127 claimed of 2": Table(1 << 20, (127 << 8) | 20, (90 << 20, 80 << 20)),
+    "q = 255 claimed of 3": replace(GOOD, fraction_bits=(255 << 8) | 26),
+    "q = 2 claimed of 258": replace(GOOD, entries=tuple(range((9 << 26) + 258, 9 << 26, -1))),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -20,7 +20,6 @@ from firmware_py.native import NativeRobot
 from firmware_py.reference import (
     ALGORITHM_1,
     AUTHORS,
-    MAX_ALPHA,
     PAPER,
     UNINFORMATIVE,
     Conventions,
@@ -37,6 +36,7 @@ from firmware_py.reference import (
 )
 from firmware_py.robot import (
     B_HAT_MARGIN,
+    MAX_ALPHA,
     Config,
     Counters,
     Filter,
@@ -327,6 +327,33 @@ def test_social_and_informed_values_against_fractions(seed: int) -> None:
         assert informed_estimate(own, others) == pytest.approx(float(x), rel=4 * float(ULP))
 
 
+@SEEDS
+def test_means_stay_within_what_was_said_whatever_its_weight(seed: int) -> None:
+    """Weights and estimates from float64's least to its largest, where products leave its range."""
+    rng = random.Random(seed)
+    for _ in range(300):
+        messages = [draw_extreme_message(rng) for _ in range(rng.randint(1, 6))]
+        weight = sum(Fraction(m.alpha) for m in messages)
+        mean = Fraction(sum(Fraction(m.alpha) * Fraction(m.x_hat) for m in messages) / weight)
+        bound: Fraction = 4 * ULP * mean + Fraction(5e-324)
+        for found in (social_estimate(messages), informed_estimate(messages[0], messages[1:])):
+            assert abs(Fraction(found) - mean) <= bound, messages
+            assert found <= 1
+
+
+def draw_extreme_message(rng: random.Random) -> Message:
+    x_hat = rng.choice([0.0, 1.0, 5e-324, rng.random(), 2.0 ** rng.uniform(-1074, 0)])
+    return Message(x_hat, rng.choice([5e-324, 1.7e308, 2.0 ** rng.uniform(-1074, 1023)]))
+
+
+@pytest.mark.parametrize("alpha", [5e-324, 1e-323, 1e-310, 2.0**-1022, 1e-160, MAX_ALPHA])
+def test_equal_messages_have_their_mean(alpha: float) -> None:
+    robot = make_robot(filter=Filter.OFF)
+    hear(robot, 0.6, 0.6, alpha=alpha)
+    robot.step(NONE)
+    assert (robot.x_bar, robot.x, robot.beta) == (0.6, 0.6, 2 * alpha)
+
+
 def draw_message(rng: random.Random) -> Message:
     x_hat = rng.choice([0.0, 1.0, rng.random(), rng.random(), rng.random()])
     return Message(x_hat, 2.0 ** rng.uniform(-24, 33))
@@ -466,6 +493,59 @@ def test_one_colour_only(b: float, t: int) -> None:
 def test_perfect_sensor_has_no_finite_confidence_after_one_colour(n: int, b: float) -> None:
     with pytest.raises(ZeroDivisionError):
         local_confidence(n, 5, b)
+
+
+NO_COUNTS = [(5, 3), (-1, 3), (0, -1), (-2, -1), (math.nan, 3), (1, math.nan)]
+NO_SHARES = [-0.1, math.nextafter(0, -1), math.nextafter(1, 2), 2.0, math.nan, math.inf, -math.inf]
+NO_MESSAGES = [
+    *(Message(x_hat, 1.0) for x_hat in NO_SHARES),
+    *(Message(0.5, alpha) for alpha in (-1.0, -5e-324, math.nan, math.inf, -math.inf)),
+]
+SAID = Message(0.5, 1.0)
+
+
+@pytest.mark.parametrize("conventions", [PAPER, AUTHORS])
+@pytest.mark.parametrize(
+    ("equation", "arguments"),
+    [
+        *((local_estimate, (*counts, 0.9)) for counts in NO_COUNTS),
+        *((local_confidence, (*counts, 0.9)) for counts in NO_COUNTS),
+        *((assumed_accuracy_update, (*counts, 0.9)) for counts in NO_COUNTS),
+        *((local_estimate, (n, t, b)) for n, t in ((1, 2), (0, 0)) for b in NO_SHARES),
+        *((local_confidence, (n, t, b)) for n, t in ((1, 2), (0, 0)) for b in NO_SHARES),
+        *((assumed_accuracy_update, (n, t, x_bar)) for n, t in ((1, 2), (0, 0)) for x_bar in NO_SHARES),
+        *((t_score, (m, OMEGA)) for m in (1, 0, -3, math.nan)),
+        *((t_score, (5, omega)) for omega in (0.0, 1.0, -0.1, 1.1, math.nan, math.inf)),
+        *((rejects, (x_hat, [0.5, 0.6], OMEGA)) for x_hat in (math.nan, math.inf, -math.inf)),
+        *((rejects, (0.5, [0.5, x_hat], OMEGA)) for x_hat in (math.nan, math.inf, -math.inf)),
+        *((rejects, (0.5, [0.5, 0.6], omega)) for omega in (0.0, 1.0, math.nan)),
+    ],
+)
+def test_an_equation_outside_its_domain_raises(
+    equation: Callable[..., object], arguments: tuple[object, ...], conventions: Conventions
+) -> None:
+    with pytest.raises(ValueError, match=r" is .*(nan|inf|\d)"):
+        equation(*arguments, conventions)
+
+
+@pytest.mark.parametrize("message", NO_MESSAGES)
+def test_means_of_what_is_no_message_raise(message: Message) -> None:
+    for messages in ([message], [SAID, message], [message, SAID]):
+        with pytest.raises(ValueError, match="a message says"):
+            social_estimate(messages)
+        with pytest.raises(ValueError, match="a message says"):
+            social_confidence(messages)
+        with pytest.raises(ValueError, match="a message says"):
+            informed_estimate(SAID, messages)
+        with pytest.raises(ValueError, match="a message says"):
+            informed_estimate(messages[0], messages[1:])
+
+
+def test_confidences_that_float64_cannot_add() -> None:
+    messages = [Message(0.25, 1.7e308), Message(0.75, 1.7e308)]
+    assert social_estimate(messages) == informed_estimate(messages[0], messages[1:]) == 0.5
+    with pytest.raises(OverflowError):
+        social_confidence(messages)
 
 
 def test_no_confidence_anywhere_leaves_the_local_estimate() -> None:
@@ -612,7 +692,7 @@ def test_none_changes_nothing_but_time_passes() -> None:
     assert (robot.t, robot.n) == (2, 1)
 
 
-@pytest.mark.parametrize("z", [-1, 3, 0.5])
+@pytest.mark.parametrize("z", [-1, 3, 2**40])
 def test_invalid_observation_changes_nothing(z: Any) -> None:
     robot = make_robot(comms_period=2, filter_period=2)
     robot.receive(1, 0.25, 1.0)
@@ -657,9 +737,9 @@ def test_halving_keeps_n_within_t(seed: int) -> None:
 # --- The robot: filter -------------------------------------------------------------------------------
 
 
-def hear(robot: Robot, *x_hats: float) -> None:
+def hear(robot: Robot, *x_hats: float, alpha: float = 1.0) -> None:
     for sender, x_hat in enumerate(x_hats, start=1):
-        robot.receive(sender, x_hat, 1.0)
+        robot.receive(sender, x_hat, alpha)
 
 
 def test_update_shows_at_the_next_observation() -> None:
