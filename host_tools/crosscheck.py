@@ -127,13 +127,13 @@ def compare(
     one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
     if one.last != other.last:
         return Finding(0, tuple(differences(one.last, other.last)))
-    if not one.last.state:
-        return None
-    for made, call in enumerate(scenario.calls, start=1):
+    if one.last.outcome not in Status.__members__:
+        return Finding(0, (f"both: {one.last.outcome}",))
+    for made, call in enumerate(scenario.calls if one.last.state else (), start=1):
         before = one.last
         if one.apply(call) != other.apply(call):
             return Finding(made, tuple(differences(one.last, other.last)))
-        if not one.last.state:
+        if one.last.outcome not in Status.__members__:
             return Finding(made, (f"both: {one.last.outcome}",))
         problems = watch(call, before, one.last) if watch is not None else []
         if problems:
@@ -184,9 +184,10 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
         while outcome.calls < calls and outcome.failing is None:
             scenario = random_scenario(seed, outcome.scenarios)
             scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
-            if check(scenario) is not None:
+            finding = check(scenario)
+            if finding is not None:
                 outcome.failing = scenario
-            outcome.calls += len(scenario.calls)
+            outcome.calls += len(scenario.calls) if finding is None else finding.calls
             outcome.scenarios += 1
             report(outcome.calls)
     except KeyboardInterrupt:
@@ -197,8 +198,8 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
 def shrink(scenario: Scenario, check: Check) -> Scenario:
     """The scenario without what is not needed for ``check`` to find something; unchanged if it finds nothing.
 
-    What is left is minimal: without any one of its calls, or any one replaced word, nothing is found. Needs
-    a few hundred runs of the check for a scenario of a hundred calls.
+    What is left is minimal: without any one of its calls, or any one word that a restore replaces, nothing
+    is found. Needs a few hundred runs of the check for a scenario of a hundred calls.
     """
     calls = _cut(scenario, check)
     size = max(len(calls) // 2, 1)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from host_tools.audit import PLACES, Audit
 from host_tools.crosscheck import Finding, Outcome
-from host_tools.operation_count import BOUNDS, CallCount, Storage, exceeded
+from host_tools.operation_count import AXES, BOUNDS, LINE_BOUNDS, CallCount, Storage, exceeded
 from host_tools.scenarios import Scenario
 
 _B_HAT, _X_BAR = "|2 b_hat - 1|", "|2 x_bar - 1|"
@@ -82,7 +82,8 @@ class Result:
             "problems": self.problems,
             **self.audit.as_dict(),
             "operations": {
-                name: asdict(count) | {"bound": BOUNDS[name]} for name, count in self.counts.items()
+                name: asdict(count) | {"bound": BOUNDS[name], "line_bound": LINE_BOUNDS[name]}
+                for name, count in self.counts.items()
             },
             "storage": asdict(self.storage),
         }
@@ -139,12 +140,13 @@ def _decisions(tallies: dict[str, dict[str, Any]]) -> Table:
 
 
 def _operations(counts: dict[str, CallCount]) -> Table:
-    table = _table("integer operations a call, least to most", "")
-    for name in ("over t", "over m", "over q", "bound", "widest"):
+    table = _table("integer operations a call, least to most, and most lines of Python executed", "")
+    for name in (*(f"over {axis}" for axis in AXES), "bound", "widest", "lines", "bound"):
         table.add_column(name, justify="right")
     for name, count in counts.items():
-        ranges = (_range(count, axis) for axis in ("t", "m", "q"))
-        table.add_row(name, *ranges, str(BOUNDS[name]), f"{count.widest} bits")
+        ranges = (_range(count, axis) for axis in AXES)
+        lines = str(count.lines), str(LINE_BOUNDS[name])
+        table.add_row(name, *ranges, str(BOUNDS[name]), f"{count.widest} bits", *lines)
     return table
 
 

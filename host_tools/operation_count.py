@@ -3,16 +3,21 @@
 The mirror's code runs on integers that count what is done with them, so the count is that of the very code
 whose bits are the firmware's. It is taken over t, over the messages m of a round and over the table's q,
 with both outcomes of every decision. Integers here have no fixed size; the widest one met is
-recorded too, so that an operation is a bounded number of instructions.
+recorded too, so that an operation is a bounded number of instructions. So are the lines of code executed,
+for a loop need not touch such an integer, and the builtins used, for some of them are loops themselves.
 """
 
 from __future__ import annotations
 
+import builtins
+import dis
+import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
+from types import CodeType, FrameType
 from typing import Any
 
 from firmware_py.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
@@ -36,12 +41,31 @@ BOUNDS = {"observe": 60, "receive": 40, "settle": 120, "step": 180, "x": 25}
 """Most operations of a call. Written down, so that a change of the mirror's cost is a decision."""
 WIDEST = 96
 """Most bits of any intermediate integer."""
+LINE_BOUNDS = {"observe": 40, "receive": 35, "settle": 120, "step": 160, "x": 15}
+"""Most lines of Python that a call executes."""
+ELEMENTARY = frozenset({"int", "len", "max", "min", "super"})
+"""Builtins that calls may use: given a few numbers, they take as long whatever the numbers are."""
+
+AXES = ("t", "m", "q")
 
 _OWN, _HEARD, _FRESH = 127, 0, 126
+_TOO_MANY_LINES = 1000
+"""A call is cut short there: a loop over t would not end."""
+
+
+class _CutShortError(Exception):
+    """Ends a call that has executed too many lines."""
 
 
 class Tally:
-    """Operations counted by kind, and the bits of the widest result."""
+    """What a call does.
+
+    Attributes:
+        counts: Operations by kind.
+        widest: Bits of the widest result.
+        lines: Lines of Python executed.
+        builtins: Names of the builtins used.
+    """
 
     def __init__(self) -> None:
         self.clear()
@@ -50,11 +74,43 @@ class Tally:
         """Start again."""
         self.counts: Counter[str] = Counter()
         self.widest = 0
+        self.lines = 0
+        self.builtins: set[str] = set()
 
     def note(self, kind: str, result: int) -> None:
         """Count an operation."""
-        self.counts[kind] += 1
+        # A missing key of a Counter is looked up by lines of Python, which would count.
+        self.counts[kind] = self.counts.get(kind, 0) + 1
         self.widest = max(self.widest, int.bit_length(result))
+
+    def watch(self, act: Callable[[], object]) -> None:
+        """Act, and count the lines executed and the builtins used, those of this module aside."""
+        previous = sys.gettrace()
+        sys.settrace(self._trace)
+        try:
+            act()
+        except _CutShortError:
+            pass
+        finally:
+            sys.settrace(previous)
+
+    def _trace(self, frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
+        if event == "call":
+            if frame.f_globals is globals():
+                return None
+            self.builtins |= _builtins_of(frame.f_code)
+        elif event == "line":
+            self.lines += 1
+            if self.lines > _TOO_MANY_LINES:
+                raise _CutShortError
+        return self._trace
+
+
+@cache
+def _builtins_of(code: CodeType) -> frozenset[str]:
+    """Names of builtins that code loads."""
+    loaded = {step.argval for step in dis.get_instructions(code) if step.opname == "LOAD_GLOBAL"}
+    return frozenset(loaded & vars(builtins).keys())
 
 
 def counting_type(tally: Tally) -> type[int]:
@@ -113,14 +169,18 @@ class CallCount:
         least, most: Over everything that was tried.
         kinds: What the most consist of.
         widest: Bits of the widest result.
+        lines: Most lines of Python executed.
+        loops: Builtins used that are not elementary, by name.
         axes: By t, by m and by q.
     """
 
     least: int = 2**31
     most: int = 0
     widest: int = 0
+    lines: int = 0
+    loops: list[str] = field(default_factory=list)
     kinds: dict[str, int] = field(default_factory=dict)
-    axes: dict[str, Axis] = field(default_factory=lambda: {"t": {}, "m": {}, "q": {}})
+    axes: dict[str, Axis] = field(default_factory=lambda: {axis: {} for axis in AXES})
 
     def add(self, axis: str, value: int, tally: Tally) -> None:
         """Count a call made at ``value`` of ``axis``."""
@@ -128,35 +188,46 @@ class CallCount:
         if total > self.most:
             self.kinds = dict(tally.counts)
         self.least, self.most = min(self.least, total), max(self.most, total)
-        self.widest = max(self.widest, tally.widest)
+        self.widest, self.lines = max(self.widest, tally.widest), max(self.lines, tally.lines)
+        self.loops = sorted({*self.loops, *tally.builtins - ELEMENTARY})
         least, most = self.axes[axis].get(value, (total, total))
         self.axes[axis][value] = min(least, total), max(most, total)
 
 
-def count_operations(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, CallCount]:
-    """Count the operations of every call in BOUNDS. Takes about two seconds."""
+def count_operations(
+    firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES
+) -> dict[str, CallCount]:
+    """Count the operations of every call in BOUNDS, over some of AXES. Takes about three seconds for all."""
     counts = {name: CallCount() for name in BOUNDS}
     tally = Tally()
     number = counting_type(tally)
     for axis, value, situation in _situations():
+        if axis not in axes:
+            continue
         plain = _robot(firmware, situation)
         plain.config = _converted(plain.config, number)
         for name, act in _acts(axis):
             robot = copy(plain)
             robot.s = _converted(plain.s, number)
             tally.clear()
-            act(robot, number)
+            tally.watch(partial(act, robot, number))
             counts[name].add(axis, value, tally)
     return counts
 
 
 def exceeded(counts: dict[str, CallCount]) -> list[str]:
     """What is above its bound, a line each."""
-    return [
-        f"{name}: {count.most} operations of up to {count.widest} bits, bound {BOUNDS[name]} of {WIDEST}"
-        for name, count in counts.items()
-        if count.most > BOUNDS[name] or count.widest > WIDEST
-    ]
+    return [problem for name, count in counts.items() for problem in _exceeded(name, count)]
+
+
+def _exceeded(name: str, count: CallCount) -> Iterator[str]:
+    if count.most > BOUNDS[name] or count.widest > WIDEST:
+        operations = f"{count.most} operations of up to {count.widest} bits"
+        yield f"{name}: {operations}, bound {BOUNDS[name]} of {WIDEST}"
+    if count.lines > LINE_BOUNDS[name]:
+        yield f"{name}: {count.lines} lines executed, bound {LINE_BOUNDS[name]}"
+    if count.loops:
+        yield f"{name}: uses {', '.join(count.loops)}, whose time depends on what is given"
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ A line is a list of items separated by commas; an item is a word and its whole n
 
     table:0.05:30,robot:0:1:5:4294967294:7:3006477107,observe:1,receive:3:4194304:1065353216,settle
 
-``table`` gives omega and q, then pairs of a word's index and what stands there instead; without it the robot
-has no table. ``robot`` gives filter, comms_period, filter_period, memory, id and b_hat. All that follows are
-calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as their C types allow.
+``table`` gives omega and q, then pairs of a word's index and what stands there instead (see ``TableChoice``);
+without it the robot has no table. ``robot`` gives filter, comms_period, filter_period, memory, id and b_hat.
+All that follows are calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as
+their C types allow.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from typing import cast
 
 from firmware_py.mirror import IMAGE_WORDS
 from firmware_py.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
-from firmware_py.table import Table, checksum
+from firmware_py.table import HEADER_WORDS, Table, checksum
 from host_tools.errors import UsageError
-from host_tools.tables import generate, parse_omega
+from host_tools.tables import check_q, generate, parse_omega
 
 IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 """A saved robot, as words."""
@@ -73,14 +74,24 @@ class Call:
 
 @dataclass(frozen=True)
 class TableChoice:
-    """A table to be generated, and the words (see ``firmware_py.table``) replaced in it.
+    """A table to be generated, and what to do to it.
 
-    The checksum always fits: it is formed when the firmware is given the table.
+    Attributes:
+        omega, q: Which table.
+        replaced: Pairs of a word's index (see ``firmware_py.table``) and what stands there instead. Firmwares
+            get the words as they then are, but for the checksum, which is made right again unless it is
+            replaced itself. There are as many as word 1 claims; those behind the generated ones are 0.
     """
 
     omega: str
     q: int
     replaced: tuple[int, ...] = ()
+
+    @property
+    def length(self) -> int:
+        """How many words there are: 4 and q, that of word 1 as it is after the replacement."""
+        shape = dict(pairs_of(self.replaced)).get(1, self.q << 16)
+        return HEADER_WORDS + (shape >> 16 & 0xFF)
 
     def __str__(self) -> str:
         return ":".join(["table", self.omega, str(self.q), *map(str, self.replaced)])
@@ -134,14 +145,36 @@ def pairs_of(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
     return list(zip(numbers[::2], numbers[1::2], strict=True))
 
 
+@dataclass(frozen=True)
+class RawTable(Table):
+    """Words that stand in the place of a table, whatever they are.
+
+    Attributes:
+        raw: The words. The other members are what a firmware reads from them if it takes them for a table.
+    """
+
+    raw: tuple[int, ...]
+
+    def words(self) -> tuple[int, ...]:
+        """The words as they are."""
+        return self.raw
+
+
 @lru_cache(maxsize=64)
 def build_table(choice: TableChoice) -> Table:
-    """The table a scenario asks for, unchecked. Raises UsageError if omega or q is out of range."""
+    """The table a scenario asks for, unchecked. O(q).
+
+    Raises UsageError if omega or q is out of range; fails if the index of a replaced word is.
+    """
     table = generate(parse_omega(choice.omega), choice.q)
-    words = list(table.words())
-    for index, value in pairs_of(choice.replaced):
+    if not choice.replaced:
+        return table
+    words = [*table.words(), *[0] * choice.length][: choice.length]
+    replaced = dict(pairs_of(choice.replaced))
+    for index, value in replaced.items():
         words[index] = value
-    return Table(words[2], words[1] >> 8 & 0xFF, tuple(words[4:])) if choice.replaced else table
+    words[3] = replaced.get(3, checksum(words[:3] + words[HEADER_WORDS:]))
+    return RawTable(words[2], words[1] >> 8 & 0xFF, tuple(words[HEADER_WORDS:]), tuple(words))
 
 
 def parse_scenario(line: str) -> Scenario:
@@ -158,10 +191,11 @@ def _table(item: list[str]) -> TableChoice:
     if len(item) < 3:
         raise UsageError(f"{':'.join(item)} needs omega and q, for example table:0.05:30")
     omega, (q, *replaced) = str(parse_omega(item[1])), _integers(item, 2)
-    choice = TableChoice(omega, q, tuple(replaced))
-    words = len(generate(parse_omega(omega), q).words())
-    if len(replaced) % 2 or any(not 1 <= i < words or v > _U32 for i, v in pairs_of(choice.replaced)):
-        raise UsageError(f"{choice} needs pairs of an index, 1 to {words - 1}, and a 32-bit word")
+    choice = TableChoice(omega, check_q(q), tuple(replaced))
+    if len(replaced) % 2:
+        raise UsageError(f"{choice} needs pairs of a word's index and what replaces it")
+    if any(i >= choice.length or v > _U32 for i, v in pairs_of(choice.replaced)):
+        raise UsageError(f"{choice} needs pairs of an index, 0 to {choice.length - 1}, and a 32-bit word")
     return choice
 
 

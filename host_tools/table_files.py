@@ -18,7 +18,7 @@ from typing import Any
 
 from firmware_py.table import FORMAT_VERSION, HEADER_WORDS, Table
 from host_tools.errors import UsageError
-from host_tools.files import write_atomically
+from host_tools.files import FileSet
 from host_tools.tables import (
     GENERATOR_VERSION,
     MAX_MESSAGES,
@@ -134,17 +134,18 @@ def _c_body(table: Table) -> str:
 def write(omega: Decimal, q: int, folder: Path) -> list[Path]:
     """Write the C and the JSON file into ``folder``, which is made if need be; returns their paths.
 
-    Each file is written whole or not at all. Raises UsageError if one cannot be written.
+    Both are written, or neither. Raises UsageError if one cannot be.
     """
-    contents = {".c": c_text(omega, q), ".json": json_text(omega, q)}
+    name = stem(omega, q)
+    contents = {folder / f"{name}.c": c_text(omega, q), folder / f"{name}.json": json_text(omega, q)}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
-    paths = [folder / (stem(omega, q) + suffix) for suffix in contents]
-    for path, content in zip(paths, contents.values(), strict=True):
-        write_atomically(path, content)
-    return paths
+    with FileSet() as files:
+        for path, text in contents.items():
+            files.write(path, text)
+    return list(contents)
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def _read_json(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
     try:
         data = json.loads(text, parse_float=str)
         omega, q, entries = str(data["omega"]), data["q"], data["entries"]
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise UsageError(
             f"{path} is not a t-table in JSON ({error!r}); make it anew with --output"
         ) from error

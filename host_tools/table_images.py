@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ _BYTE_ORDERS = {"<": "little-endian", ">": "big-endian"}
 _DAMAGE = (ELFError, IntelHexError, UnicodeDecodeError, OverflowError, zlib.error)
 """What the two libraries let out when a file is damaged."""
 _HEX_SUFFIXES = {".hex", ".ihex", ".ihx"}
+_HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
+_TEXT_BYTES = b"\t\r\n" + bytes(range(0x20, 0x7F))
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,11 @@ def verify_image(path: Path) -> list[Finding]:
     """Find every table in the image ``path`` and compare it with the one made anew.
 
     Returns one finding a table, never none: an image without a table is a finding with a problem.
-    ELF is told by its first bytes, Intel HEX by the suffix (.hex, .ihex, .ihx), anything else is taken
-    as plain binary. A table is the magic word, in either byte order and at any alignment, followed by
-    a sane word 1: the magic word alone also stands in the firmware's code, which compares with it.
-    Raises UsageError if the file cannot be read.
+    ELF is told by its first bytes, Intel HEX by its first record or the suffix (.hex, .ihex, .ihx); what
+    is neither counts as plain binary, unless the bytes of an image cannot lie there as they are: in lines
+    of text, such as S-records, and in UF2. A table is the magic word, in either byte order and at any
+    alignment, followed by a sane word 1: the magic word alone also stands in the firmware's code, which
+    compares with it. Raises UsageError if the file cannot be read or is in another format.
     """
     findings = [_finding(path, chunk, *hit) for chunk in _chunks(path) for hit in _hits(chunk.data)]
     return findings or [Finding(str(path), problem="no t-table found; is one linked in, and used?")]
@@ -50,13 +54,33 @@ def verify_image(path: Path) -> list[Finding]:
 def _chunks(path: Path) -> list[_Chunk]:
     try:
         data = path.read_bytes()
-        if data.startswith(b"\x7fELF"):
-            return _elf_chunks(data)
-        return _hex_chunks(data) if path.suffix.lower() in _HEX_SUFFIXES else [_Chunk("", 0, data)]
+        return _chunks_of(data, path)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except _DAMAGE as error:
         raise UsageError(f"cannot read {path}: {error}; the file is damaged, build it again") from error
+
+
+def _chunks_of(data: bytes, path: Path) -> list[_Chunk]:
+    if data.startswith(b"\x7fELF"):
+        return _elf_chunks(data)
+    if _HEX_RECORD.match(data):
+        return _hex_chunks(data)
+    foreign = _foreign_format(data)
+    if foreign:
+        raise UsageError(
+            f"{path} is {foreign}; give the ELF, Intel HEX or plain binary file of the same build "
+            "(of S-records, objcopy -I srec -O binary makes one)"
+        )
+    return _hex_chunks(data) if path.suffix.lower() in _HEX_SUFFIXES else [_Chunk("", 0, data)]
+
+
+def _foreign_format(data: bytes) -> str | None:
+    """What ``data`` is, if it is no image: a table, were there one, would not be found in it."""
+    if data.startswith(b"UF2\n"):
+        return "in UF2"
+    is_text = b"\n" in data and not data.translate(None, _TEXT_BYTES)
+    return "text, but not Intel HEX" if is_text else None
 
 
 def _elf_chunks(data: bytes) -> list[_Chunk]:

@@ -12,8 +12,9 @@ from typing import cast
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from firmware_py.robot import Status
 from host_tools.audit import Audit
-from host_tools.crosscheck import Check, Finding, Firmware, compare, crosscheck, shrink
+from host_tools.crosscheck import Check, Finding, Firmware, Subject, compare, crosscheck, shrink
 from host_tools.crosscheck_report import Failure, Result
 from host_tools.errors import UsageError
 from host_tools.firmwares import load_firmware
@@ -59,22 +60,39 @@ def run(args: argparse.Namespace) -> int:
     return _check_all(steps, seed, _plotter(args.plot), args.json)
 
 
+def _firmware(name: str) -> Firmware:
+    return cast(Firmware, load_firmware(name))
+
+
 def _check_with(audit: Audit) -> Check:
     """Compare native and mirror, and let ``audit`` judge what they do."""
-    native = cast(Firmware, load_firmware("native"))
-    mirror = cast(Firmware, load_firmware("mirror"))
+    native, mirror = _firmware("native"), _firmware("mirror")
     return lambda scenario: compare(scenario, native, mirror, audit.follow(scenario.setup))
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
     finding = _check_with(Audit())(scenario)
     failure = None if finding is None else _failure(scenario, finding)
+    status = Subject(_firmware("native"), scenario.setup).last.outcome
+    made = len(scenario.calls) if status == Status.OK.name else 0
     if as_json:
-        report = None if failure is None else failure.as_dict()
-        print(json.dumps({"ok": failure is None, "failure": report}, indent=2))
+        report = {
+            "ok": failure is None,
+            "status": status,
+            "calls": made if finding is None else finding.calls,
+            "failure": None if failure is None else failure.as_dict(),
+        }
+        print(json.dumps(report, indent=2))
     else:
-        print(failure or f"native and mirror agree in every bit over {len(scenario.calls)} calls")
+        print(failure or _agreement(status, made))
     return 0 if failure is None else 1
+
+
+def _agreement(status: str, calls: int) -> str:
+    """What to say of a scenario in which nothing is wrong."""
+    if status != Status.OK.name:
+        return f"native and mirror both refuse to make this robot ({status}); no call was made"
+    return f"native and mirror agree in every bit over {calls} calls"
 
 
 def _check_all(

@@ -12,6 +12,7 @@ import math
 import random
 import re
 import shlex
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,10 +28,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import firmware_py.mirror
+import firmware_py.robot
+import firmware_py.table
 from firmware_py.fixed_point import ALPHA_MAX, HALF, ONE, bits_to_alpha
 from firmware_py.mirror import MirrorRobot
 from firmware_py.native import NativeRobot
-from firmware_py.robot import Config, Observation, Status
+from firmware_py.robot import Config, Filter, Observation, Status
+from firmware_py.table import checksum
 from host_tools import audit as audit_module
 from host_tools import cli, exact
 from host_tools.audit import REGIONS, Audit, Errors
@@ -40,6 +44,7 @@ from host_tools.errors import UsageError
 from host_tools.exact import exact_b_hat, exact_estimate
 from host_tools.operation_count import (
     BOUNDS,
+    LINE_BOUNDS,
     WIDEST,
     CallCount,
     Storage,
@@ -51,7 +56,7 @@ from host_tools.operation_count import (
 )
 from host_tools.operation_plot import draw
 from host_tools.plot_files import save_figure
-from host_tools.scenario_source import TABLES, random_scenario, round_at_threshold
+from host_tools.scenario_source import TABLES, random_scenario, round_at_threshold, spoilt_table
 from host_tools.scenarios import Call, Scenario, TableChoice, build_table, parse_scenario
 
 SOURCE = Path(firmware_py.mirror.__file__).read_text(encoding="utf-8")
@@ -75,11 +80,16 @@ def caught(check: Check, calls: int = CALLS) -> Scenario | None:
     return crosscheck(check, SEED, calls, silent).failing
 
 
+def module_of(original: ModuleType, source: str | ast.Module) -> ModuleType:
+    """A module of another source, under the name of the original."""
+    module = ModuleType(original.__name__)
+    exec(compile(source, f"changed {original.__name__}", "exec"), vars(module))
+    return module
+
+
 def copy_of_mirror(source: str | ast.Module) -> Firmware:
     """The robot of a changed mirror."""
-    module = ModuleType(firmware_py.mirror.__name__)
-    exec(compile(source, "changed mirror", "exec"), vars(module))
-    return cast(Firmware, module.MirrorRobot)
+    return cast(Firmware, module_of(firmware_py.mirror, source).MirrorRobot)
 
 
 # --- Nothing is found ------------------------------------------------------------------------------------
@@ -206,8 +216,10 @@ ROBOT = "robot:2:1:1:64:0:2147483648"
         ("table:0.05,robot:0:1:1:64:0:1", "table:0.05 needs omega and q"),
         ("table:1.5:30,robot:0:1:1:64:0:1", "omega is 1.5"),
         ("table:0.05:1,robot:0:1:1:64:0:1", "neighbours is 1"),
-        ("table:0.05:2:6:1,robot:0:1:1:64:0:1", "1 to 5"),
+        ("table:0.05:2:6:1,robot:0:1:1:64:0:1", "0 to 5"),
+        ("table:0.05:2:1:16981504:7:1,robot:0:1:1:64:0:1", "0 to 6"),  # word 1 claims q = 3
         ("table:0.05:2:5,robot:0:1:1:64:0:1", "pairs"),
+        ("table:0.05:2:5:4294967296,robot:0:1:1:64:0:1", "32-bit"),
         ("robot:0:1:1:64:0", "takes 6"),
         ("robot:0:1:1:64:256:1", "256 is too large"),
         (f"{ROBOT},leave:1", "'leave:1' is no call"),
@@ -230,6 +242,107 @@ ROBOT = "robot:2:1:1:64:0:2147483648"
 def test_a_line_that_will_not_do_is_explained(line: str, complaint: str) -> None:
     with pytest.raises(UsageError, match=re.escape(complaint)):
         parse_scenario(line)
+
+
+# --- Tables that are none --------------------------------------------------------------------------------
+
+_SHAPE = 0x011E1E00
+"""Word 1 of the table for omega 0.05 and q = 30: version 1, q, F = 30."""
+
+
+def make(robot: type[MirrorRobot] | type[NativeRobot], *replaced: int, q: int = 30) -> str:
+    """What comes of making a robot whose table has words replaced."""
+    table = ":".join(map(str, ("table:0.05", q, *replaced)))
+    return Subject(
+        cast(Firmware, robot), parse_scenario(f"{table},robot:0:1:1:64:0:3221225472").setup
+    ).last.outcome
+
+
+@pytest.mark.parametrize("robot", [NativeRobot, MirrorRobot])
+def test_every_bit_of_a_table_reaches_the_firmware(robot: type[MirrorRobot] | type[NativeRobot]) -> None:
+    """With the old checksum each changed bit is refused, with one that fits each of words 0 and 1.
+
+    F and a smaller q aside: such words can be a table.
+    """
+    words = build_table(TableChoice("0.05", 30)).words()
+    assert (make(robot), words[1]) == ("OK", _SHAPE)
+    for index, word in enumerate(words):
+        for bit in range(32):
+            changed = (index, word ^ 1 << bit)
+            stale = () if index == 3 else (3, words[3])
+            assert make(robot, *changed, *stale) == "ERR_TABLE", (index, bit)
+            smaller = index == 1 and 16 <= bit < 24 and word >> bit & 1 and 30 ^ 1 << bit - 16 >= 2
+            if index < 2 and not (smaller or 8 <= bit < 16):
+                assert make(robot, *changed) == "ERR_TABLE", (index, bit)
+
+
+@pytest.mark.parametrize("robot", [NativeRobot, MirrorRobot])
+def test_the_checksum_of_a_changed_table_is_made_right(robot: type[MirrorRobot] | type[NativeRobot]) -> None:
+    last = build_table(TableChoice("0.05", 30)).words()[-1]
+    assert make(robot, 33, last - 1) == make(robot, 2, 1) == make(robot, 1, _SHAPE - (1 << 16)) == "OK"
+    assert make(robot, 1, _SHAPE + (1 << 16), 34, last - 1) == "OK", "one more entry"
+    assert make(robot, 1, _SHAPE + (1 << 16)) == "ERR_TABLE", "one more entry, which is 0"
+
+
+def kinds_of_damage(choice: TableChoice) -> Iterator[str]:
+    """What is wrong with a table, by the part of it that tells."""
+    found, right = build_table(choice).words(), build_table(replace(choice, replaced=())).words()
+    fits = found[3] == checksum(found[:3] + found[4:])
+    parts = ("magic", "shape", "omega", "checksum")
+    for index, (left, other) in enumerate(zip(found, right, strict=False)):
+        if left != other and not (index == 3 and fits):
+            yield parts[index] if index < 4 else "entry"
+    for name, shift in (("version", 24), ("q", 16), ("F", 8), ("low byte", 0)):
+        if (found[1] ^ right[1]) >> shift & 0xFF:
+            yield name
+    yield "fits" if fits else "does not fit"
+
+
+def test_scenarios_damage_every_part_of_a_table() -> None:
+    met = Counter[str]()
+    for number in range(600):
+        choice = random_scenario(SEED, number).setup.table
+        met.update(kinds_of_damage(choice) if choice is not None and choice.replaced else ())
+    parts = {"magic", "version", "q", "F", "low byte", "omega", "checksum", "entry", "fits", "does not fit"}
+    assert parts <= met.keys()
+
+
+TABLE_FAULTS = {
+    "magic": ("if magic != MAGIC:", "if magic >> 1 != MAGIC >> 1:"),
+    "version": ("version != FORMAT_VERSION", "version < FORMAT_VERSION"),
+    "low byte": ("shape & 0xFF:", "shape & 0xFE:"),
+    "least q": ("MIN_Q, MAX_Q = 2, 127", "MIN_Q, MAX_Q = 1, 127"),
+    "most q": ("MIN_Q, MAX_Q = 2, 127", "MIN_Q, MAX_Q = 2, 128"),
+    "least omega": ("1 <= omega_word", "0 <= omega_word"),
+    "most omega": ("round(0.9 * 2**32)", "round(0.9 * 2**32) + 1"),
+    "checksum": ("if stated != expected:", "if stated >> 1 != expected >> 1:"),
+    "entries below 64": (">= 64 <<", ">= 128 <<"),
+    "falling entries": ("if right >= left:", "if right > left:"),
+    "entries above 1": ("entries[-1] <= 1 <<", "entries[-1] < 1 <<"),
+}
+"""Lines of ``firmware_py.table``, and the same that let something through."""
+
+
+def differing_tables() -> int:
+    """How many of 1500 spoilt tables only one of native and mirror takes."""
+    source, setup = random.Random(SEED), parse_scenario("robot:0:1:1:64:0:3221225472").setup
+    setups = (replace(setup, table=spoilt_table(source)) for _ in range(1500))
+    return sum(compare(Scenario(setup, ()), NativeRobot, MirrorRobot) is not None for setup in setups)
+
+
+def test_spoilt_tables_are_the_same_to_both() -> None:
+    assert differing_tables() == 0
+
+
+@pytest.mark.parametrize("fault", TABLE_FAULTS)
+def test_a_fault_in_reading_tables_is_caught(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    right, wrong = TABLE_FAULTS[fault]
+    source = Path(firmware_py.table.__file__).read_text(encoding="utf-8")
+    assert source.count(right) == 1, f"the reader's source has changed: plant {fault!r} anew"
+    changed = module_of(firmware_py.table, source.replace(right, wrong))
+    monkeypatch.setattr(firmware_py.robot, "Table", changed.Table)
+    monkeypatch.setattr(firmware_py.robot, "TableError", changed.TableError)
+    assert differing_tables() > 0
 
 
 # --- Planted faults --------------------------------------------------------------------------------------
@@ -412,6 +525,20 @@ def test_an_exception_is_a_difference() -> None:
     assert (finding.calls, finding.problems[0]) == (2, "status: OK, ZeroDivisionError: in settle")
 
 
+class UnmakeableRobot(MirrorRobot):
+    """Fails to be made in a way no firmware may."""
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        raise ZeroDivisionError("in init")
+
+
+def test_the_same_exception_is_no_agreement() -> None:
+    scenario = parse_scenario(f"{ROBOT},observe:1,settle")
+    for robot, made, place in ((BrokenRobot, 2, "settle"), (UnmakeableRobot, 0, "init")):
+        finding = compare(scenario, robot, robot)
+        assert finding == Finding(made, (f"both: ZeroDivisionError: in {place}",))
+
+
 class SilentlyWrongRobot(MirrorRobot):
     """Has a wrong member that no output shows."""
 
@@ -466,6 +593,22 @@ def test_shrinking_leaves_exactly_what_is_needed(zs: list[int], needed: set[int]
 def test_shrinking_what_is_sound_changes_nothing() -> None:
     scenario = random_scenario(SEED, 3)
     assert shrink(scenario, lambda candidate: None) == scenario
+
+
+@pytest.mark.parametrize("at", [0, 1, 5])
+def test_a_run_that_finds_something_counts_the_calls_made(at: int) -> None:
+    """Not those of the scenario that were to come."""
+    made: list[int] = []
+
+    def check(scenario: Scenario) -> Finding | None:
+        if sum(made) > 100 and len(scenario.calls) > at:
+            return Finding(at, ("wrong",))
+        made.append(len(scenario.calls))
+        return None
+
+    outcome = crosscheck(check, SEED, 5000, silent)
+    assert outcome.failing is not None
+    assert outcome.calls == sum(made) + at
 
 
 def test_a_run_stops_after_the_calls_asked_for() -> None:
@@ -635,7 +778,7 @@ def test_every_arithmetic_method_of_int_is_counted() -> None:
     # Reading a number as another type is no arithmetic, and neither are these used on the firmware's way.
     exempt |= {
         "__int__",
-        "__index__",
+        "__index__",  # which range() and the like do not even ask for: hence the count of lines and builtins
         "__trunc__",
         "__floor__",
         "__ceil__",
@@ -668,6 +811,7 @@ def test_operations_are_bounded_whatever_t_m_and_q() -> None:
     assert exceeded(operations()) == []
     for name, count in operations().items():
         assert count.most > 0.7 * BOUNDS[name], f"{name}: the bound says nothing"
+        assert count.lines > 0.7 * LINE_BOUNDS[name], f"{name}: the bound says nothing"
         assert count.widest > 0.5 * WIDEST
 
 
@@ -712,15 +856,91 @@ class LargeRobot(MirrorRobot):
         return super().save() + bytes(self.s.open.count)
 
 
-def test_operations_that_grow_are_caught() -> None:
-    assert [problem.split(":")[0] for problem in exceeded(count_operations(GrowingRobot))] == [
-        "settle",
-        "step",
-    ]
+class LoopingRobot(MirrorRobot):
+    """Loops once for each message of a round, and touches no number that counts."""
+
+    def settle(self) -> Status:
+        self.loop(int(self.s.open.count))
+        return super().settle()
+
+    def loop(self, times: int) -> int:
+        total = 0
+        for turn in range(times):
+            total += turn * turn
+        return total
+
+
+class BareRobot(LoopingRobot):
+    """The same by hand."""
+
+    def loop(self, times: int) -> int:
+        while times:
+            times -= 1
+        return times
+
+
+class OneLineRobot(LoopingRobot):
+    """The same on one line, without a builtin."""
+
+    def loop(self, times: int) -> int:
+        return len([None for _ in MESSAGES[:times]])
+
+
+class HiddenRobot(LoopingRobot):
+    """The same inside a builtin: one line, whatever the times."""
+
+    def loop(self, times: int) -> int:
+        return sum(range(times))
+
+
+class EndlessRobot(LoopingRobot):
+    """Loops once for each observation."""
+
+    def settle(self) -> Status:
+        self.loop(int(self.s.t))
+        return super().settle()
+
+
+MESSAGES = [None] * 127
+
+
+@pytest.mark.parametrize(
+    ("robot", "axis", "told"),
+    [
+        (GrowingRobot, "m", "operations"),
+        (GrowingRobot, "m", "lines executed"),
+        (LoopingRobot, "m", "lines executed"),
+        (LoopingRobot, "m", "uses range,"),
+        (BareRobot, "m", "lines executed"),
+        (OneLineRobot, "m", "lines executed"),
+        (HiddenRobot, "m", "uses range, sum,"),
+        (EndlessRobot, "t", "lines executed"),
+    ],
+)
+def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, told: str) -> None:
+    problems = exceeded(count_operations(robot, [axis]))
+    assert [problem.split(":")[0] for problem in problems if told in problem] == ["settle", "step"]
+
+
+def test_what_watches_leaves_no_trace() -> None:
+    """Neither on robots nor on whoever else watches, such as a debugger."""
+
+    def other(frame: object, event: str, argument: object) -> None:
+        return None
+
+    before = sys.gettrace()
+    sys.settrace(other)
+    try:
+        tally = Tally()
+        tally.watch(lambda: BareRobot(Config(filter=Filter.OFF), 0, 0.7).loop(10**9))
+        assert sys.gettrace() is other
+    finally:
+        sys.settrace(before)
+    assert 1000 <= tally.lines <= 1001, "it is cut short there"
 
 
 def test_integers_that_are_too_wide_are_caught() -> None:
-    assert [problem.split(":")[0] for problem in exceeded(count_operations(WideRobot))] == ["x"]
+    assert [problem.split(":")[0] for problem in exceeded(count_operations(WideRobot, ["q"]))] == ["x"]
 
 
 def test_storage() -> None:
@@ -762,6 +982,7 @@ def test_the_command_reports_everything(quick: None, capsys: pytest.CaptureFixtu
     assert all(row["exact"]["p99.9"] <= row["exact"]["max"] for row in report["errors"])
     assert report["decisions"]["m <= q"]["tests"] > 20
     assert report["operations"]["x"]["axes"]["t"]["1"] == [19, 19]
+    assert report["operations"]["x"]["lines"] <= report["operations"]["x"]["line_bound"]
     assert report["storage"]["images"] == [136]
 
 
@@ -794,6 +1015,36 @@ def test_a_failure_is_printed_with_a_line_that_replays_it(
     monkeypatch.undo()
     code, out, _ = main(capsys, *replay)
     assert (code, out) == (0, f"native and mirror agree in every bit over {len(calls)} calls\n")
+
+
+@pytest.mark.parametrize(
+    ("item", "status"),
+    [
+        ("robot:9:1:1:64:0:3221225472", "ERR_CONFIG"),
+        ("robot:2:1:1:64:128:3221225472", "ERR_ID"),
+        ("robot:2:1:1:64:0:0", "ERR_B_HAT"),
+        ("robot:0:1:1:64:0:3221225472", "ERR_TABLE"),
+        ("table:0.05:30:1:35528192,robot:0:1:1:64:0:3221225472", "ERR_TABLE"),
+    ],
+)
+def test_a_replay_does_not_claim_calls_of_a_robot_that_is_refused(
+    item: str, status: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replay = ["--replay", f"{item},observe:1,observe:1,observe:1"]
+    told = f"native and mirror both refuse to make this robot ({status}); no call was made\n"
+    assert main(capsys, *replay) == (0, told, "")
+    report = json.loads(main(capsys, *replay, "--json")[1])
+    assert report == {"ok": True, "status": status, "calls": 0, "failure": None}
+
+
+def test_a_replay_tells_the_calls_made(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replay = ["--replay", f"{ROBOT},observe:1,settle,observe:9", "--json"]
+    assert json.loads(main(capsys, *replay)[1]) == {"ok": True, "status": "OK", "calls": 3, "failure": None}
+    use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
+    report = json.loads(main(capsys, *replay)[1])
+    assert (report["ok"], report["status"], report["calls"]) == (False, "OK", 2)
 
 
 def test_a_failure_as_json(

@@ -8,6 +8,7 @@ at or above it for e + 1/2.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -442,6 +443,42 @@ def test_an_unwritable_place_is_named(tmp_path: Path, capsys: pytest.CaptureFixt
     assert {path.name for path in tmp_path.iterdir()} == {"file", "t_table_omega05_q127.c"}
 
 
+@pytest.mark.parametrize("obstructed", [".c", ".json"])
+def test_of_a_pair_both_are_written_or_neither(obstructed: str, tmp_path: Path) -> None:
+    stands, obstacle = (tmp_path / f"t_table_omega05_q30{suffix}" for suffix in (".c", ".json"))
+    if obstructed == ".c":
+        stands, obstacle = obstacle, stands
+    stands.write_text("old")
+    obstacle.mkdir()
+    assert run_table("--neighbours", 30, "--output", tmp_path) == 2
+    assert stands.read_text() == "old"
+    assert set(tmp_path.iterdir()) == {stands, obstacle}, "something is left over"
+
+
+@pytest.mark.parametrize("fails_at", [1, 2])
+def test_a_pair_that_the_disk_does_not_take_leaves_the_old_one(
+    fails_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the first or the second file is written, half of which then stands there."""
+    assert run_table("--neighbours", 30, "--output", tmp_path) == 0
+    for path in tmp_path.iterdir():
+        path.write_text("old")
+    before, whole, written = sorted(tmp_path.iterdir()), Path.write_bytes, list[Path]()
+
+    def write(path: Path, data: bytes) -> int:
+        written.append(path)
+        if len(written) < fails_at:
+            return whole(path, data)
+        whole(path, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    assert run_table("--neighbours", 30, "--output", tmp_path) == 2
+    assert len(written) == fails_at
+    assert sorted(tmp_path.iterdir()) == before
+    assert {path.read_text() for path in before} == {"old"}
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -530,6 +567,7 @@ def test_a_changed_json_file_is_told(
         ("omega.json", '{"omega": 0.95, "q": 30, "entries": []}'),
         ("nan.json", '{"omega": NaN, "q": 30, "entries": []}'),
         ("q.json", '{"omega": 0.05, "q": 1, "entries": []}'),
+        ("deep.json", "[" * 100_000),
         ("empty.c", ""),
         ("zero.c", "const uint32_t mcp_asdf_t_table_omega00_q30[34] MCP_ASDF_ROM = {};"),
         ("binary.c", b"\xff\xfe\x00"),
@@ -703,6 +741,59 @@ def test_an_image_that_cannot_be_read_is_bad_usage(
         (tmp_path / name).write_bytes(content)
     assert run_table("--verify", tmp_path / name) == 2
     assert str(tmp_path / name) in capsys.readouterr().err
+
+
+def s_records(data: bytes, address: int) -> bytes:
+    """Motorola S-records with 32-bit addresses, as ``objcopy -O srec`` writes them."""
+
+    def record(kind: str, body: bytes) -> str:
+        counted = bytes([len(body) + 1]) + body
+        return f"S{kind}{counted.hex()}{~sum(counted) & 0xFF:02x}".upper()
+
+    lines = [record("0", b"\0\0image")]
+    for at in range(0, len(data), 16):
+        lines.append(record("3", (address + at).to_bytes(4, "big") + data[at : at + 16]))
+    return "\r\n".join([*lines, record("7", address.to_bytes(4, "big")), ""]).encode()
+
+
+@pytest.mark.parametrize("name", ["image.hex", "image.IHX", "image.txt", "image", "image.bin"])
+def test_intel_hex_is_told_by_its_content(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_hex(tmp_path / name, bytes(3) + image_bytes(), 0x08000000)
+    assert run_table("--verify", path) == 0
+    assert capsys.readouterr().out == f"{path}: 0x8000003 (little-endian): omega 0.05, q 30: ok\n"
+    path.write_bytes(b"\r\n" + path.read_bytes())
+    assert run_table("--verify", path) == 0, "an empty line comes first"
+
+
+@pytest.mark.parametrize("name", ["firmware.srec", "firmware.s19", "firmware.hex", "firmware"])
+def test_a_format_of_text_that_is_not_read_is_told(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table in S-records is not missing: it is not looked for. What the message says to do finds it."""
+    path, binary = tmp_path / name, tmp_path / "converted"
+    path.write_bytes(s_records(image_bytes(), 0x08000000))
+    assert run_table("--verify", path) == 2
+    told = capsys.readouterr().err
+    assert f"{path} is text, but not Intel HEX" in told
+    command = re.search(r"(objcopy -I srec -O binary) makes", told)
+    assert command
+    subprocess.run([*command[1].split(), str(path), str(binary)], check=True)
+    assert run_table("--verify", binary) == 0
+    for other in (b"@0800 54 50 43 4D\nq\n", b":zz is no record\n", b"Only words.\n", b"\n"):
+        path.write_bytes(other)
+        assert run_table("--verify", path) == 2, other
+
+
+def test_uf2_is_not_searched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its blocks of 256 bytes would tear a table apart."""
+    data = bytes(200) + image_bytes() + bytes(176)
+    head = struct.pack("<8I", 0x0A324655, 0x9E5D5157, 0, 0x10000000, 256, 0, 2, 0)
+    blocks = [head + data[at : at + 256] + bytes(220) + struct.pack("<I", 0x0AB16F30) for at in (0, 256)]
+    (tmp_path / "firmware.uf2").write_bytes(b"".join(blocks))
+    assert run_table("--verify", tmp_path / "firmware.uf2") == 2
+    assert "is in UF2" in capsys.readouterr().err
 
 
 def test_a_damaged_elf_never_ends_in_a_traceback(tmp_path: Path) -> None:
