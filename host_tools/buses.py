@@ -6,6 +6,7 @@ import argparse
 import configparser
 import errno
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -177,8 +178,24 @@ class WithoutEcho(_Wrapper):
             timeout = 0.0  # whoever called waits on for what is left of its time
 
 
+class ByAdapter(_Wrapper):
+    """A connection by an adapter on a serial line. That may be unplugged: then it can still be left."""
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self._bus._recv_internal(timeout)
+
+    def shutdown(self) -> None:
+        """Leave the bus; an adapter that is not there does not hear it."""
+        with suppress(can.CanError):
+            super().shutdown()
+
+
 _MOST_ECHOES = 4096
-_WRAPPERS: dict[str, type[_Wrapper]] = {"socketcan": AllReceived, "udp_multicast": WithoutEcho}
+_WRAPPERS: dict[str, type[_Wrapper]] = {
+    "socketcan": AllReceived,
+    "udp_multicast": WithoutEcho,
+    "slcan": ByAdapter,
+}
 
 
 def _content(frame: can.Message) -> tuple[int, bytes]:

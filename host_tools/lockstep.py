@@ -13,8 +13,9 @@ Between the calls, whoever else is on the bus may send.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 import can
 
@@ -63,6 +64,7 @@ class Lockstep:
 
     Attributes:
         tick: Number of the tick that is open or, between ticks, of the next.
+        repeated: Commands said a second time, since no answer had come.
     """
 
     def __init__(
@@ -75,11 +77,11 @@ class Lockstep:
     ) -> None:
         """Command from ``bus``, which is left open at the end. Nothing is sent yet.
 
-        Robots have ``timeout`` seconds to answer. ``watch`` is shown every frame that comes in and, with
-        ``is_rx`` false, every command that goes out; ``check`` is called several times a second of waiting
-        and may raise what ends it.
+        Robots have ``timeout`` seconds to answer, and are told once more after half of them. ``watch`` is
+        shown every frame that comes in and, with ``is_rx`` false, every command that goes out; ``check`` is
+        called several times a second of waiting and may raise what ends it.
         """
-        self.tick = 0
+        self.tick = self.repeated = 0
         self._bus = bus
         self._settings = settings or LockstepSettings()
         self._timeout = timeout
@@ -89,6 +91,7 @@ class Lockstep:
         self._estimates: dict[int, Message] = {}
         self._telemetry: dict[int, Telemetry] = {}
         self._answers: dict[int, int] = {}
+        self._orders: Mapping[int, Action] = {}
 
     def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
         """Return when a heartbeat of each of ``robots`` has come.
@@ -108,7 +111,7 @@ class Lockstep:
                 f"robot {self._settings.node} has the id of the simulator; give one of them another"
             )
         self._estimates.clear()
-        self._send([(robot, Action(int(z))) for robot, z in observations.items()])
+        self._order({robot: Action(int(z)) for robot, z in observations.items()})
 
     def estimates(self, robots: Collection[int]) -> dict[int, Message]:
         """What each of ``robots`` broadcasts in this tick, by id; the first counts if it sends several.
@@ -116,7 +119,7 @@ class Lockstep:
         Raises LockstepError if one sends nothing within the time limit.
         """
         waiting = set(robots) - self._estimates.keys()
-        for _ in self._frames_until_none(waiting, "broadcast its estimate"):
+        for _ in self._frames_until_none(waiting, "broadcast its estimate", self._timeout, self._orders):
             waiting.difference_update(self._estimates)
         return {robot: self._estimates[robot] for robot in robots}
 
@@ -127,14 +130,18 @@ class Lockstep:
         its turn; can.CanError if the bus does not take the commands.
         """
         self._telemetry.clear()
-        self._send([(robot, Action.SETTLE) for robot in robots])
+        self._order(dict.fromkeys(robots, Action.SETTLE))
         waiting = set(robots)
-        for _ in self._frames_until_none(waiting, "settle"):
+        for _ in self._frames_until_none(waiting, "settle", self._timeout, self._orders):
             waiting.difference_update(self._telemetry)
         for robot in robots:
             self._check_turn(self._telemetry[robot])
         self.tick += 1
         return {robot: self._telemetry[robot] for robot in robots}
+
+    def leave_open(self) -> None:
+        """End the tick without a *settle*, as if all were lost: robots end it when they observe again."""
+        self.tick += 1
 
     def _check_turn(self, answer: Telemetry) -> None:
         """Telemetry counts settles, so that an answer to another one, or of a restarted robot, shows."""
@@ -147,9 +154,13 @@ class Lockstep:
             )
         self._answers[robot] = (number + 1) % _TRANSFERS
 
-    def _send(self, orders: Sequence[tuple[int, Action]]) -> None:
+    def _order(self, orders: Mapping[int, Action]) -> None:
+        self._orders = orders
+        self._send(orders)
+
+    def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
-        for robot, action in orders:
+        for robot, action in orders.items():
             command = Command(self._settings.node, self.tick, robot, action, self._commands % _TRANSFERS)
             frames.append(encode_command(command, self._settings.subjects.commands))
             self._commands += 1
@@ -158,14 +169,21 @@ class Lockstep:
             self._watch(frame)
 
     def _frames_until_none(
-        self, waiting: set[int], what: str, timeout: float | None = None
+        self, waiting: set[int], what: str, seconds: float, orders: Mapping[int, Action] | None = None
     ) -> Iterator[can.Message]:
-        """Take in and yield frames until whoever takes them has emptied ``waiting``."""
-        seconds = self._timeout if timeout is None else timeout
-        began = time.monotonic()
+        """Take in and yield frames until whoever takes them has emptied ``waiting``.
+
+        After half of ``seconds`` those who are waited for get their ``orders`` a second time: they obey what
+        they have not heard, and ignore what they have.
+        """
+        again, began = dict(orders or {}), time.monotonic()
         while waiting:
             passed = time.monotonic() - began
-            frame = self._bus.recv(min(_SLICE, max(0.0, seconds - passed)))
+            if again and passed > seconds / 2:
+                self._repeat({robot: action for robot, action in again.items() if robot in waiting})
+                again, began = {}, time.monotonic() - seconds / 2
+            left = (seconds / 2 if again else seconds) - passed
+            frame = self._bus.recv(min(_SLICE, max(0.0, left)))
             if frame is None:
                 self._check()
             elif frame.is_rx:  # not one of the driver's own, returned to it
@@ -174,11 +192,18 @@ class Lockstep:
                 yield frame
             # What lies in the queue counts even if it is late, but not for ever.
             if waiting and passed > (seconds if frame is None else 2 * seconds):
-                names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
-                raise LockstepError(
-                    f"robot {names} did not {what} within {seconds:g} s on "
-                    f"{self._bus.channel_info}; is it there, in lockstep, with these ids and subjects?"
-                )
+                self._give_up(waiting, f"{what} within {seconds:g} s")
+
+    def _repeat(self, orders: Mapping[int, Action]) -> None:
+        self.repeated += len(orders)
+        self._send(orders)
+
+    def _give_up(self, waiting: Collection[int], what: str) -> NoReturn:
+        names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
+        raise LockstepError(
+            f"robot {names} did not {what} on {self._bus.channel_info}; is it there, in lockstep, with these "
+            "ids and subjects?"
+        )
 
     def _take(self, frame: can.Message) -> None:
         estimate = decode(frame, self._settings.subjects.estimates)

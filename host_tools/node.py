@@ -97,6 +97,7 @@ class NodeTraffic:
         refused: Those among them that the firmware did not accept (repeated or invalid).
         obeyed: Commands followed.
         disobeyed: Commands for this robot that the rules did not let it follow.
+        unsettled: Ticks that the next one ended, since no *settle* had come.
         rejected: Other frames, by reason; no more than the connection's filters let through.
         collisions: What is wrong with the id of a sender, by id.
     """
@@ -108,6 +109,7 @@ class NodeTraffic:
     refused: int = 0
     obeyed: int = 0
     disobeyed: int = 0
+    unsettled: int = 0
     rejected: Counter[Rejection] = field(default_factory=Counter)
     collisions: dict[int, Collision] = field(default_factory=dict)
 
@@ -175,8 +177,11 @@ class RobotNode:
         return [self._heartbeat()]
 
     def observe(self, z: Observation) -> list[can.Message]:
-        """Begin a tick."""
+        """Begin a tick. One that is still open ends first, unanswered."""
         frames = []
+        if not self.is_settled:
+            self.traffic.unsettled += 1
+            self._end()
         if self.ticks and self.ticks % self.settings.ticks_per_second == 0:
             frames.append(self._heartbeat())
         if self._recorder is not None:
@@ -189,12 +194,15 @@ class RobotNode:
 
     def settle(self) -> list[can.Message]:
         """End the tick."""
+        self._end()
+        is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
+        return [self._telemetry()] if is_due else []
+
+    def _end(self) -> None:
         self.robot.settle()
         if self._recorder is not None:
             self._recorder.settle()
         self.is_settled = True
-        is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
-        return [self._telemetry()] if is_due else []
 
     def hear(self, frame: can.Message) -> list[can.Message]:
         """Take in any frame whatever, but none that this node has sent itself."""
@@ -231,7 +239,8 @@ class RobotNode:
         if command.target not in (self.settings.id, EVERY_ROBOT):
             return []
         settles = command.action is Action.SETTLE
-        if settles == self.is_settled or (settles and command.tick != self._tick_of_command):
+        is_open = not self.is_settled and command.tick == self._tick_of_command
+        if settles != is_open:
             self.traffic.disobeyed += 1
             return []
         self.traffic.obeyed += 1

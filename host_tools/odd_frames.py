@@ -47,7 +47,7 @@ def stray_commands(draw: Draw, frames: FrameFormat, robot: int, other: int, tick
     """Commands that ``robot`` must not obey between its *observe* and its *settle* of ``tick``."""
     orders = [
         (robot, tick, Action(draw.randrange(3))),
-        (EVERY_ROBOT, (tick + 1) % (1 << 32), Action.OBSERVE_BLACK),
+        (EVERY_ROBOT, tick, Action.OBSERVE_BLACK),
         (robot, (tick + 1 + draw.randrange(1000)) % (1 << 32), Action.SETTLE),
         (EVERY_ROBOT, (tick - 1) % (1 << 32), Action.SETTLE),
         (other, tick, Action.SETTLE),

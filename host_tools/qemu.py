@@ -9,9 +9,10 @@ robot on its bus. For python-can, and so for every tool that is built on it, thi
 from __future__ import annotations
 
 import shutil
+import signal
 import socket
 import subprocess
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ BOARDS = {"mps2-an385": _ARM, "mps2-an386": _ARM, "virt": _RISCV}
 emulates it, the Debian package of that, and its options."""
 
 _SECONDS_TO_END = 5.0
+_ENDED_BY_US = (0, -signal.SIGTERM, -signal.SIGKILL)
 
 
 class Board:
@@ -82,7 +84,8 @@ class Board:
         )
 
     def __exit__(self, *_: object) -> None:
-        """Switch the board off. Raises UsageError if the program on it has failed."""
+        """Switch the board off. Raises UsageError if the program had ended or crashed before."""
+        has_ended = self._process.poll() is not None
         self._process.terminate()
         try:
             said = self._process.communicate(timeout=_SECONDS_TO_END)[1]
@@ -90,9 +93,14 @@ class Board:
             self._process.kill()
             said = self._process.communicate()[1]
         status = self._process.returncode
-        if status > 0:  # not ended by us
-            text = said.decode(errors="replace").strip()
-            raise UsageError(f"{self._what} ended with status {status}; {text or 'the program failed'}")
+        if has_ended or status not in _ENDED_BY_US:
+            raise UsageError(f"{self._what} ended with status {status}; {_reason(said)}")
+
+
+def _reason(said: bytes) -> str:
+    """The first line of what QEMU has said that is no mere information; registers and the like follow."""
+    lines = [line for line in said.decode(errors="replace").splitlines() if ": info: " not in line]
+    return f"{lines[0]}; is it an image for this board?" if lines else "the program failed"
 
 
 def board_of(channel: str) -> Board:
@@ -112,17 +120,25 @@ class QemuBus(slcanBus):
 
         Raises can.CanInitializationError if there is no such board or image, or no emulator.
         """
-        with ExitStack() as stack:
-            try:
+        try:
+            with ExitStack() as stack:
                 board = stack.enter_context(board_of(channel))
-            except UsageError as error:
-                raise can.CanInitializationError(str(error)) from error
-            super().__init__(board.channel, **{"sleep_after_open": 0, **kwargs})
-            self._board = stack.pop_all()
+                super().__init__(board.channel, **{"sleep_after_open": 0, **kwargs})
+                self._board = stack.pop_all()
+        except UsageError as error:
+            raise can.CanInitializationError(str(error)) from error
         self.channel_info = f"{channel} under QEMU"
 
+    def close(self) -> None:
+        """Close the bus, unless the program has ended: then nobody hears that."""
+        with suppress(can.CanOperationError):
+            super().close()
+
     def shutdown(self) -> None:
-        """Close the bus and switch the board off; more often does nothing."""
+        """Close the bus and switch the board off; more often does nothing.
+
+        Raises UsageError if the board had gone off by itself.
+        """
         if not self._is_shutdown:
             with self._board:
                 super().shutdown()

@@ -46,7 +46,8 @@ class Phase:
         fault: What strikes, as ``fault_kinds.parse_fault`` reads it, apart by spaces, with {me} for the
             controller's id, {them} for all neighbours and {one} for one of them; None for no fault.
         is_blind: Whether the controller observes nothing.
-        odd: Which odd frames come beside the regular ones: "malformed", "commands" or none.
+        odd: Which odd frames come beside the regular ones, "malformed" or "commands"; "lost" if instead the
+            *settle* of every other tick does not come.
     """
 
     name: str
@@ -74,6 +75,7 @@ PHASES = (
     Phase("bus-off", "busoff=0.1,ticks=5,robots={them}"),
     Phase("full send queues", "queue=0.5,frames=0,robots={them}"),
     Phase("malformed frames", odd="malformed"),
+    Phase("lost commands", odd="lost"),
     Phase("commands out of order", odd="commands"),
 )
 
@@ -112,12 +114,14 @@ class Verdict:
         difference: The first thing that the controller did otherwise than the model; None if nothing.
         is_interrupted: Whether it was told to stop before the end.
         other_frames: Other frames of the controller, such as heartbeats.
+        repeated: Commands that it was given a second time, since it had not answered.
     """
 
     phases: list[PhaseResult]
     difference: str | None = None
     is_interrupted: bool = False
     other_frames: int = 0
+    repeated: int = 0
 
     @property
     def has_passed(self) -> bool:
@@ -195,6 +199,7 @@ class Verification:
         )
         self._draw = random.Random(settings.swarm.seed)
         self._said: list[can.Message] = []
+        self._expected: list[can.Message] = []
         self._tick_number = 0
         self.verdict = Verdict([PhaseResult(phase.name, phase.fault) for phase in self._phases])
 
@@ -213,6 +218,7 @@ class Verification:
             self.verdict.difference = f'phase "{phase.name}", tick {self._tick_number}: {what}'
         except KeyboardInterrupt:
             self.verdict.is_interrupted = True
+        self.verdict.repeated = self._lockstep.repeated
         return self.verdict
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
@@ -234,9 +240,8 @@ class Verification:
         self._tick_number = self._neighbours.tick
         seen = self._neighbours.begin()
         z = Observation.NONE if phase.is_blind else seen
-        expected = self.model.observe(z)
         self._lockstep.observe({self._id: z})
-        if any(isinstance(decode(frame, self._subjects.estimates), Message) for frame in expected):
+        if any(isinstance(decode(frame, self._subjects.estimates), Message) for frame in self._expected):
             self._lockstep.estimates({self._id})
         # Odd frames first: of a sender that is heard already a robot ignores good ones, too.
         odd = self._odd(phase)
@@ -246,9 +251,12 @@ class Verification:
         send_all(self._bench.bus, frames, SEND_TIMEOUT)
         for frame in frames:
             self._note(frame)
-            self.model.hear(frame)
-        self._lockstep.settle({self._id})
-        self._compare(expected + self.model.settle(), result)
+        if phase.odd == "lost" and result.ticks % 2 == 0:
+            self._lockstep.leave_open()
+            result.injected += 1
+        else:
+            self._lockstep.settle({self._id})
+        self._compare(result)
 
     def _odd(self, phase: Phase) -> list[can.Message]:
         """The odd frames of this tick."""
@@ -261,9 +269,10 @@ class Verification:
         return []
 
     def _note(self, frame: can.Message) -> None:
-        """Take in a frame that goes over the bus, in either direction."""
+        """Take in a frame that goes over the bus, in either direction; the model hears what is sent."""
         if not frame.is_rx:
             frame.timestamp = time.time()
+            self._expected += self.model.hear(frame)
         self._bench.log(frame)
         if frame.is_rx and frame.is_extended_id and frame.arbitration_id & MAX_NODE == self._id:
             self._said.append(frame)
@@ -276,13 +285,14 @@ class Verification:
                 self._note(frame)
             if time.monotonic() > end:
                 break
-        self._compare([], result)
+        self._compare(result)
 
-    def _compare(self, expected: Sequence[can.Message], result: PhaseResult) -> None:
-        """Compare what the controller has said since the last comparison."""
-        said, wanted = list(self._meaning(self._said)), list(self._meaning(expected))
+    def _compare(self, result: PhaseResult) -> None:
+        """Compare what the controller and the model have said since the last comparison."""
+        said, wanted = list(self._meaning(self._said)), list(self._meaning(self._expected))
         self.verdict.other_frames += len(self._said) - len(said)
         self._said.clear()
+        self._expected.clear()
         for kind, name in ((Message, "estimate"), (Telemetry, "telemetry")):
             own = [each for each in said if isinstance(each, kind)]
             models = [each for each in wanted if isinstance(each, kind)]

@@ -1,4 +1,5 @@
-# What find_package(mcp_asdf) and pkg-config find. Nothing in it names the prefix: the tree may be moved.
+# What find_package(mcp_asdf) and pkg-config find. Nothing in it names the prefix, so the tree may be moved, unless
+# folders are given as absolute paths.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
@@ -16,6 +17,13 @@ write_basic_package_version_file(mcp_asdf-config-version.cmake COMPATIBILITY ${c
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/mcp_asdf-config-version.cmake DESTINATION ${package_dir})
 
 set(pkgconfig_dir ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
-file(RELATIVE_PATH up_to_prefix /${pkgconfig_dir} /)
+if(IS_ABSOLUTE ${pkgconfig_dir})
+    set(prefix ${CMAKE_INSTALL_PREFIX})
+else()
+    file(RELATIVE_PATH up_to_prefix /${pkgconfig_dir} /)
+    set(prefix \${pcfiledir}/${up_to_prefix})
+endif()
+cmake_path(APPEND includedir "\${prefix}" ${CMAKE_INSTALL_INCLUDEDIR}) # or just the latter, if it is absolute
+cmake_path(APPEND libdir "\${prefix}" ${CMAKE_INSTALL_LIBDIR})
 configure_file(cmake/mcp_asdf.pc.in mcp_asdf.pc @ONLY)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/mcp_asdf.pc DESTINATION ${pkgconfig_dir})

@@ -6,7 +6,10 @@
 #include "radio.h"
 
 #ifndef DEMO_ID
-#define DEMO_ID 7 /* every robot has its own, 0 .. 125 */
+#define DEMO_ID 7 /* every robot has its own */
+#endif
+#if DEMO_ID < 0 || DEMO_ID > 125
+#error "DEMO_ID has to be 0 to 125: CAN tools of Cyphal keep 126 and 127 for themselves"
 #endif
 #define B_HAT UINT32_C(0xF3333333) /* we believe that the sensor is right 95 times out of 100 */
 #define TICKS_PER_SECOND 10

@@ -18,6 +18,8 @@ import pytest
 from c_ref.consumer import CONSUMER, answer, version_of_header
 from support import CORE, HEADER, ROOT, TABLE, require, run
 
+from host_tools.frames import FrameFormat, Message, encode
+
 BUILD = """
 cmake_minimum_required(VERSION 3.21)
 project(consumer LANGUAGES C)
@@ -71,23 +73,92 @@ def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return (folder / "first").rename(folder / "second")
 
 
+@pytest.fixture(params=[("LIBDIR",), ("INCLUDEDIR",), ("LIBDIR", "INCLUDEDIR")], ids="-".join)
+def absolute(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Where the library was installed to by a distribution that gives some folders as absolute paths."""
+    place = tmp_path / "installed"
+    names = {"LIBDIR": "lib/machine", "INCLUDEDIR": "include/here"}
+    folders = [f"-DCMAKE_INSTALL_{name}={place / names[name]}" for name in request.param]
+    cmake("-S", ROOT / "c_ref", "-B", tmp_path / "made", f"-DCMAKE_INSTALL_PREFIX={place}", *folders)
+    cmake("--build", tmp_path / "made")
+    cmake("--install", tmp_path / "made")
+    return place
+
+
 def pkg_config(prefix: Path, *arguments: str) -> str:
     (folder,) = (path.parent for path in prefix.rglob("mcp_asdf.pc"))
     return run(require("pkg-config", "pkgconf"), *arguments, "mcp_asdf", PKG_CONFIG_PATH=str(folder))
 
 
+def test_the_root_builds_tests_unless_told_not_to(tmp_path: Path) -> None:
+    """BUILD_TESTING is the option by which CMake's users turn tests off; the rest stays."""
+    for setting, tests in (("ON", True), ("OFF", False)):
+        folder = tmp_path / setting
+        cmake("-S", ROOT, "-B", folder, f"-DBUILD_TESTING={setting}")
+        targets = cmake("--build", folder, "--target", "help")
+        assert "mcp_asdf\n" in targets
+        assert ("test_api" in targets) == tests
+        assert ("Total Tests: 0" not in run("ctest", "-N", "--test-dir", folder)) == tests
+
+
 # --- Copied ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("standard", ["c99", "c11", "c17"])
-def test_two_files_and_a_table_are_all_it_takes(standard: str, project: Path, expected: str) -> None:
+FRAME = CORE.with_name("mcp_asdf_frame.c")
+CODEC = """
+#include "mcp_asdf_frame.h"
+
+#include <stdio.h>
+
+int main(void)
+{
+    const mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE;
+    const mcp_asdf_estimate_t sent = {42, 5, 2796202, 0x42000000};
+    mcp_asdf_estimate_t heard;
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_estimate(&frame, &format, &sent) != MCP_ASDF_FRAME_OK ||
+        mcp_asdf_decode_estimate(&heard, format.subject, &frame) != MCP_ASDF_FRAME_OK) {
+        return 1;
+    }
+    printf("%lx %lu\\n", (unsigned long)frame.id, (unsigned long)heard.x_hat);
+    return 0;
+}
+"""
+
+every_standard = pytest.mark.parametrize("standard", ["c99", "c11", "c17"])
+every_compiler = pytest.mark.parametrize("compiler", ["gcc", "clang"])
+
+
+def compiled(compiler: str, standard: str, project: Path, *names: str) -> Path:
+    """The program of these sources of the folder; the compiler takes nothing beyond the standard."""
+    strict = (f"-std={standard}", "-pedantic-errors", "-Wall", "-Wextra", "-Werror")
+    run(require(compiler, compiler), *strict, *names, "-o", "consumer", cwd=project)
+    return project / "consumer"
+
+
+@every_compiler
+@every_standard
+def test_two_files_and_a_table_are_all_it_takes(
+    standard: str, compiler: str, project: Path, expected: str
+) -> None:
     shutil.copy(CORE, project)
     shutil.copy(HEADER, project)
     names = {path.name for path in project.iterdir()}
     assert names == {"main.c", "mcp_asdf.c", "mcp_asdf.h", "t_table_omega05_q30.c"}
-    sources = ("mcp_asdf.c", "t_table_omega05_q30.c", "main.c")
-    run("cc", f"-std={standard}", "-pedantic-errors", *sources, "-o", "consumer", cwd=project)
-    assert run(project / "consumer") == expected
+    assert run(compiled(compiler, standard, project, *(n for n in names if n[-1] == "c"))) == expected
+
+
+@every_compiler
+@every_standard
+def test_two_files_more_are_all_that_frames_take(standard: str, compiler: str, tmp_path: Path) -> None:
+    """The codec stands on its own, too."""
+    (tmp_path / "main.c").write_text(CODEC)
+    for path in (FRAME, FRAME.with_suffix(".h")):
+        shutil.copy(path, tmp_path)
+    sent = Message(42, 2796202, 0x42000000, 5)
+    identifier = encode(sent, FrameFormat()).arbitration_id
+    said = run(compiled(compiler, standard, tmp_path, "main.c", FRAME.name))
+    assert said == f"{identifier:x} {sent.x_hat}\n"
 
 
 def test_the_header_suits_c_plus_plus(project: Path, expected: str) -> None:
@@ -119,12 +190,13 @@ FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
 
 @pytest.mark.parametrize("optimisation", ["-O0", "-O2", "-Os"])
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_core_stands_on_its_own(target: str, optimisation: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("source", [CORE, FRAME], ids=lambda path: path.stem)
+def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str, tmp_path: Path) -> None:
     """No warning on any target, no 64-bit division, no float, no library, no data that can change."""
     (compiler, *flags), packages = TARGETS[target][0].split(), TARGETS[target][1]
     require(compiler, packages)
-    freestanding = ("-std=c99", "-ffreestanding", optimisation, *WARNINGS)
-    run(compiler, *flags, *freestanding, "-c", CORE, "-o", "core.o", cwd=tmp_path)
+    freestanding = ("-std=c99", "-pedantic-errors", "-ffreestanding", optimisation, *WARNINGS)
+    run(compiler, *flags, *freestanding, "-c", source, "-o", "core.o", cwd=tmp_path)
     tool = compiler.removesuffix("gcc").removesuffix("cc")
     symbols = [line.split()[-2:] for line in run(f"{tool}nm", "core.o", cwd=tmp_path).splitlines()]
     undefined = {name for kind, name in symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
@@ -160,9 +232,19 @@ def test_find_package_refuses_other_versions(wanted: str, prefix: Path, project:
 
 
 def test_pkg_config_finds_it(prefix: Path, project: Path, expected: str) -> None:
+    assert run(linked_by_pkg_config(prefix, project)) == expected
+
+
+def linked_by_pkg_config(prefix: Path, project: Path) -> Path:
     flags = pkg_config(prefix, "--cflags", "--libs").split()
     run("cc", "-Wall", "-Wextra", "-Werror", "main.c", TABLE.name, *flags, "-o", "consumer", cwd=project)
-    assert run(project / "consumer") == expected
+    return project / "consumer"
+
+
+def test_absolute_folders_are_found(absolute: Path, project: Path, expected: str) -> None:
+    assert run(linked_by_pkg_config(absolute, project)) == expected
+    (config,) = absolute.rglob("mcp_asdf-config.cmake")
+    assert run(build(project, FIND.format(""), f"-Dmcp_asdf_DIR={config.parent}") / "consumer") == expected
 
 
 def test_what_is_installed(prefix: Path) -> None:

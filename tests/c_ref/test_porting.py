@@ -15,6 +15,9 @@ from pathlib import Path
 
 import can
 import pytest
+from benchmarks.cost import demo, figures
+from benchmarks.cost.budgets import stack_of_tick
+from benchmarks.cost.images import LEVELS
 from support import CORE, ROOT, require, run
 
 from firmware_py.mirror import MirrorRobot
@@ -147,12 +150,37 @@ def test_the_page_shows_the_demonstration() -> None:
     assert blocks("c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("number", [0, 125, -1, 126, 300])
+def test_an_id_that_is_none_is_refused(number: int) -> None:
+    """By the compiler, with a reason; a message without one could come from anything else."""
+    check = ("cc", "-fsyntax-only", f"-I{ROOT}/c_ref/src", f"-DDEMO_ID={number}", PORTS / "demo.c")
+    if 0 <= number <= 125:
+        run(*check)
+    else:
+        with pytest.raises(AssertionError, match="DEMO_ID has to be 0 to 125"):
+            run(*check)
+
+
 CORES = {
     "Cortex-M4": ("arm-none-eabi-", "-mcpu=cortex-m4 -mthumb", "gcc-arm-none-eabi"),
     "Cortex-M0+": ("arm-none-eabi-", "-mcpu=cortex-m0plus -mthumb", "gcc-arm-none-eabi"),
     "RV32IMAC": ("riscv64-unknown-elf-", "-march=rv32imac -mabi=ilp32", "gcc-riscv64-unknown-elf"),
     "ATmega328P": ("avr-", "-mmcu=atmega328p", "gcc-avr avr-libc"),
 }
+
+
+def test_the_page_s_budget_of_stack_is_what_was_measured() -> None:
+    """From the least to the most of all targets and levels, in tens."""
+    kept = [levels[level]["firmware"] for levels in figures.kept()["targets"].values() for level in LEVELS]
+    needs = [stack_of_tick(core) for core in kept]
+    row = f"| stack | {in_tens(needs)} bytes for a tick"
+    for call in ("save", "restore"):
+        row += f", {in_tens([core['stack'][call][0] for core in kept])} for `mcp_asdf_{call}()`"
+    assert row in PAGE
+
+
+def in_tens(numbers: list[int]) -> str:
+    return f"{min(numbers) // 10 * 10} to {-(-max(numbers) // 10) * 10}"
 
 
 def test_the_page_budgets_for_every_core() -> None:
@@ -309,13 +337,16 @@ int main(void)
         begin(&found, &config, 3, 0xC0000000);
         printf("%lu ", (unsigned long)(mcp_asdf_t_count(&robot) - mcp_asdf_t_count(&found)));
     }
-    return 0;
+    return begin(&found, &config, 4, 0x40000000) != MCP_ASDF_OK || mcp_asdf_id(&found) != 4 ||
+           mcp_asdf_t_count(&found) != 0 || mcp_asdf_b_hat(&found) != 0x40000000;
 }
 """
 
 
 def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
-    """Observations lost after a power failure at every byte of the writing: one until a copy is whole."""
+    """Observations lost after a power failure at every byte of the writing: one until a copy is whole. At the
+    end both copies are, and a robot of another id begins anew in spite of them.
+    """
     (tmp_path / "main.c").write_text(blocks("c")[1] + POWER_FAILS)
     sources = [tmp_path / "main.c", ROOT / "c_ref/src/mcp_asdf.c"]
     run("cc", "-std=c99", *WARNINGS.split(), f"-I{ROOT}/c_ref/src", *sources, "-o", tmp_path / "robot")
@@ -326,13 +357,19 @@ def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
 # --- The whole firmware of an ATmega328P -------------------------------------------------------------------
 
 
-def avr_image(folder: Path) -> Path:
+CLOCKS = {"Uno": (16_000_000, 115_200), "Kilobot": (8_000_000, 38_400)}
+"""Hertz of the chip and bits a second of its serial line."""
+KILOBOT = re.compile(r"-D(?:F_CPU|BAUD)=\w+")
+"""In the page: what to add to the command for a Kilobot."""
+
+
+def avr_image(folder: Path, *macros: str) -> Path:
     """The robot's image, built by the page's command."""
     require("avr-gcc", PACKAGES["avr"])
     (command,) = (block for block in blocks("console") if "avr-gcc" in block)
     (folder / "c_ref").symlink_to(ROOT / "c_ref")
     (folder / "tables").symlink_to(ROOT / "tables")
-    run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), cwd=folder)
+    run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), *macros, cwd=folder)
     return folder / "robot.elf"
 
 
@@ -343,13 +380,41 @@ def test_it_leaves_half_of_an_atmega_s_flash_and_most_of_its_memory(tmp_path: Pa
     assert data + bss < 320
 
 
-def test_it_does_the_same_on_an_atmega(tmp_path: Path) -> None:
-    """With the chip's own timer, ADC and UART interrupt; a byte comes when the line can bring it."""
-    image = avr_image(tmp_path)
+def check_on_an_atmega(image: Path, clock: int, baud: int, folder: Path) -> None:
+    """With the chip's own timer, ADC and UART interrupt: ten ticks a second by the board's clock, bytes as
+    fast as the line can bring them, and a UART of the line's speed.
+    """
     if not Path("/usr/include/simavr/sim_avr.h").exists():
         pytest.skip(f"no simavr library: apt-get install {PACKAGES['avr']}")
-    simulator, source = tmp_path / "avr_robot", Path(__file__).with_name("avr_robot.c")
+    simulator, source = folder / "avr_robot", Path(__file__).with_name("avr_robot.c")
     run("cc", "-O2", "-I/usr/include/simavr", source, "-lsimavr", "-o", simulator)
     played = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
-    subprocess.run([simulator, image, tmp_path / "sent"], input=played, capture_output=True, check=True)
-    assert (tmp_path / "sent").read_bytes() == Expected().play(played)
+    arguments = (str(image), str(folder / "sent"), str(clock), str(baud))
+    subprocess.run([simulator, *arguments], input=played, capture_output=True, check=True)
+    assert (folder / "sent").read_bytes() == Expected().play(played)
+
+
+@pytest.mark.parametrize("board", CLOCKS)
+def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
+    macros = KILOBOT.findall(PAGE) if board == "Kilobot" else []
+    check_on_an_atmega(avr_image(tmp_path, *macros), *CLOCKS[board], tmp_path)
+
+
+def test_the_image_whose_cost_is_told_is_a_kilobot_s(tmp_path: Path) -> None:
+    require("avr-gcc", PACKAGES["avr"])
+    assert CLOCKS["Kilobot"] == (demo.CLOCK, demo.BAUD)
+    check_on_an_atmega(demo.demo_image(tmp_path / "image").path, *CLOCKS["Kilobot"], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("macros", "reason"),
+    [
+        ("-DF_CPU=8000000UL", "more than 2.5 % off"),
+        ("-DF_CPU=8", "has to be 8 to 20 MHz"),
+        ("-DBAUD=2400", "cannot make BAUD"),
+        ("-DBAUD=40000000", "cannot make BAUD"),
+    ],
+)
+def test_a_speed_that_the_uart_cannot_make_is_refused(macros: str, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match=reason):
+        avr_image(tmp_path, macros)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import random
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 import can
 import pytest
 from multicast import multicast
 from wire import Wire, node, record
 
-from firmware_py.robot import Filter, Observation
+from firmware_py.robot import Filter, FixedPointRobot, Observation
 from host_tools.buses import add_arguments, choose_bus
 from host_tools.errors import UsageError
 from host_tools.frames import (
+    COMMANDS,
     EVERY_ROBOT,
     Action,
     Command,
@@ -64,7 +67,6 @@ def test_the_rules_one_by_one() -> None:
         (command(0, 6, observe), ""),  # for another
         (command(0, 5, observe), ""),  # no broadcast due
         (command(0, 5, observe), ""),  # repeated
-        (command(1, 5, observe), ""),  # not settled
         (command(1, 5, settle), ""),  # another tick's
         (command(0, 6, settle), ""),  # for another
         (command(0, 5, settle), "t"),
@@ -76,7 +78,37 @@ def test_the_rules_one_by_one() -> None:
     ]
     assert [kinds(robot.hear(frame)) for frame, _ in steps] == [answer for _, answer in steps]
     assert (robot.robot.t, robot.robot.n, robot.ticks) == (2, 2, 3)
-    assert (robot.traffic.obeyed, robot.traffic.disobeyed) == (6, 5)
+    assert (robot.traffic.obeyed, robot.traffic.disobeyed) == (6, 4)
+
+
+def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
+    """Whatever commands are lost: each observe counts, each round is closed once, each settle answered."""
+    draw, robot, twin = random.Random(12), node(5), node(5).robot
+    ticks, unsettled, is_open = 0, 0, False
+    for number in range(400):
+        z, replay = draw.choice(COLOURS), f"replay: random.Random(12), tick {number}"
+        if draw.random() < 0.8:
+            if is_open:
+                twin.settle()
+            twin.observe(z)
+            beat = "h" if ticks and ticks % 10 == 0 else ""
+            assert kinds(robot.hear(command(number, 5, Action(int(z))))) == beat + "e", replay
+            ticks, unsettled, is_open = ticks + 1, unsettled + is_open, True
+            told = number
+        for sender in draw.sample(range(6, 20), 5):
+            twin.receive(sender, (x_hat := draw.randint(0, 1 << 23)) / 2**23, 1.0)
+            robot.hear(encode(Message(sender, x_hat, 0x3F80_0000, 0), FrameFormat()))
+        if draw.random() < 0.8:
+            is_obeyed = is_open and told == number
+            assert kinds(robot.hear(command(number, 5, Action.SETTLE))) == "t" * is_obeyed, replay
+            if is_obeyed:
+                twin.settle()
+                is_open = False
+    assert isinstance(twin, FixedPointRobot) and isinstance(robot.robot, FixedPointRobot)
+    assert robot.robot.state() == twin.state()
+    assert twin.counters.updates > 0
+    assert (robot.ticks, robot.traffic.unsettled) == (ticks, unsettled)
+    assert robot.traffic.telemetry_sent > 100 and unsettled > 50
 
 
 def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
@@ -226,6 +258,106 @@ def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
     assert [frame.is_rx for frame in seen] == [False, False, *[True] * 4, False, False, True, True]
     with pytest.raises(ZeroDivisionError):
         lockstep.wait_until_up({3}, 60)
+
+
+def decoded(frame: can.Message) -> Command:
+    order = decode_command(frame, COMMANDS)
+    assert isinstance(order, Command)
+    return order
+
+
+class Lossy(Wire):
+    """A wire on which commands of the tool get lost, and answers of the nodes."""
+
+    def __init__(self, *nodes: RobotNode, loses: Callable[[Command, int], bool], mute: int = -1) -> None:
+        """``loses`` is asked of each command, with how often it has been sent; telemetry ``mute`` is lost."""
+        self._loses, self._mute = loses, mute
+        self._times = Counter[tuple[int, int, Action]]()
+        super().__init__(*nodes)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        order = decoded(msg)
+        self._times[key := (order.tick, order.target, order.action)] += 1
+        if self._loses(order, self._times[key]):
+            self.sent.append(msg)
+        else:
+            super().send(msg, timeout)
+
+    def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
+        is_mute = node.traffic.telemetry_sent == self._mute and kinds(list(frames)) == "t"
+        super().say(node, [] if is_mute else frames)
+
+
+def play(wire: Wire, ticks: int = 40) -> Lockstep:
+    """Drive robots 1, 2 and 3 with what a seeded generator draws."""
+    lockstep, draw, robots = Lockstep(wire, timeout=0.02), random.Random(8), (1, 2, 3)
+    for _ in range(ticks):
+        lockstep.observe({robot: draw.choice(COLOURS) for robot in robots})
+        lockstep.estimates(robots)
+        lockstep.settle(robots)
+    return lockstep
+
+
+def test_a_command_that_is_lost_once_is_said_again() -> None:
+    """To those alone who have not answered; the run ends in the same bits."""
+    observes = {(5, 2), (5, 3), (9, 1), (20, 1)}
+    settles = {(9, 1), (20, 2), (20, 3)}
+
+    def is_lost(order: Command, times: int) -> bool:
+        lost = settles if order.action is Action.SETTLE else observes
+        return times == 1 and (order.tick, order.target) in lost
+
+    wire, twins = Lossy(*map(node, (1, 2, 3)), loses=is_lost), Wire(*map(node, (1, 2, 3)))
+    lockstep = play(wire)
+    assert (lockstep.repeated, play(twins).repeated) == (7, 0)
+    assert contents(wire.told) == contents(twins.told)
+    assert len(wire.sent) == 40 * 6 + 7
+    assert [decoded(frame).transfer_id for frame in wire.sent] == [n % 32 for n in range(247)]
+    assert all(robot.traffic.unsettled == robot.traffic.disobeyed == 0 for robot in wire.nodes)
+
+
+def contents(frames: list[can.Message]) -> list[tuple[int, bytes]]:
+    """Apart from their order, which says who was told twice."""
+    return sorted((frame.arbitration_id, bytes(frame.data)) for frame in frames)
+
+
+@pytest.mark.parametrize(("action", "what"), [("OBSERVE", "broadcast its estimate"), ("SETTLE", "settle")])
+def test_a_command_that_is_lost_twice_ends_the_run(action: str, what: str) -> None:
+    def is_lost(order: Command, times: int) -> bool:
+        return order.tick == 7 and order.target == 2 and order.action.name.startswith(action)
+
+    wire = Lossy(*map(node, (1, 2, 3)), loses=is_lost)
+    with pytest.raises(LockstepError, match=f"robot 2 did not {what} within"):
+        play(wire)
+    names = [each.action.name for each in map(decoded, wire.sent) if (each.tick, each.target) == (7, 2)]
+    assert sum(name.startswith(action) for name in names) == 2
+
+
+def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
+    """The robot has settled: told again, it must not do so twice."""
+    wire = Lossy(*map(node, (1, 2, 3)), loses=lambda order, times: False, mute=8)
+    with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
+        play(wire)
+    assert [robot.ticks for robot in wire.nodes] == [8] * 3
+    assert [robot.traffic.telemetry_sent for robot in wire.nodes] == [8] * 3
+    assert [robot.traffic.disobeyed for robot in wire.nodes] == [1] * 3
+
+
+def test_a_tick_may_be_left_open() -> None:
+    """As if every settle had been lost: the robots have ended it when they observe again."""
+    wire, twins = Wire(node(1)), Wire(node(1))
+    lockstep, model = Lockstep(wire), Lockstep(twins)
+    for tick in range(60):
+        for each in (lockstep, model):
+            each.observe({1: COLOURS[tick * tick % 3]})
+        assert lockstep.estimates({1})[1].x_hat == model.estimates({1})[1].x_hat
+        told = model.settle({1})[1]
+        if tick % 3:
+            assert lockstep.settle({1})[1].x == told.x
+        else:
+            lockstep.leave_open()
+    assert lockstep.tick == 60
+    assert wire.nodes[0].traffic.unsettled == 20
 
 
 def test_commands_are_where_they_were_asked_to_be() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -261,6 +264,55 @@ def test_a_device_behind_slcan_is_one_of_the_robots(capsys: pytest.CaptureFixtur
     assert [robot["x"] for robot in report["results"]["robots"]] == [
         robot["x"] for robot in here["results"]["robots"]
     ]
+
+
+@contextmanager
+def adapter_that_is_unplugged() -> Iterator[str]:
+    """An slcan adapter that vanishes when its bus is open; yields its channel."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def vanish() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                text = b""
+                while not text.endswith(b"O\r"):
+                    text += connection.recv(1)
+                reset = struct.pack("ii", 1, 0)
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset)
+
+        thread = threading.Thread(target=vanish)
+        thread.start()
+        yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
+        thread.join()
+
+
+@pytest.fixture
+def warnings_of_pyserial() -> Iterator[None]:
+    """It forgets to close a socket whose other end has gone; that shall show here and in no later test."""
+    yield
+    gc.collect()
+
+
+@pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+@pytest.mark.usefixtures("warnings_of_pyserial")
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"),
+    [
+        ("radio --id 0 --verify --ticks 3 {bus}", 1, "FAILED: 0 of"),
+        ("radio --id 0 --rate 100 --ticks 30 {bus}", 0, "30 ticks; all ticks done"),
+        ("node --id 0 --rate 100 --ticks 30 {bus}", 0, "30 ticks as robot 0; all ticks done"),
+        ("node --id 0 --lockstep {bus}", 1, "the bus failed"),
+        ("swarm --robots 2 --ticks 3 --channel v{{robot}} --device 0=slcan:{channel}", 1, "mcp-asdf swarm: "),
+    ],
+)
+def test_an_adapter_that_is_unplugged_costs_no_result(
+    arguments: str, code: int, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with adapter_that_is_unplugged() as channel:
+        bus = f"--interface slcan --channel {channel} --bus-kwargs sleep_after_open=0"
+        assert main(arguments.format(bus=bus, channel=channel).split()) == code
+    captured = capsys.readouterr()
+    assert told in " ".join((captured.out + captured.err).split())
 
 
 @pytest.mark.parametrize(

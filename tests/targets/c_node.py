@@ -155,6 +155,7 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
         "heard": traffic.received,
         "obeyed": traffic.obeyed,
         "disobeyed": traffic.disobeyed,
+        "unsettled": traffic.unsettled,
     }
     assert {name: figures[name] for name in numbers} == numbers
 

@@ -3,7 +3,8 @@
     python tests/targets/matrix.py [--target NAME ...]
 
 Prints a line for each build: the verdict and the image's bytes, or why it was left out. Exits with 1 if one
-failed, 2 for bad usage. Takes minutes; the test suite runs one build of each target (test_targets.py).
+failed or none was played, 2 for bad usage. Takes minutes; the test suite runs one build of each target
+(test_targets.py).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -26,13 +28,16 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
 
+from host_tools.golden_scenarios import edge_scenarios, run_scenarios
+
 HERE = Path(__file__).resolve().parent
 TOOLCHAINS = HERE.parents[1] / "c_ref" / "cmake"
 IMAGE = "golden_vectors"
 
-VERDICT = re.compile(r"PASS scenarios (\d+) calls (\d+) ticks (\d+)")
-"""What an image prints last if all is well."""
+VECTORS = {"golden_edges.bin": edge_scenarios, "golden_runs.bin": run_scenarios}
+"""Files of vectors, and the scenarios that they hold."""
 
+_VERDICT = re.compile(r"PASS scenarios \d+ calls \d+ ticks \d+")
 _ANSI = re.compile(r"\x1b\[\d+m")
 _BY_COMPILERS = r"memcpy|memset"
 _ON_ARM = r"|__aeabi_(lmul|llsl|llsr|uidiv|uidivmod)|__gnu_thumb1_case_\w+"
@@ -42,6 +47,10 @@ _ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mulsi3|__mulohisi3|__
 
 class BuildError(Exception):
     """A tool failed; the message holds what it said."""
+
+
+class PlayError(Exception):
+    """An image is not what it should be, or did not print what it should; the message tells."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +126,21 @@ def build(preset: str, folder: Path, *settings: str) -> Path:
     return folder / IMAGE
 
 
+@cache
+def verdict_of(*names: str) -> str:
+    """What an image has to print that plays these files of ``VECTORS``; every call counts."""
+    scenarios = [scenario for name in names for scenario in VECTORS[name]()]
+    calls = [call.name for scenario in scenarios for call in scenario.calls()]
+    ticks = calls.count("observe") + calls.count("step")
+    return f"PASS scenarios {len(scenarios)} calls {2 * len(scenarios) + len(calls)} ticks {ticks}"
+
+
+def verdict_in(printed: str) -> str | None:
+    """The verdict among what an image and its emulator printed, if all its scenarios passed."""
+    found = _VERDICT.search(printed)
+    return found[0] if found else None
+
+
 def run(folder: Path) -> tuple[bool, str]:
     """Run the image built in ``folder`` on its emulator: whether it passed, and what both printed."""
     command = ["ctest", "--test-dir", str(folder), "--verbose"]
@@ -180,36 +204,63 @@ def flash(image: Path) -> int:
         return sum(segment["p_filesz"] for segment in ELFFile(stream).iter_segments("PT_LOAD"))
 
 
-def settings_of(target: Target, compiler: str, level: str) -> Iterator[str]:
-    """CMake's settings for one cell of the matrix."""
+def images_of(target: Target, level: str) -> list[tuple[str, ...]]:
+    """The vectors that each image of a cell plays: an ATmega328P's flash holds one file at a time."""
+    return [(name,) for name in VECTORS] if _on_atmega328p(target, level) else [tuple(VECTORS)]
+
+
+def _on_atmega328p(target: Target, level: str) -> bool:
+    return target.name == "avr" and level == "-Os"
+
+
+def settings_of(target: Target, compiler: str, level: str, vectors: tuple[str, ...]) -> Iterator[str]:
+    """CMake's settings for an image of one cell of the matrix."""
     kind, optimising_linker = LEVELS[level]
     yield f"CMAKE_BUILD_TYPE={kind}"
     yield f"CMAKE_INTERPROCEDURAL_OPTIMIZATION={optimising_linker}"
+    yield f"GOLDEN_VECTORS={';'.join(str(HERE / name) for name in vectors)}"
     if compiler == "clang":
         yield f"CMAKE_TOOLCHAIN_FILE={TOOLCHAINS / 'clang.cmake'}"
         yield f"MCP_ASDF_TARGET={target.name}"
-    if target.name == "avr" and level != "-Os":
+    if target.name == "avr" and not _on_atmega328p(target, level):
         yield "MCP_ASDF_AVR=atmega1284p"  # 32 KB hold the core and the vectors at -Os alone
 
 
 def cell(target: Target, compiler: str, level: str) -> tuple[str, str]:
     """Build and run one cell: "passed", "left out" or "FAILED", and the details."""
-    if compiler == "clang" and not target.clang:
-        return "left out", "clang does not build for it"
-    missing = target.missing(*(("clang", "ld.lld") if compiler == "clang" else ()))
-    if missing:
-        return "left out", f"{missing}{' clang lld' if compiler == 'clang' else ''}"
+    reason = _left_out(target, compiler)
+    if reason:
+        return "left out", reason
+    try:
+        sizes = [_play(target, compiler, level, vectors) for vectors in images_of(target, level)]
+    except (BuildError, PlayError) as error:
+        return "FAILED", str(error)
+    return "passed", " and ".join(f"{size:7} bytes" for size in sizes)
+
+
+def _left_out(target: Target, compiler: str) -> str:
+    tools = {"cmake": "cmake", "ninja": "ninja-build"}
+    if compiler == "clang":
+        if not target.clang:
+            return "clang does not build for it"
+        tools |= {"clang": "clang", "ld.lld": "lld"}
+    missing = target.missing(*tools)
+    return f"{missing} {' '.join(tools.values())}" if missing else ""
+
+
+def _play(target: Target, compiler: str, level: str, vectors: tuple[str, ...]) -> int:
+    """Build and run an image; returns its bytes. Raises BuildError, or PlayError if it is not in order."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        try:
-            image = build(target.name, folder, *settings_of(target, compiler, level))
-        except BuildError as error:
-            return "FAILED", str(error)
+        image = build(target.name, folder, *settings_of(target, compiler, level, vectors))
         odd = set() if "LTO" in level else _unexpected(target, folder)
         if odd:
-            return "FAILED", f"the core needs {', '.join(sorted(odd))}"
+            raise PlayError(f"the core needs {', '.join(sorted(odd))}")
         passed, printed = run(folder)
-        return ("passed", f"{flash(image):7} bytes") if passed else ("FAILED", printed)
+        wanted = verdict_of(*vectors)
+        if not passed or verdict_in(printed) != wanted:
+            raise PlayError(f"{printed}\ninstead of {wanted}")
+        return flash(image)
 
 
 def _unexpected(target: Target, folder: Path) -> set[str]:
@@ -233,7 +284,7 @@ def main() -> int:
             print(f"{target.name:16} {compiler:6} {level:8} {verdict:8} {details}", flush=True)
             verdicts[verdict] += 1
     print(", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items())))
-    return 1 if verdicts["FAILED"] else 0
+    return 1 if verdicts["FAILED"] or not verdicts["passed"] else 0
 
 
 if __name__ == "__main__":

@@ -92,10 +92,11 @@ class Model:
     def _frame(self, frame: can.Message) -> bytes:
         if not self.is_open:
             return self._answer(b"\a")
+        is_unwell = self.dropped > 0 or self.refused > 0 or self.node.traffic.unsettled > 0
         answers = self.node.hear(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
-                answer.data[4] = self.dropped > 0 or self.refused > 0  # health: advisory
+                answer.data[4] = is_unwell  # health: advisory
         return self._answer(b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(line_of, answers))
 
     def _command(self, command: bytes) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import random
 import re
 import shutil
@@ -15,7 +16,7 @@ from pathlib import Path
 import can
 import pytest
 from support import ROOT, require, run
-from targets import matrix
+from targets import firmware_loop, matrix
 from targets.firmware_loop import (
     BOARDS,
     IMAGE_ID,
@@ -28,12 +29,24 @@ from targets.firmware_loop import (
     over,
 )
 from targets.matrix import TARGETS
-from targets.slcan_model import OPENING, Model
+from targets.slcan_model import OPENING, Model, frame_in
 from targets.slow_line import SlowLine
 
 from firmware_py.robot import Observation
+from host_tools import cli
 from host_tools.errors import UsageError
-from host_tools.frames import EVERY_ROBOT, Action, Command, FrameFormat, Message, encode, encode_command
+from host_tools.frames import (
+    EVERY_ROBOT,
+    Action,
+    Command,
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    decode_heartbeat,
+    encode,
+    encode_command,
+)
 from host_tools.qemu import Board, QemuBus, board_of
 from host_tools.slcan import SlcanServer, line_of
 
@@ -43,8 +56,9 @@ TICKS = {"cortex-m3": 150, "cortex-m4": 50, "rv32imc": 150}
 """Of lockstep; `make loop` runs 5000."""
 TIMEOUT = 30.0
 PACE = 400
-SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c"}
+SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
 SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
+LINUX = ROOT / "c_ref/ports/linux"
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|")
 
 Builder = Callable[[str], Path]
@@ -162,15 +176,94 @@ def test_a_difference_is_found(image_of: Builder) -> None:
             loop.tick()
 
 
-def test_the_demonstration_tells_what_it_compared(capsys: pytest.CaptureFixture[str]) -> None:
+class Clock:
+    """Time that passes only in ticks and when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+SlowTick = Callable[[Callable[[int], float]], Clock]
+
+
+@pytest.fixture
+def slow_tick(image_of: Builder, monkeypatch: pytest.MonkeyPatch) -> SlowTick:
+    """Lets each tick of the demonstration, by its number, take so many seconds."""
     require_target("cortex-m3")
-    require("ninja", "ninja-build")
-    assert main(["--ticks", "20", "--seconds", "0.5"]) == 0
+    image = image_of("cortex-m3")
+    monkeypatch.setattr(firmware_loop, "build", lambda *_: image)
+
+    def install(seconds: Callable[[int], float]) -> Clock:
+        clock, tick = Clock(), Loop.tick
+
+        def timed(loop: Loop) -> None:
+            clock.now += seconds(loop.mirror.ticks)
+            tick(loop)
+
+        monkeypatch.setattr(firmware_loop, "time", clock)
+        monkeypatch.setattr(Loop, "tick", timed)
+        return clock
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("late", "code"), [(0, 0), (2, 0), (3, 1), (20, 1)], ids=["none", "two in 20", "three in 20", "all"]
+)
+def test_the_demonstration_tells_what_it_compared(
+    late: int, code: int, slow_tick: SlowTick, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And fails who does not keep up, but for one tick in ten."""
+    clock = slow_tick(lambda tick: 0.125 if 20 <= tick < 20 + late else 0.0625)
+    assert main(["--ticks", "20", "--seconds", "2", "--filter-period", str(FILTER_PERIOD)]) == code
     told = capsys.readouterr().out
-    assert "\n53 frames in 25 ticks are its mirror's, bit for bit\n" in told
-    assert re.search(
-        r"highest rate \d+ ticks/s\nat 10 ticks/s \d of 5 were late; the slowest took \d+ ms\n", told
+    assert "\n84 frames in 40 ticks are its mirror's, bit for bit\n" in told
+    slowest = 125 if late else 62
+    assert (
+        f"highest rate 16 ticks/s\nat 10 ticks/s {late} of 20 were late; the slowest took {slowest} ms"
+        in told
     )
+    assert told.endswith(": it does not keep up\n") == bool(code)
+    assert clock.now == pytest.approx(20 * 0.0625 + 20 * 0.1 + late * 0.025)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ("--ticks -5 --seconds 0", "ticks is -5; it must be 1 or more"),
+        ("--ticks 0", "ticks is 0;"),
+        ("--seconds 0", "seconds is 0.0; it must be 0.1, one tick, to 86400, a day"),
+        ("--seconds=-3", "seconds is -3.0;"),
+        ("--seconds nan", "seconds is nan;"),
+        ("--seconds inf", "seconds is inf;"),
+        ("--filter-period 0", "filter_period is 0; choose a multiple"),
+        ("--filter-period 4294967296", "filter_period is 4294967296; choose a multiple"),
+    ],
+)
+def test_runs_that_cannot_be_are_refused_before_anything_is_built(
+    options: str, complaint: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(firmware_loop, "build", None)
+    assert main(options.split()) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert complaint in told.err
+
+
+def test_tools_that_are_missing_are_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "/nonexistent")
+    assert main(["--ticks", "1"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == "cmake is not installed; apt-get install cmake ninja-build\n"
 
 
 # ---- What hosts and noise say: a swarm's talk with everything that can go wrong on the line ----
@@ -183,13 +276,17 @@ class Talk:
         self._random = random.Random(seed)
         self._tick = 0
 
-    def tick(self, noise: int) -> bytes:
-        """The lines of one tick, with ``noise`` others between them that may be anything but an opening."""
+    def tick(self, noise: int, loss: float = 0.0) -> bytes:
+        """The lines of one tick, with ``noise`` others between them that may be anything but an opening.
+
+        Each of its own, commands too, gets lost with the probability ``loss``.
+        """
         lines = [self._command(Action(self._random.randrange(3)), self._tick)]
         lines += [self.estimate(sender) for sender in range(10) if sender != IMAGE_ID]
         lines += [self._command(Action.SETTLE, self._tick)]
+        lines = [line for line in lines if self._random.random() >= loss]
         for _ in range(noise):
-            lines.insert(self._random.randrange(len(lines)), self.noise())
+            lines.insert(self._random.randint(0, len(lines)), self.noise())
         self._tick += 1
         return b"".join(lines)
 
@@ -282,7 +379,10 @@ def test_whatever_comes_in_the_robot_says_what_its_model_says(program: Path, num
     talk, chance = Talk(seed), random.Random(seed)
     pieces = [b"S8\rO\r"] if number else []  # it starts with an adapter, and most go on with a host
     for _ in range(150):
-        pieces += [talk.tick(chance.choice((0, 3, 30))), talk.request() if chance.random() < 0.3 else b""]
+        pieces += [
+            talk.tick(chance.choice((0, 3, 30)), loss=chance.choice((0.0, 0.2))),
+            talk.request() if chance.random() < 0.3 else b"",
+        ]
     told = model()
     done = subprocess.run([program], input=b"".join(pieces), capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
@@ -294,11 +394,11 @@ def test_whatever_comes_in_the_robot_says_what_its_model_says(program: Path, num
 def test_who_starts_with_an_adapter_answers_nobody(program: Path) -> None:
     """No answer, no frame before the adapter has agreed, and one heartbeat then."""
     talk, told = Talk(SEED), model()
-    said = b"V106BB82A8\rC\rz\rx\r" + talk.tick(0) + b"\a\r\r\r" + b"C\rF\r" + talk.tick(0)
+    said = b"V106BB82A8\rC\rz\rx\rS\rs\rs031\r" + talk.tick(0) + b"\a\r\r\r" + b"C\rF\r" + talk.tick(0)
     done = subprocess.run([program], input=said, capture_output=True, check=True)
     assert done.stdout == OPENING + told.take(said)
     assert re.fullmatch(rb"(T1\w+\r){3}", done.stdout.removeprefix(OPENING)), done.stdout
-    assert (told.is_adapter, told.dropped, told.refused) == (False, 2, 1)
+    assert (told.is_adapter, told.dropped, told.refused) == (False, 5, 1)
 
 
 def test_a_host_that_comes_after_an_adapter_has_to_open_the_bus(program: Path) -> None:
@@ -307,6 +407,31 @@ def test_a_host_that_comes_after_an_adapter_has_to_open_the_bus(program: Path) -
     done = subprocess.run([program], input=said, capture_output=True, check=True)
     assert done.stdout == OPENING + told.take(said)
     assert done.stdout.count(b"\a") == 11
+
+
+@one_of_each
+def test_a_lost_command_costs_its_tick_and_no_other(target: str, board: Board) -> None:
+    """A settle that never comes, an observe, or both: the robot answers in every whole tick after it."""
+    told, talk, opening = model(), Talk(SEED), b"S8\rO\r"
+    health = list[Health]()
+    with Line(board) as line:
+        line.send(opening)
+        expected = OPENING + told.take(opening)
+        assert line.receive(len(expected)) == expected
+        for number in range(2 * FILTER_PERIOD):
+            lines = talk.tick(noise=0).splitlines(keepends=True)
+            kept = (lines, lines, lines[:-1], lines, lines[1:], lines[1:-1])[number % 6]
+            line.send(text := b"".join(kept))
+            expected = told.take(text)
+            assert line.receive(len(expected)) == expected, f"tick {number}"
+            frames = [frame for each in expected.split(b"\r") if (frame := frame_in(each)) is not None]
+            health += [
+                beat.health for each in frames if isinstance(beat := decode_heartbeat(each), Heartbeat)
+            ]
+            assert len(frames) >= (2, 2, 1, 2, 0, 0)[number % 6], f"tick {number}"
+    assert told.node.traffic.unsettled == 8
+    assert told.node.robot.counters.tests > 0
+    assert health and set(health[1:]) == {Health.ADVISORY}
 
 
 @one_of_each
@@ -490,17 +615,70 @@ def test_the_image_holds_the_firmware_and_its_port(target: str, image_of: Builde
     ours = {name for name in files if not COMPILERS_OWN.fullmatch(name)}
     assert ours >= SOURCES
     assert ours - SOURCES <= {"start.c", "mps2.c", "virt.c", "virt_uart.c", "memory.c"}
+    assert not ours & {path.name for path in LINUX.glob("*.c")}, "this needs no Linux"
     assert matrix.flash(image) < 12 * 1024
     assert sum(matrix.ram_sections(image).values()) < 1024
 
 
 def test_a_program_that_ends_is_reported(tmp_path: Path) -> None:
     require_target("cortex-m3")
-    image = build("cortex-m3", tmp_path, FILTER_PERIOD, robot_id=200)
-    failed = pytest.raises(UsageError, match="slcan_robot on mps2-an385 ended with status 1")
+    require("ninja", "ninja-build")
+    edges = Path(__file__).with_name("golden_edges.bin")
+    image = matrix.build("cortex-m3", tmp_path, f"GOLDEN_VECTORS={edges}").with_name("crash")
+    failed = pytest.raises(UsageError, match=r"crash on mps2-an385 ended with status 1; the program failed$")
     gone = pytest.raises(AssertionError, match="the image has gone")
     with failed, Board("mps2-an385", image) as board, Line(board) as line, gone:
         line.until(b"never")
+
+
+NO_IMAGE = "mps2-an385:/etc/passwd"
+COMMANDS = (
+    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --verify --ticks 3",
+    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --rate 100 --ticks 30",
+    f"node --interface qemu --channel {NO_IMAGE} --id 0 --rate 100 --ticks 30",
+    f"swarm --robots 3 --ticks 3 --channel v{{robot}} --device 0=qemu:{NO_IMAGE}",
+)
+
+
+not_closed = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+"""pyserial forgets to close a socket whose other end has gone."""
+
+
+@pytest.fixture
+def found_here() -> Iterator[None]:
+    """Lets the warnings of that come in the test that causes them, and in no later one."""
+    yield
+    gc.collect()
+
+
+@not_closed
+@pytest.mark.usefixtures("found_here")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_that_is_no_image_is_bad_usage_in_one_line(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    require("qemu-system-arm", "qemu-system-arm")
+    assert cli.main(command.split()) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "/etc/passwd on mps2-an385 ended with status -6; qemu: fatal: Lockup" in last
+    assert "info: QEMU waiting" not in last
+
+
+@not_closed
+@pytest.mark.usefixtures("found_here")
+def test_a_board_whose_program_has_gone_can_be_left(
+    image_of: Builder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its adapter no longer hears that the bus is closed."""
+    require_target("cortex-m3")
+    board = Board("mps2-an385", image_of("cortex-m3"))
+    monkeypatch.setattr("host_tools.qemu.board_of", lambda channel: board)
+    bus = QemuBus("the board")
+    board._process.kill()
+    board._process.wait()
+    with pytest.raises(UsageError, match="slcan_robot on mps2-an385 ended with status -9"):
+        bus.shutdown()
+    bus.shutdown()
 
 
 PAGE = ROOT / "docs/firmware_in_the_loop.md"
@@ -511,7 +689,9 @@ def test_the_commands_of_the_page_work(tmp_path: Path) -> None:
     require("ninja", "ninja-build")
     for name in ("c_ref", "tables"):
         shutil.copytree(ROOT / name, tmp_path / name)
-    (block,) = re.findall(r"^```text\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    (block,) = re.findall(
+        r"^```sh\n(cmake .*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
     shown = [run("sh", "-c", command, cwd=tmp_path) for command in block.splitlines()]
     assert "PASSED: " in shown[2]
     assert re.search(r"\b500 +broadcasts reproduced bit for bit", shown[-1])

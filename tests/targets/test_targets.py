@@ -5,24 +5,28 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import pytest
-from support import CORE, ROOT, require
+from support import CORE, ROOT, require, run
 from targets import matrix
-from targets.matrix import TARGETS, VERDICT, Target
+from targets.matrix import TARGETS, VECTORS, Target
+from targets.slcan_model import OPENING
 
 from host_tools.golden_scenarios import edge_scenarios, run_scenarios
-from host_tools.golden_vectors import explain
+from host_tools.golden_vectors import encode, explain
 
 SCENARIOS = edge_scenarios() + run_scenarios()
-VECTORS = [Path(__file__).with_name(name) for name in ("golden_edges.bin", "golden_runs.bin")]
+EDGES = Path(__file__).with_name("golden_edges.bin")
 OUR_SOURCES = {"mcp_asdf.c", "t_table_omega05_q30.c", "player.c", "golden_vectors.c"}
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|crt\w*\.o|")
 PORTS = sorted(
     path
     for path in (ROOT / "c_ref/ports").rglob("*.*")
-    if path.suffix in (".c", ".ld") and path.parent.name != "linux"
+    if path.suffix in (".c", ".h", ".ld") and path.parent.name != "linux"
 )
 
 
@@ -34,25 +38,17 @@ def test_the_target_computes_the_mirror_s_bits(target: Target, tmp_path: Path) -
     require("ninja", "ninja-build")
     image = matrix.build(target.name, tmp_path)
     passed, printed = matrix.run(tmp_path)
-    verdict = VERDICT.search(printed)
-    assert passed and verdict, difference(printed)
-    assert [int(number) for number in verdict.groups()] == totals(few=target.name == "avr")
+    assert passed, difference(printed)
+    played = list(VECTORS)[:1] if target.name == "avr" else list(VECTORS)
+    assert matrix.verdict_in(printed) == matrix.verdict_of(*played)
     check_core(target, matrix.link_core_alone(target, tmp_path))
     if target.bare:
         check_contents(image)
 
 
-def totals(few: bool) -> list[int]:
-    """Scenarios, calls and ticks that a target has to report."""
-    played = edge_scenarios() if few else SCENARIOS
-    names = [call.name for scenario in played for call in scenario.calls()]
-    return [len(played), 2 * len(played) + len(names), names.count("observe") + names.count("step")]
-
-
 def test_the_documentation_shows_what_a_target_prints() -> None:
-    scenarios, calls, ticks = totals(few=False)
     page = (ROOT / "docs/targets.md").read_text(encoding="utf-8")
-    assert f"PASS scenarios {scenarios} calls {calls} ticks {ticks}\n" in page
+    assert f"\n{matrix.verdict_of(*VECTORS)}\n" in page
 
 
 def difference(printed: str) -> str:
@@ -115,6 +111,54 @@ def test_variables_and_needed_symbols_are_seen(tmp_path: Path) -> None:
     assert matrix.ram_sections(linked) == {".data": 4, ".bss": 4}
 
 
+# ---- Settings of the robot on a serial line ----
+
+SLCAN = ROOT / "c_ref/ports/slcan"
+
+
+def configure_robot(folder: Path, *settings: str) -> None:
+    options = [f"-D{setting}" for setting in settings]
+    run(require("cmake"), "-S", SLCAN, "-B", folder, *options)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ROBOT_ID", -1),
+        ("ROBOT_ID", 126),
+        ("ROBOT_ID", 300),
+        ("ROBOT_FILTER_PERIOD", 0),
+        ("ROBOT_FILTER_PERIOD", 2**32),
+    ],
+)
+def test_the_compiler_refuses_a_setting(name: str, value: int) -> None:
+    with pytest.raises(AssertionError, match=f"{name} has to be"):
+        run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
+
+
+@pytest.mark.parametrize("b_hat", ["0", "1.0", "9.5e-7", "0.9999991", "high"])
+def test_an_accuracy_that_the_firmware_refuses_is_refused_before(b_hat: str, tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match=f"ROBOT_B_HAT={b_hat} is outside"):
+        configure_robot(tmp_path, f"ROBOT_B_HAT={b_hat}")
+
+
+@pytest.mark.parametrize(
+    ("number", "b_hat", "period"), [(0, "9.5367431640625e-07", 1), (125, "0.99999904632568359375", 2**32 - 1)]
+)
+def test_the_widest_settings_are_built_and_run(number: int, b_hat: str, period: int, tmp_path: Path) -> None:
+    """The robot asks the other end of the line to open a bus; one that cannot start ends before."""
+    configure_robot(tmp_path, f"ROBOT_ID={number}", f"ROBOT_B_HAT={b_hat}", f"ROBOT_FILTER_PERIOD={period}")
+    run("cmake", "--build", tmp_path)
+    with subprocess.Popen([tmp_path / "slcan_robot"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as robot:
+        assert robot.stdin and robot.stdout
+        assert robot.stdout.read(len(OPENING)) == OPENING
+        robot.stdin.write(b"V\rO\r")
+        robot.stdin.flush()
+        said = robot.stdout.read(8)
+        robot.kill()
+    assert said.startswith(b"V1001\r")
+
+
 # ---- The player finds faults, and the first call that shows one is named ----
 
 
@@ -140,13 +184,13 @@ def core_with(folder: Path, right: str, wrong: str) -> str:
     ("right", "wrong", "first"),
     [
         (  # ties away from zero: first seen when n = 1 is halved
-            "(robot->n >> 1 & 1)",
-            "(robot->n & 1)",
+            "(n >> 1 & 1)",
+            "(n & 1)",
             "scenario 6 (a memory of 64 halves, ties to even), call 4, step:1:",
         ),
         (  # a message whose effect the digest covers only with the next call
-            "*word |= bit;",
-            "*word |= bit | bit << 1;",
+            "*mark.heard = (uint8_t)mark.marked;",
+            "*mark.heard = (uint8_t)(mark.marked | mark.marked << 1);",
             "scenario 0 (nothing observed), call 5, receive:1:8388608:1065353216:",
         ),
         (  # one bit of a sum: seen when a round stays open
@@ -181,7 +225,7 @@ def test_a_planted_fault_is_found_at_its_first_call(
 
 def test_a_fault_in_the_vectors_is_found(tmp_path: Path) -> None:
     spoilt = tmp_path / "spoilt.bin"
-    edges = VECTORS[0].read_bytes()
+    edges = EDGES.read_bytes()
     spoilt.write_bytes(edges[:6] + bytes([edges[6] ^ 1]) + edges[7:])
     status, printed = play_on_host(tmp_path, f"GOLDEN_VECTORS={spoilt}")
     assert status == 1
@@ -189,6 +233,68 @@ def test_a_fault_in_the_vectors_is_found(tmp_path: Path) -> None:
 
 
 def test_the_player_counts_what_it_plays(tmp_path: Path) -> None:
+    few = tmp_path / "few.bin"
+    played = SCENARIOS[:2]
+    few.write_bytes(encode(played))
+    names = [call.name for scenario in played for call in scenario.calls()]
+    counts = (len(played), len(names) + 2 * len(played), names.count("observe") + names.count("step"))
+    said = "PASS scenarios {} calls {} ticks {}\n".format(*counts)
+    assert play_on_host(tmp_path, f"GOLDEN_VECTORS={few}") == (0, said)
+    assert matrix.run(tmp_path / "build")[0]
+
+
+# ---- The matrix passes what has played everything ----
+
+HOST = Target("host", ("gcc", "cmake"), "gcc cmake", ".*", bare=False)
+
+
+def cell_with(vectors: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
+    """A cell for this computer, whose image is given other vectors than it should."""
+    require("ninja", "ninja-build")
+    settings_of = matrix.settings_of
+
+    def settings(*cell: Any) -> list[str]:
+        return [*settings_of(*cell), f"GOLDEN_VECTORS={vectors}"]
+
+    monkeypatch.setattr(matrix, "settings_of", settings)
+    return matrix.cell(HOST, "gcc", "-O2")
+
+
+def test_an_image_that_plays_everything_passes() -> None:
+    require("ninja", "ninja-build")
+    verdict, details = matrix.cell(HOST, "gcc", "-O2")
+    assert verdict == "passed", details
+    assert re.fullmatch(r" *\d+ bytes", details)
+
+
+def test_an_image_that_plays_too_little_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    verdict, details = cell_with(str(EDGES), monkeypatch)
+    assert (verdict, details.splitlines()[-1]) == ("FAILED", f"instead of {matrix.verdict_of(*VECTORS)}")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"nothing", EDGES.read_bytes()[:4] + b"\0\0"])
+def test_nothing_to_play_fails(
+    content: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     empty = tmp_path / "empty.bin"
-    empty.write_bytes(b"nothing")
-    assert play_on_host(tmp_path, f"GOLDEN_VECTORS={empty}") == (0, "PASS scenarios 0 calls 0 ticks 0\n")
+    if content is not None:
+        empty.write_bytes(content)
+    verdict, details = cell_with("" if content is None else str(empty), monkeypatch)
+    assert verdict == "FAILED"
+    assert re.search(r"is\s+no\s+file\s+of\s+golden\s+vectors|gives\s+nothing\s+to\s+play", details)
+
+
+def test_every_level_plays_everything() -> None:
+    for target, level in product(TARGETS, matrix.LEVELS):
+        played = [name for vectors in matrix.images_of(target, level) for name in vectors]
+        assert played == list(VECTORS)
+
+
+def test_a_matrix_without_tools_fails() -> None:
+    """Everything is left out, with the reason; that nothing went wrong is not a success."""
+    command = [sys.executable, str(matrix.__file__)]
+    done = subprocess.run(command, env={"PATH": "/nonexistent"}, capture_output=True, text=True, check=False)
+    *cells, summary = done.stdout.splitlines()
+    assert (done.returncode, done.stderr, summary) == (1, "", f"{len(cells)} left out")
+    assert len(cells) == 2 * len(TARGETS) * len(matrix.LEVELS)
+    assert all("no cmake" in line or "clang does not build" in line for line in cells)

@@ -1,6 +1,7 @@
-/* First UART of the ATmega328P (Kilobot, Arduino Uno) and its larger relatives at 16 MHz. avr-libc starts
- * the program; the addresses are written out so that host tools can read this file. */
+/* First UART of the ATmega328P (Kilobot, Arduino Uno) and its larger relatives. avr-libc starts the program;
+ * the addresses are written out so that host tools can read this file. */
 #include "../port.h"
+#include "clock.h"
 
 #include <stdint.h>
 
@@ -21,7 +22,7 @@ static void uart_start(void) __attribute__((constructor));
 static void uart_start(void)
 {
     UART_STATE = DOUBLE_SPEED;
-    UART_DIVISOR = 16; /* 115200 baud, 2 % fast */
+    UART_DIVISOR = BAUD_DIVISOR - 1;
     UART_CONTROL = SEND;
 }
 

@@ -1,12 +1,12 @@
-/* The robot of demo.c on an ATmega328P at 16 MHz: the ground sensor at ADC0 gives less than half of the
- * supply over a black tile, timer 1 counts the ticks, and a modem on the UART is the radio. */
+/* The robot of demo.c on an ATmega328P: the ground sensor at ADC0 gives less than half of the supply over a
+ * black tile, timer 1 counts the ticks, and a modem on the UART is the radio. */
 #include "../demo.h"
 #include "../radio.h"
+#include "clock.h"
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
 
-#define CLOCK 16000000UL
 #define PRESCALER 64
 #define TICKS_PER_SECOND 10
 
@@ -15,7 +15,7 @@ ISR(USART_RX_vect) { radio_hear(UDR0); }
 void board_start(void)
 {
     UCSR0B |= _BV(RXEN0) | _BV(RXCIE0); /* atmega.c has set the speed */
-    OCR1A = CLOCK / PRESCALER / TICKS_PER_SECOND - 1;
+    OCR1A = F_CPU / PRESCALER / TICKS_PER_SECOND - 1;
     TCCR1B = _BV(WGM12) | _BV(CS11) | _BV(CS10); /* from 0 to OCR1A and again, every 64 clocks */
     ADMUX = _BV(REFS0);
     ADCSRA = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);

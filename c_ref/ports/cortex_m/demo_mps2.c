@@ -23,12 +23,13 @@
 
 static void fault(void) { port_exit(1); }
 
+/* The flag is cleared first, so that a byte that comes after the last look sets it again. */
 static void received(void)
 {
+    UART_INTERRUPT = RECEIVED; /* cleared by writing 1 */
     while ((UART_STATE & RECEIVED) != 0) {
         radio_hear((uint8_t)UART_DATA);
     }
-    UART_INTERRUPT = RECEIVED; /* cleared by writing 1 */
 }
 
 /* The start-up's table ends before the chip's own interrupts, of which the receiver's is the first. */

@@ -2,7 +2,7 @@
 #ifndef MCP_ASDF_LINUX_OPTIONS_H
 #define MCP_ASDF_LINUX_OPTIONS_H
 
-#include "node.h"
+#include "../node/node.h"
 
 typedef struct {
     node_settings_t node;

@@ -24,7 +24,8 @@ static void print_node(const node_counts_t *counts)
                  counts->estimates, counts->heartbeats, counts->telemetry, counts->unsent);
     (void)printf(", \"heard\": " U32 ", \"collisions\": " U32 ", \"refused\": " U32 ", \"others\": " U32,
                  counts->heard, counts->collisions, counts->refused, counts->others);
-    (void)printf(", \"obeyed\": " U32 ", \"disobeyed\": " U32, counts->obeyed, counts->disobeyed);
+    (void)printf(", \"obeyed\": " U32 ", \"disobeyed\": " U32 ", \"unsettled\": " U32, counts->obeyed,
+                 counts->disobeyed, counts->unsettled);
 }
 
 static void print_bus(const bus_t *bus)

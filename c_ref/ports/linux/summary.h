@@ -2,8 +2,8 @@
 #ifndef MCP_ASDF_LINUX_SUMMARY_H
 #define MCP_ASDF_LINUX_SUMMARY_H
 
+#include "../node/node.h"
 #include "bus.h"
-#include "node.h"
 #include "source.h"
 #include "ticker.h"
 

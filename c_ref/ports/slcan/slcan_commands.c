@@ -41,9 +41,13 @@ static char command_on(const slcan_link_t *link)
     if (link->length == 0) {
         return '\r';
     }
-    const bool is_rate = link->line[0] == 'S' ? link->length == 2 : link->line[0] == 's' && link->length == 5;
-    if (link->length == 1 || is_rate) {
-        return link->line[0];
+    const char first = link->line[0];
+    uint8_t right = 1;
+    if (first == 'S' || first == 's') {
+        right = first == 'S' ? 2 : 5;
+    }
+    if (link->length == right) {
+        return first;
     }
     return '?';
 }

@@ -2,7 +2,7 @@
  * and its observations from command frames: the firmware in the loop of docs/firmware_in_the_loop.md. */
 #include "slcan_link.h"
 
-#include "../linux/node.h"
+#include "../node/node.h"
 #include "../port.h"
 
 /* Chosen when it is built: robot and node, 0 .. 125; assumed accuracy at the start, 2^-20 .. 1 - 2^-20, a
@@ -15,6 +15,12 @@
 #endif
 #ifndef ROBOT_FILTER_PERIOD
 #define ROBOT_FILTER_PERIOD 1000
+#endif
+#if ROBOT_ID < 0 || ROBOT_ID > 125
+#error "ROBOT_ID has to be 0 to 125: Cyphal's tools keep 126 and 127 for themselves"
+#endif
+#if ROBOT_FILTER_PERIOD < 1 || ROBOT_FILTER_PERIOD > 0xFFFFFFFF
+#error "ROBOT_FILTER_PERIOD has to be 1 to 4294967295 ticks"
 #endif
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
@@ -39,7 +45,7 @@ static const node_output_t output = {.send = send, .context = &serial};
 
 static void hear(const mcp_asdf_frame_t *frame)
 {
-    const bool is_well = serial.dropped == 0 && serial.unsent == 0;
+    const bool is_well = serial.dropped == 0 && serial.unsent == 0 && node.counts.unsettled == 0;
     node.health = is_well ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_ADVISORY;
     node_hear(&node, frame);
 }

@@ -1,7 +1,7 @@
 /* A robot as a node of the bus, without bus, clock or operating system: frames in, frames out. docs/frame.md
  * has the rules that it follows in lockstep; host_tools/node.py is the same node in Python. */
-#ifndef MCP_ASDF_LINUX_NODE_H
-#define MCP_ASDF_LINUX_NODE_H
+#ifndef MCP_ASDF_PORT_NODE_H
+#define MCP_ASDF_PORT_NODE_H
 
 #include "mcp_asdf.h"
 #include "mcp_asdf_frame.h"
@@ -37,11 +37,12 @@ typedef struct {
  *   collisions   those among them with the node's own id: another node has it, too
  *   refused      estimates and commands that are not legal
  *   others       all other frames
- *   obeyed, disobeyed   commands for this robot that the rules let it follow, or not */
+ *   obeyed, disobeyed   commands for this robot that the rules let it follow, or not
+ *   unsettled    ticks that the next one ended, since no settle had come */
 typedef struct {
     uint32_t estimates, heartbeats, telemetry, unsent;
     uint32_t heard, collisions, refused, others;
-    uint32_t obeyed, disobeyed;
+    uint32_t obeyed, disobeyed, unsettled;
 } node_counts_t;
 
 typedef struct {
@@ -62,7 +63,8 @@ mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_
 /* Say that the node is there: its first heartbeat. */
 void node_start(node_t *node);
 
-/* Begin a tick: a heartbeat if due, the observation, a broadcast if due. Ignores what is no observation. */
+/* Begin a tick: a heartbeat if due, the observation, a broadcast if due. Ends one that is open, unanswered.
+ * Ignores what is no observation. */
 void node_observe(node_t *node, mcp_asdf_observation_t z);
 
 /* End the tick: telemetry if due, in lockstep always. */
@@ -70,5 +72,11 @@ void node_settle(node_t *node);
 
 /* Take in any frame whatever, but none that this node has sent itself. */
 void node_hear(node_t *node, const mcp_asdf_frame_t *frame);
+
+/* ---- Between node.c and node_messages.c: say how things are now ---- */
+
+void node_send_heartbeat(node_t *node);
+void node_send_estimate(node_t *node);
+void node_send_telemetry(node_t *node);
 
 #endif

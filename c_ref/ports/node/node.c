@@ -1,0 +1,92 @@
+/* The node; node.h is its manual. */
+#include "node.h"
+
+/* What a receiver refuses before it looks at the content: kernel filters keep those frames away. */
+#define IS_OTHER(status) ((status) >= MCP_ASDF_FRAME_ERR_SUBJECT)
+
+mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
+{
+    const node_t fresh = {.settings = settings, .output = output, .is_settled = true};
+    *node = fresh;
+    return mcp_asdf_init(&node->robot, &settings->config, settings->id, settings->b_hat);
+}
+
+/* ---- Ticking ---------------------------------------------------------------------------------------- */
+
+static void end_tick(node_t *node)
+{
+    (void)mcp_asdf_settle(&node->robot);
+    node->is_settled = true;
+}
+
+void node_start(node_t *node) { node_send_heartbeat(node); }
+
+void node_observe(node_t *node, mcp_asdf_observation_t z)
+{
+    if (!node->is_settled) {
+        ++node->counts.unsettled;
+        end_tick(node);
+    }
+    if (node->ticks != 0 && node->ticks % node->settings->ticks_per_second == 0) {
+        node_send_heartbeat(node);
+    }
+    if (mcp_asdf_observe(&node->robot, z) == MCP_ASDF_DUE) {
+        node_send_estimate(node);
+    }
+    ++node->ticks;
+    node->is_settled = false;
+}
+
+void node_settle(node_t *node)
+{
+    const uint32_t period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
+    end_tick(node);
+    if (period != 0 && node->ticks % period == 0) {
+        node_send_telemetry(node);
+    }
+}
+
+/* ---- Hearing ---------------------------------------------------------------------------------------- */
+
+static void obey(node_t *node, const mcp_asdf_command_t *command)
+{
+    const bool settles = command->action == MCP_ASDF_SETTLE;
+    const bool is_open = !node->is_settled && command->tick == node->number;
+    if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
+        return;
+    }
+    if (settles != is_open) {
+        ++node->counts.disobeyed;
+        return;
+    }
+    ++node->counts.obeyed;
+    if (settles) {
+        node_settle(node);
+    } else {
+        node->number = command->tick;
+        node_observe(node, (mcp_asdf_observation_t)command->action);
+    }
+}
+
+void node_hear(node_t *node, const mcp_asdf_frame_t *frame)
+{
+    mcp_asdf_estimate_t estimate;
+    mcp_asdf_command_t command;
+    mcp_asdf_frame_status_t status =
+        mcp_asdf_decode_estimate(&estimate, node->settings->estimate.subject, frame);
+    if (status == MCP_ASDF_FRAME_OK) {
+        ++node->counts.heard;
+        node->counts.collisions += estimate.node == node->settings->id;
+        (void)mcp_asdf_receive(&node->robot, estimate.node, estimate.x_hat, estimate.alpha);
+        return;
+    }
+    if (status == MCP_ASDF_FRAME_ERR_SUBJECT && node->settings->lockstep) {
+        status = mcp_asdf_decode_command(&command, node->settings->command.subject, frame);
+        if (status == MCP_ASDF_FRAME_OK) {
+            obey(node, &command);
+            return;
+        }
+    }
+    node->counts.others += IS_OTHER(status);
+    node->counts.refused += !IS_OTHER(status);
+}
