@@ -1,19 +1,21 @@
 """The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``host_tools.commands``.
 
-Exit codes: 0 done, 1 a check failed, 2 bad usage, 130 interrupted, 141 the reader of the output left.
+Exit codes: 0 done, 1 a check failed, 2 bad usage or output that cannot be written, 130 interrupted, 141 the
+reader of the output left.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol, cast
 
 from host_tools.errors import UsageError
-from host_tools.versions import own_version
+from host_tools.screen import ReaderLeft, screen
+from host_tools.stopping import stopping
 
 PROGRAM = "mcp-asdf"
 COMMANDS = (
@@ -54,37 +56,51 @@ class Command(Protocol):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on ``argv`` (default: the process's own arguments); returns the exit code."""
     arguments = sys.argv[1:] if argv is None else list(argv)
+    name = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    title = PROGRAM if name is None else f"{PROGRAM} {name}"
+    with screen():
+        if name is None:
+            code = _attempt(title, lambda: _show_overview(arguments))
+        else:
+            code = _attempt(title, lambda: _run_command(name, title, arguments[1:]))
+        return _attempt(title, _flush) or code
+
+
+def _attempt(title: str, work: Callable[[], int]) -> int:
+    """Do ``work``; returns its exit code, or that of what it raised, having told the user."""
     try:
-        if arguments and arguments[0] in COMMANDS:
-            return _run_command(arguments[0], arguments[1:])
-        return _show_overview(arguments)
+        return work()
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
-
-
-def _run_command(name: str, arguments: Sequence[str]) -> int:
-    """Import and run one command only: the others' libraries stay unloaded."""
-    command = _load(name)
-    title = f"{PROGRAM} {name}"
-    args = _parser_for(command, title).parse_args(arguments)
-    try:
-        code = command.run(args)
-        sys.stdout.flush()
     except UsageError as error:
         print(f"{title}: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{title}: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The interpreter flushes once more on its way out; that must not fail too.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except ReaderLeft:
         return 141
-    return code
+
+
+def _flush() -> int:
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    return 0
+
+
+def _run_command(name: str, title: str, arguments: Sequence[str]) -> int:
+    """Import and run one command only: the others' libraries stay unloaded."""
+    command = _load(name)
+    return command.run(_parser_for(command, title).parse_args(arguments))
 
 
 def _load(name: str) -> Command:
-    return cast(Command, import_module(f"host_tools.commands.{name}"))
+    """Import a command. Ctrl-C acts afterwards: inside a library's import it may raise anything."""
+    with stopping((signal.SIGINT,)) as is_asked:
+        command = cast(Command, import_module(f"host_tools.commands.{name}"))
+    if is_asked():
+        raise KeyboardInterrupt
+    return command
 
 
 def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
@@ -102,6 +118,8 @@ def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
 
 def _show_overview(arguments: Sequence[str]) -> int:
     """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
+    from host_tools.versions import own_version  # noqa: PLC0415 (loads longer than all else here)
+
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False
     )

@@ -2,44 +2,53 @@
 
 from __future__ import annotations
 
-import os
-import secrets
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
 
 import can
+from can.io.generic import FileIOMessageWriter
 
 from host_tools.errors import UsageError
+from host_tools.files import FileSet, explaining, refusal
+from host_tools.sidecar import Header, SidecarWriter, sidecar_path
 
 _LOSSY = ".db"
+
+Outputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
+"""What takes frames and what takes events, if anything."""
 
 
 class FrameLog:
     """A log whose format is chosen by the suffix, as by python-can's own logger.
 
-    A context manager: on a regular end the log takes its name; on an exception it vanishes.
+    A context manager: at its end the log is complete, and one of the files that appear together.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        """Begin a log. Raises UsageError if its format or folder will not do."""
-        self._target = Path(path).resolve()
-        suffix = _suffix_of(self._target)
-        if self._target.exists() and not self._target.is_file():
-            raise UsageError(f"cannot write the log {path}: it is not a regular file; choose another name")
+    def __init__(self, path: Path | str, files: FileSet) -> None:
+        """Begin a log, one of ``files``. Raises UsageError if its format or place will not do."""
+        self._path = path
+        suffix = _suffix_of(Path(path))
         # python-can tells the format by the name, so the temporary name ends in the same way.
-        self._temporary = self._target.with_name(f".log-{secrets.token_hex(4)}{suffix}")
+        temporary = files.begin(path, suffix)
         try:
-            self._writer = can.Logger(self._temporary)
-        except (OSError, ValueError, can.CanError, NotImplementedError) as error:
-            self._temporary.unlink(missing_ok=True)
+            with explaining(path):
+                self._writer = can.Logger(temporary)
+        except UsageError:
+            raise
+        except (can.CanError, NotImplementedError, ValueError) as error:
             raise UsageError(
-                f"cannot write the log {path}: {error}; choose a folder you may write to and "
-                ".log, .asc, .blf, .csv, .trc or .txt (add .gz to compress; not .blf)"
+                f"cannot write the log {path}: {error}; choose .log, .asc, .blf, .csv, .trc or .txt "
+                "(add .gz to compress; not .blf)"
             ) from error
 
     def write(self, frame: can.Message) -> None:
-        """Append ``frame``."""
-        self._writer.on_message_received(frame)
+        """Append ``frame``. Raises UsageError if that is impossible."""
+        try:
+            self._writer.on_message_received(frame)
+        except OSError as error:
+            raise refusal(self._path, error) from error
 
     def __enter__(self) -> FrameLog:
         return self
@@ -47,11 +56,26 @@ class FrameLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.stop()
-        if kind is None:
-            os.replace(self._temporary, self._target)
-        else:
-            self._temporary.unlink(missing_ok=True)
+        with explaining(self._path), ExitStack() as stack:
+            if isinstance(self._writer, FileIOMessageWriter):
+                stack.enter_context(closing(self._writer.file))  # which a stop that fails leaves open
+            self._writer.stop()
+
+
+@contextmanager
+def logging_to(path: Path | None, header: Header | None) -> Iterator[Outputs]:
+    """Keep the log ``path``, if there is one, and with a ``header`` its sidecar, too.
+
+    Both appear on a regular end, or neither. Raises UsageError if one of them cannot be written.
+    """
+    if path is None:
+        yield None, None
+        return
+    with FileSet() as files, FrameLog(path, files) as log, ExitStack() as stack:
+        events = None
+        if header is not None:
+            events = stack.enter_context(SidecarWriter(sidecar_path(path), header, files))
+        yield log.write, events
 
 
 def _suffix_of(path: Path) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from host_tools.errors import UsageError
-from host_tools.files import write_atomically
+from host_tools.files import check_target, write_atomically
 
 COLUMNS = {
     "name": "phase",
@@ -25,9 +25,12 @@ _SUFFIXES = (".json", ".md")
 
 
 def check_report_path(path: Path | None) -> None:
-    """Raises UsageError if no report can have this name."""
-    if path is not None and path.suffix not in _SUFFIXES:
+    """Raises UsageError if no report can have this name or be there."""
+    if path is None:
+        return
+    if path.suffix not in _SUFFIXES:
         raise UsageError(f"cannot tell what report {path} is to be; name it {' or '.join(_SUFFIXES)}")
+    check_target(path)
 
 
 def write_report(path: Path, report: dict[str, Any]) -> None:
@@ -64,7 +67,8 @@ def headline(verdict: dict[str, Any]) -> str:
     passed = sum(phase["outcome"] == "passed" for phase in phases)
     count = f"{passed} of {len(phases)} phases passed"
     if verdict["passed"]:
-        return f"PASSED: {count}; every broadcast and every answer equals the model's"
+        said_twice = f"; {verdict['repeated']} commands had to be said twice" * bool(verdict["repeated"])
+        return f"PASSED: {count}; every broadcast and every answer equals the model's{said_twice}"
     if verdict["difference"] is not None:
         return f"FAILED: {count}; first in {verdict['difference']}"
     if verdict["is_interrupted"]:

@@ -21,10 +21,7 @@ run (:class:`Header`). Every other line is either
 from __future__ import annotations
 
 import json
-import os
-import secrets
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -36,6 +33,7 @@ import numpy as np
 
 from firmware_py.robot import Config, Filter, Observation, Robot, check_periods
 from host_tools.errors import UsageError
+from host_tools.files import FileSet, explaining, refusal
 from host_tools.firmwares import load_firmware
 from host_tools.frames import FrameFormat
 from host_tools.tables import generate, omega_from_word
@@ -187,32 +185,39 @@ class Recorder:
 
 
 class SidecarWriter:
-    """A sidecar in the making. A context manager: it appears under its name on a regular end only.
+    """A sidecar in the making.
+
+    A context manager: at its end the sidecar is complete, and one of the files that appear together.
 
     Attributes:
         robots: The recorder of each robot of the header, by id.
     """
 
-    def __init__(self, path: Path | str, header: Header) -> None:
-        """Begin a sidecar. Raises UsageError if it cannot be written or two robots have one id."""
+    def __init__(self, path: Path | str, header: Header, files: FileSet) -> None:
+        """Begin a sidecar, one of ``files``.
+
+        Raises UsageError if it cannot be written or two robots have one id.
+        """
         ids = [robot.id for robot in header.robots]
         if len(set(ids)) < len(ids):
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-        self._target = Path(path).resolve()
-        self._temporary = self._target.with_name(f".events-{secrets.token_hex(4)}")
         first = json.dumps(header.plain(), allow_nan=False) + "\n"
-        try:
-            self._file = self._temporary.open("w", encoding="ascii", buffering=1 << 16)
-        except OSError as error:
-            raise UsageError(
-                f"cannot write {path}: {error.strerror}; choose a folder you may write to"
-            ) from error
-        self._file.write(first)
-        self.robots = {robot: Recorder(robot, self._file.write) for robot in ids}
+        self._path = path
+        temporary = files.begin(path)
+        with explaining(path):
+            self._file = temporary.open("w", encoding="ascii", buffering=1 << 16)
+        self._write(first)
+        self.robots = {robot: Recorder(robot, self._write) for robot in ids}
 
     def injected(self, frame: can.Message) -> None:
         """``frame`` went over the bus, and no robot sent it."""
-        self._file.write(f'"{frame_as_text(frame)}"\n')
+        self._write(f'"{frame_as_text(frame)}"\n')
+
+    def _write(self, line: str) -> None:
+        try:
+            self._file.write(line)
+        except OSError as error:
+            raise refusal(self._path, error) from error
 
     def __enter__(self) -> SidecarWriter:
         return self
@@ -220,13 +225,9 @@ class SidecarWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with ExitStack() as stack:
-            stack.callback(self._temporary.unlink, missing_ok=True)
-            with self._file:
-                for recorder in self.robots.values():
-                    recorder.flush()
-            if kind is None:
-                os.replace(self._temporary, self._target)
+        with explaining(self._path), self._file:
+            for recorder in self.robots.values():
+                recorder.flush()
 
 
 def frame_as_text(frame: can.Message) -> str:

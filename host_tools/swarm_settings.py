@@ -58,7 +58,7 @@ class Settings:
         ticks: Length of the run, 1 or more.
         comms_period: Ticks between broadcasts, 1 or more.
         filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period``.
-        omega: Type II error probability, above 0 and at most 0.9.
+        omega: Type II error probability, above 0 and at most 0.9; only where robots filter.
         memory: Observations at which t and n are halved, even, 64 .. 2**32 - 2.
         seed: Of everything random, 0 or more.
         firmware: Name of the robots' firmware, see ``host_tools.firmwares``.
@@ -111,6 +111,10 @@ class Settings:
         if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
             raise UsageError(
                 f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"
+            )
+        if self.filter is Deployment.OFF and self.omega != Settings.omega:
+            raise UsageError(
+                f"omega is {self.omega}, but filter is off: leave out omega or let robots filter"
             )
         self._check_topology()
         self._check_faults()

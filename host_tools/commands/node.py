@@ -27,12 +27,12 @@ from host_tools.commands.robot_options import (
     subjects_of,
 )
 from host_tools.errors import UsageError
-from host_tools.files import write_atomically
-from host_tools.logs import FrameLog
+from host_tools.files import results_beside, write_atomically
+from host_tools.logs import logging_to
 from host_tools.node import NodeSettings, RobotNode, Subjects, filters_for
 from host_tools.node_run import Link, NodeRun, Taker, state_of
 from host_tools.observations import LineSource, Source, WorldSource
-from host_tools.sidecar import Header, Recorder, RobotRecord, SidecarWriter, sidecar_path, versions
+from host_tools.sidecar import Header, RobotRecord, versions
 from host_tools.stopping import has_ended, standard_input, stopping
 
 HELP = "run one robot on a CAN bus"
@@ -76,13 +76,26 @@ def run(args: argparse.Namespace) -> int:
     if args.until_eof and args.observations == "-":
         raise UsageError("observations from standard input end with it anyway; leave out --until-eof")
     record, settings, choice = robot_of(args), settings_of(args), buses.choose_bus(args)
+    results = None if args.log is None else results_beside(args.log)
+    header = Header([record], args.seed, settings.subjects.estimates, _parameters(args))
+    with ExitStack() as ending:
+        with logging_to(args.log, header) as (log, events):
+            recorder = None if events is None else events.robots[record.id]
+            run = _go(args, RobotNode(record.make(), settings, recorder), choice, log)
+            report = _report(args, run, record, choice)
+            ending.callback(_print, args, run, report, choice, record)  # even if a file cannot be completed
+        if results is not None:
+            write_atomically(results, json.dumps(report, indent=2) + "\n")
+    return _exit_code(run)
+
+
+def _go(args: argparse.Namespace, node: RobotNode, choice: buses.BusChoice, log: Taker | None) -> NodeRun:
+    """Run the node until it ends."""
     console = Console(stderr=True, quiet=args.quiet)
     with ExitStack() as stack:
         source = None if args.lockstep else stack.enter_context(closing(_source_of(args)))
-        log, recorder = _outputs(args, stack, record, settings)
         bus = stack.enter_context(choice.open())
-        bus.set_filters(_filters(settings, args.lockstep))
-        node = RobotNode(record.make(), settings, recorder)
+        bus.set_filters(_filters(node.settings, args.lockstep))
         is_told_to_stop = _ending(stack.enter_context(stopping()), args.until_eof)
         link = Link(bus, is_told_to_stop, endures=not args.lockstep, log=log)
         run = NodeRun(node, link, args.ticks, stack.enter_context(_Watch(console, node, link)))
@@ -90,17 +103,7 @@ def run(args: argparse.Namespace) -> int:
             run.in_lockstep()
         else:
             run.in_real_time(source)
-    report = _report(args, run, record, choice)
-    if args.log is not None:
-        write_atomically(f"{args.log}.json", json.dumps(report, indent=2) + "\n")
-    if args.json:
-        print(json.dumps(report, indent=2))
-    elif not args.quiet:
-        again = _again(args, record, settings.subjects, choice)
-        screen = Console(soft_wrap=True)
-        screen.print(_summary(run, report["results"], f"on {choice}"))
-        screen.print(f"again: {again}", markup=False, highlight=False)
-    return _exit_code(run)
+    return run
 
 
 def _add_clock(parser: argparse.ArgumentParser) -> None:
@@ -169,17 +172,6 @@ def _source_of(args: argparse.Namespace) -> Source:
     return WorldSource(args.id, args.fill_ratio, args.true_accuracy, args.seed)
 
 
-def _outputs(
-    args: argparse.Namespace, stack: ExitStack, record: RobotRecord, settings: NodeSettings
-) -> tuple[Taker | None, Recorder | None]:
-    """Where frames and events go."""
-    if args.log is None:
-        return None, None
-    log = stack.enter_context(FrameLog(args.log))
-    header = Header([record], args.seed, settings.subjects.estimates, _parameters(args))
-    return log.write, stack.enter_context(SidecarWriter(sidecar_path(args.log), header)).robots[record.id]
-
-
 class _Watch:
     """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
 
@@ -246,6 +238,22 @@ def _report(
             "bus_failures": run.link.failures,
         },
     }
+
+
+def _print(
+    args: argparse.Namespace,
+    run: NodeRun,
+    report: dict[str, Any],
+    choice: buses.BusChoice,
+    record: RobotRecord,
+) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+    elif not args.quiet:
+        again = _again(args, record, run.node.settings.subjects, choice)
+        screen = Console(soft_wrap=True)
+        screen.print(_summary(run, report["results"], f"on {choice}"))
+        screen.print(f"again: {again}", markup=False, highlight=False)
 
 
 def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:

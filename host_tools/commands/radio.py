@@ -19,16 +19,16 @@ from host_tools import buses
 from host_tools.commands.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from host_tools.errors import UsageError
 from host_tools.fault_kinds import parse_fault
-from host_tools.files import write_atomically
+from host_tools.files import results_beside, write_atomically
 from host_tools.frames import ONE
-from host_tools.logs import FrameLog
+from host_tools.logs import Outputs, logging_to
 from host_tools.node import filters_for
-from host_tools.node_run import Link, state_of
+from host_tools.node_run import Link, Taker, state_of
 from host_tools.radio import Neighbourhood, RadioSettings, choose_ids, like
 from host_tools.radio_report import COLUMNS, check_report_path, headline, write_report
 from host_tools.radio_run import RadioRun
 from host_tools.radio_verify import Bench, Verification
-from host_tools.sidecar import Header, SidecarWriter, sidecar_path, versions
+from host_tools.sidecar import Header, versions
 from host_tools.stopping import stopping
 from host_tools.swarm_settings import Settings
 
@@ -197,33 +197,46 @@ def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: buses.BusChoice, console: Console
 ) -> int:
     report = _report(args, settings, choice)
+    header = Header([settings.controller], args.seed, settings.subjects.estimates, report["parameters"])
+    with ExitStack() as ending:
+        with logging_to(args.log, header) as outputs:
+            verification = _judge(args, settings, choice, console, outputs)
+            verdict = verification.verdict
+            report |= {"verdict": verdict.plain(), "model": state_of(verification.model.robot)}
+            ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
+        if args.report is not None:
+            write_report(args.report, report)
+    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+
+
+def _judge(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    choice: buses.BusChoice,
+    console: Console,
+    outputs: Outputs,
+) -> Verification:
+    """Take the controller through all phases; returns the verification that is over."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
         bench = Bench(bus, args.ticks or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
-        if args.log is not None:
-            bench.log = stack.enter_context(FrameLog(args.log)).write
-            header = Header(
-                [settings.controller], args.seed, settings.subjects.estimates, report["parameters"]
-            )
-            events = stack.enter_context(SidecarWriter(sidecar_path(args.log), header))
-            bench.recorder = events.robots[settings.controller.id]
+        log, events = outputs
+        bench.log = bench.log if log is None else log
+        bench.recorder = None if events is None else events.robots[settings.controller.id]
         bench.is_told_to_stop = stack.enter_context(stopping())
         verification = Verification(settings, bench)
         progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
         task = progress.add_task("verifying", total=len(verification.verdict.phases) * bench.ticks)
         bench.progress = lambda ticks: progress.update(task, completed=ticks)
-        verdict = verification.run()
-    report |= {"verdict": verdict.plain(), "model": state_of(verification.model.robot)}
-    if args.report is not None:
-        write_report(args.report, report)
+        verification.run()
+    return verification
+
+
+def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
-    else:
-        _print_verdict(report["verdict"])
-    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
-
-
-def _print_verdict(verdict: dict[str, Any]) -> None:
+        return
+    verdict = report["verdict"]
     table = Table(box=None, padding=(0, 1), header_style="bold")
     shown = {name: title for name, title in COLUMNS.items() if name != "fault"}
     for title in shown.values():
@@ -241,25 +254,35 @@ def _print_verdict(verdict: dict[str, Any]) -> None:
 def _emulate(
     args: argparse.Namespace, settings: RadioSettings, choice: buses.BusChoice, console: Console
 ) -> int:
+    results = None if args.log is None else results_beside(args.log)
+    with ExitStack() as ending:
+        with logging_to(args.log, None) as (log, _):
+            run = _go(args, settings, choice, console, log)
+            report = _report(args, settings, choice) | {"results": run.figures()}
+            ending.callback(_print_results, args, report)  # even if a file cannot be completed
+        if results is not None:
+            write_atomically(results, json.dumps(report, indent=2) + "\n")
+    return _INTERRUPTED if run.outcome.is_interrupted else 0
+
+
+def _go(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    choice: buses.BusChoice,
+    console: Console,
+    log: Taker | None,
+) -> RadioRun:
+    """Tick until all is done, or until told to stop; returns the run that is over."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
         bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
-        log = None if args.log is None else stack.enter_context(FrameLog(args.log)).write
         link = Link(bus, stack.enter_context(stopping()), endures=True, log=log)
         status = stack.enter_context(console.status("")) if console.is_terminal else None
         run = RadioRun(Neighbourhood(settings), link, args.ticks)
         if status is not None:
             run.watch = lambda: status.update(_line(run))
         run.run()
-    results = run.figures()
-    report = _report(args, settings, choice) | {"results": results}
-    if args.log is not None:
-        write_atomically(f"{args.log}.json", json.dumps(report, indent=2) + "\n")
-    if args.json:
-        print(json.dumps(report, indent=2))
-    else:
-        _print_results(results)
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return run
 
 
 def _line(run: RadioRun) -> str:
@@ -269,7 +292,11 @@ def _line(run: RadioRun) -> str:
     return f"tick {run.neighbours.tick}   controller: {heard}{state}   frames sent {run.sent}"
 
 
-def _print_results(results: dict[str, Any]) -> None:
+def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+        return
+    results = report["results"]
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(style="bold")
     table.add_column()

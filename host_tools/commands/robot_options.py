@@ -14,6 +14,7 @@ from host_tools.sidecar import RobotRecord, config_as_plain
 from host_tools.tables import generate, parse_omega
 
 _DEFAULTS = Config()
+_OMEGA = "0.05"
 _SUBJECTS = Subjects()
 
 
@@ -55,7 +56,7 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
     group.add_argument(
         "--omega",
         metavar="W",
-        default="0.05",
+        default=_OMEGA,
         help="of the t-table: type II error probability, above 0 and at most 0.9 (default %(default)s)",
     )
     group.add_argument(
@@ -75,8 +76,11 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
 
 def robot_of(args: argparse.Namespace) -> RobotRecord:
     """The robot that the options ask for. Raises UsageError if there can be none."""
-    filter_ = Filter[args.filter.upper()]
-    table = None if filter_ is Filter.OFF else generate(parse_omega(args.omega), args.neighbours)
+    filter_, omega = Filter[args.filter.upper()], parse_omega(args.omega)
+    has_table = filter_ is Filter.ADAPTIVE
+    if not has_table and (omega, args.neighbours) != (parse_omega(_OMEGA), MAX_ID):
+        raise UsageError(f"filter is {args.filter}, without a t-table: leave out --omega and --neighbours")
+    table = generate(omega, args.neighbours) if has_table else None
     config = Config(table, filter_, args.comms_period, args.filter_period, args.memory)
     record = RobotRecord(args.id, args.firmware, args.b_hat, config)
     try:
@@ -91,7 +95,7 @@ def robot_arguments(robot: RobotRecord) -> list[str]:
     plain = config_as_plain(robot.config)
     table = plain.pop("table", None)
     plain |= {"id": robot.id, "b_hat": robot.b_hat, "firmware": robot.firmware}
-    if table is not None:
+    if table is not None and robot.config.filter is Filter.ADAPTIVE:
         plain |= {"omega": table["omega"], "neighbours": table["q"]}
     return _options(plain.items())
 

@@ -12,20 +12,21 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import can
 from rich.console import Console
 from rich.table import Table
 
 from host_tools import buses
 from host_tools.commands.swarm_options import add_arguments, settings_of, wiring_of
-from host_tools.connection import Taker
 from host_tools.errors import UsageError
-from host_tools.files import write_atomically
+from host_tools.files import FileSet, results_beside
 from host_tools.live import LiveTable
 from host_tools.lockstep import LockstepError
-from host_tools.logs import FrameLog
+from host_tools.logs import Outputs, logging_to
+from host_tools.medium import Wiring
 from host_tools.node import Subjects
 from host_tools.processes import NodeProcesses, start_nodes
-from host_tools.sidecar import Header, SidecarWriter, sidecar_path
+from host_tools.sidecar import Header
 from host_tools.slcan import HOST, SlcanServer
 from host_tools.stopping import stopping
 from host_tools.swarm import Swarm
@@ -67,36 +68,54 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_of(args)
     choice = buses.choose_bus(args)
     wiring = wiring_of(args, settings, choice)
-    save_plot = _plotter(args.plot)
-    console = Console(quiet=args.quiet or args.json)
+    draw = _drawer(args.plot)
+    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
     began = time.monotonic()
     try:
-        with ExitStack() as stack:
-            _admit(args, settings, choice, console, stack)
-            swarm = stack.enter_context(Swarm(settings, wiring, *_outputs(args, settings, stack)))
-            nodes = stack.enter_context(_start(args, settings, choice))
-            with console.status("waiting for robots elsewhere"):
-                swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-            table, stop = stack.enter_context(LiveTable(console)), stack.enter_context(_interruptible())
-            outcome = run_swarm(swarm, [table, stop])
-    except LockstepError as error:
+        with ExitStack() as ending:
+            with logging_to(args.log, header) as outputs:
+                outcome, report = _emulate(args, settings, choice, wiring, outputs)
+                text = summary(outcome, str(choice), time.monotonic() - began)
+                ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
+            with FileSet() as files:
+                if args.plot is not None:
+                    files.write(args.plot, draw(outcome))
+                for path in beside:
+                    files.write(path, json.dumps(report, indent=2) + "\n")
+    except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    save_plot(outcome)
-    report = outcome.report({"interface": choice.interface, "channel": choice.channel})
-    report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
-    for path in filter(None, (args.log, args.plot)):
-        write_atomically(f"{path}.json", json.dumps(report, indent=2) + "\n")
-    _print(args, outcome, report, summary(outcome, str(choice), time.monotonic() - began))
     return _exit_code(outcome)
 
 
+def _emulate(
+    args: argparse.Namespace, settings: Settings, choice: buses.BusChoice, wiring: Wiring, outputs: Outputs
+) -> tuple[Run, dict[str, Any]]:
+    """Run the swarm; returns what came out, and all of it with all settings as plain values.
+
+    Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
+    """
+    console = Console(quiet=args.quiet or args.json)
+    with ExitStack() as stack:
+        port = _admit(args, settings, choice, stack)
+        swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
+        nodes = stack.enter_context(_start(args, settings, choice))
+        with console.status("waiting for robots elsewhere"):
+            swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+        table, stop = stack.enter_context(LiveTable(console)), stack.enter_context(_interruptible())
+        outcome = run_swarm(swarm, [table, stop])
+    report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
+    report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
+    return outcome, report
+
+
 def _admit(
-    args: argparse.Namespace, settings: Settings, choice: buses.BusChoice, console: Console, stack: ExitStack
-) -> None:
-    """Let other programs join the bus, if asked to; ``stack`` ends that."""
+    args: argparse.Namespace, settings: Settings, choice: buses.BusChoice, stack: ExitStack
+) -> int | None:
+    """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
     if args.slcan is None:
-        return
+        return None
     if choice.has_channels:
         raise UsageError(
             f"--slcan needs one bus for all, and {choice} is one for each robot; choose one of them"
@@ -107,18 +126,9 @@ def _admit(
             "the ids 126 and 127"
         )
     server = stack.enter_context(SlcanServer(choice.open(), args.slcan))
-    console.print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}")
-
-
-def _outputs(
-    args: argparse.Namespace, settings: Settings, stack: ExitStack
-) -> tuple[Taker | None, SidecarWriter | None]:
-    """Where frames and events go; ``stack`` completes both files."""
-    if args.log is None:
-        return None, None
-    log = stack.enter_context(FrameLog(args.log))
-    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
-    return log.write, stack.enter_context(SidecarWriter(sidecar_path(args.log), header))
+    # Whoever asked for any free port has to learn which, whatever standard output is for.
+    print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
+    return server.port
 
 
 def _start(args: argparse.Namespace, settings: Settings, choice: buses.BusChoice) -> NodeProcesses:
@@ -129,16 +139,16 @@ def _start(args: argparse.Namespace, settings: Settings, choice: buses.BusChoice
     return start_nodes(robot_records(settings), choice.of_robot, subjects, settings.ticks_per_second)
 
 
-def _plotter(path: Path | None) -> Callable[[Run], None]:
-    """What draws a run into ``path``. Raises UsageError, before the run, if that cannot be done."""
+def _drawer(path: Path | None) -> Callable[[Run], bytes]:
+    """What makes the picture ``path`` of a run. Raises UsageError if no picture can be written there."""
     if path is None:
-        return lambda run: None
+        return lambda run: b""
     # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
-    from host_tools.plot_files import check_plot_path, save_figure  # noqa: PLC0415
+    from host_tools.plot_files import check_plot_path, image_of  # noqa: PLC0415
     from host_tools.swarm_plot import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
-    return lambda run: save_figure(draw(run), checked)
+    return lambda run: image_of(draw(run), checked)
 
 
 @contextmanager

@@ -23,7 +23,8 @@ typedef struct {
  *   t         observations of each robot
  *   own       what each says, with its x_hat
  *   social    what each has heard in this step
- *   messages  heard since the last step of the firmware */
+ *   messages  heard since the last step of the firmware
+ *   x         informed estimates of the last step that wrote them down */
 typedef struct {
     moving_t moving;
     uint32_t lanes;
@@ -33,6 +34,7 @@ typedef struct {
     sums_t own;
     sums_t social;
     uint32_t messages[LANES];
+    uint32_t x[LANES];
 } world_t;
 
 INLINE void draw(world_t *world, uint32_t block)
@@ -101,15 +103,15 @@ INLINE void hear(world_t *world)
 INLINE void inform(world_t *world, uint32_t step)
 {
     const sums_t *const own = &world->own, *const social = &world->social;
-    uint32_t x[LANES];
     FOR_ROBOTS
     {
-        x[j] = informed_lane(own->alpha[j] + social->alpha[j], own->alpha_x_low[j] + social->alpha_x_low[j],
-                             own->alpha_x_high[j] + social->alpha_x_high[j]);
+        world->x[j] =
+            informed_lane(own->alpha[j] + social->alpha[j], own->alpha_x_low[j] + social->alpha_x_low[j],
+                          own->alpha_x_high[j] + social->alpha_x_high[j]);
     }
     const size_t length = (size_t)world->moving.experiment->steps + 1;
     for (uint32_t j = 0; j < world->moving.experiment->robots; ++j) {
-        world->moving.trial->x[j * length + step] = x[j];
+        world->moving.trial->x[j * length + step] = world->x[j];
     }
 }
 

@@ -20,7 +20,7 @@ static inline trial_t engine_trial(const mcp_asdf_experiment_t *experiment, cons
     const size_t count = experiment->robots, steps = experiment->steps;
     const size_t records = experiment->thinning == 0 ? 0 : steps / experiment->thinning * count;
     return (trial_t){outcome->robots + index * count,
-                     outcome->x + index * engine_columns(experiment) * (steps + 1),
+                     outcome->x + (size_t)index * engine_columns(experiment) * (steps + 1),
                      outcome->b_hat + index * (steps / experiment->configs[0]->filter_period) * count,
                      records == 0 ? 0 : outcome->records + index * records};
 }

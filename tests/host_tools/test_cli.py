@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,40 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
 
 
+def test_ctrl_c_within_an_import_waits_for_its_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = []
+
+    def importing(name: str) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append(name)
+
+    handler = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(cli, "import_module", importing)
+    assert cli.main(["swarm"]) == 130
+    assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
+    assert done == ["host_tools.commands.swarm"]
+    assert cli.main(["--help"]) == 130
+    assert capsys.readouterr() == ("", "mcp-asdf: interrupted\n")
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+@pytest.mark.parametrize("library", ["numpy", "host_tools.sidecar"])
+def test_ctrl_c_while_libraries_load_shows_no_traceback(library: str) -> None:
+    script = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        f"        if name == {library!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "from host_tools.cli import main\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "sys.exit(main(['swarm', '--ticks', '3']))"
+    )
+    result = python("-c", script)
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "mcp-asdf swarm: interrupted\n")
+
+
 def test_other_errors_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_command(monkeypatch, ZeroDivisionError())
     with pytest.raises(ZeroDivisionError):
@@ -111,6 +146,50 @@ def test_a_reader_that_leaves_ends_the_program_quietly() -> None:
     result = python(*check, stdout=write_end)
     os.close(write_end)
     assert (result.returncode, result.stderr) == (141, "")
+
+
+CHECK = ("table", "--check", "tables/t_table_omega05_q30.c")
+
+
+@pytest.mark.parametrize("arguments", [CHECK, ("swarm", "--ticks", "3"), ("--help",)])
+def test_output_that_cannot_be_written_is_no_failed_check(arguments: tuple[str, ...]) -> None:
+    title = " ".join(["mcp-asdf", *(word for word in arguments[:1] if word in cli.COMMANDS)])
+    with open("/dev/full", "w") as full:
+        result = python("-m", "host_tools.cli", *arguments, stdout=full.fileno())
+    message = "cannot write to standard output: No space left on device; send it elsewhere"
+    assert (result.returncode, result.stderr) == (2, f"{title}: error: {message}\n")
+
+
+def shell(line: str) -> subprocess.CompletedProcess[str]:
+    """Run ``mcp-asdf`` with the words and the redirections of ``line``."""
+    command = f"{shlex.quote(sys.executable)} -m host_tools.cli {line}"
+    return python("-c", f"import os; os.execl('/bin/sh', 'sh', '-c', {command!r})")
+
+
+@pytest.mark.parametrize(("name", "rest"), [("dbc", ">&-"), ("swarm", "--ticks 3 --quiet <&- >&-")])
+def test_without_a_standard_output_what_needs_one_says_so(name: str, rest: str) -> None:
+    result = shell(f"{name} {rest}")
+    message = "cannot write to standard output: Bad file descriptor; send it elsewhere"
+    assert (result.returncode, result.stderr) == (2, f"mcp-asdf {name}: error: {message}\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("table --neighbours 0 --output . 2>&-", 2),
+        ("table --neighbours 0 --output . 2>/dev/full", 2),
+        ("node --id 3 --ticks 1 --quiet >&- 2>&-", 0),
+    ],
+)
+def test_what_cannot_be_told_changes_no_exit_code(line: str, code: int) -> None:
+    result = shell(line)
+    assert (result.returncode, result.stdout, result.stderr) == (code, "", "")
+
+
+def test_the_streams_are_as_before_afterwards() -> None:
+    before = sys.stdout, sys.stderr
+    assert cli.main([*CHECK]) == 0
+    assert (sys.stdout, sys.stderr) == before
 
 
 def test_a_command_leaves_the_others_libraries_unloaded() -> None:
@@ -149,6 +228,34 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
     files.write_atomically(path, data)
     assert path.read_bytes() == (data.encode() if isinstance(data, str) else data)
     assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_files_of_a_set_appear_together(tmp_path: Path) -> None:
+    with files.FileSet() as together:
+        together.write(tmp_path / "a", "1")
+        draft = together.begin(tmp_path / "b", ".log.gz")
+        assert draft.parent == tmp_path
+        assert draft.suffixes == [".log", ".gz"]
+        draft.write_text("2")
+        assert not (tmp_path / "a").exists()
+    assert {entry.name: entry.read_text() for entry in tmp_path.iterdir()} == {"a": "1", "b": "2"}
+
+
+@pytest.mark.parametrize("lost", ["a", "b"])
+def test_a_file_that_cannot_appear_keeps_back_its_set(lost: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"cannot write .*/{lost}: "), files.FileSet() as together:
+        for name in ("a", "b"):
+            together.write(tmp_path / name, "new")
+        (tmp_path / lost).mkdir()
+    assert [entry.name for entry in tmp_path.iterdir()] == [lost]
+
+
+def test_a_folder_that_may_not_be_written_is_told_beforehand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)  # root may do everything
+    with pytest.raises(UsageError, match="you may not write to its folder"):
+        files.check_target(tmp_path / "file")
 
 
 def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from support import ROOT
 from host_tools import frames
 from host_tools.cli import main
 from host_tools.dbc import ANY_NODE_MASK, dbc, entries
+from host_tools.files import FileSet
 from host_tools.frames import (
     EVERY_ROBOT,
     MAX_B_HAT,
@@ -221,7 +222,7 @@ def decoded_by_the_command_line(lines: str, folder: Path) -> list[str]:
 
 def test_the_command_line_of_cantools_decodes_our_log(tmp_path: Path) -> None:
     sent = (Message(42, 2**22, 0x3F800000, 0), Telemetry(42, 3 * 2**21, 2**23, 7, 5))
-    with FrameLog(tmp_path / "run.log") as target:
+    with FileSet() as files, FrameLog(tmp_path / "run.log", files) as target:
         for message in sent:
             target.write(encode(message))
     assert decoded_by_the_command_line((tmp_path / "run.log").read_text(), tmp_path) == [

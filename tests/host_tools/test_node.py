@@ -25,6 +25,7 @@ from firmware_py.robot import FixedPointRobot, Observation
 from host_tools.buses import WithoutEcho
 from host_tools.cli import main
 from host_tools.errors import UsageError
+from host_tools.files import FileSet
 from host_tools.frames import (
     COMMANDS,
     FrameFormat,
@@ -285,7 +286,8 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
 
     log: list[can.Message] = []
     bus = Scripted(fails=lambda number: 5 <= number <= 20)
-    with SidecarWriter(tmp_path / "events", Header([record(5)], None, FrameFormat())) as writer:
+    header = Header([record(5)], None, FrameFormat())
+    with FileSet() as files, SidecarWriter(tmp_path / "events", header, files) as writer:
         source = lines(tmp_path, "10" * 20)
         robot = RobotNode(record(5).make(), NodeSettings(5, ticks_per_second=2000), writer.robots[5])
         run = NodeRun(robot, Link(bus, endures=True, log=log.append))
@@ -464,6 +466,8 @@ BAD = {
     "--id 1 --omega 0.95": "omega is 0.95",
     "--id 1 --neighbours 128": "the number of neighbours is 128",
     "--id 1 --filter some": "some",
+    "--id 1 --filter off --omega 0.1": "filter is off, without a t-table",
+    "--id 1 --filter always --neighbours 30": "filter is always, without a t-table",
     "--id 1 --firmware own": "own",
     "--id 1 --rate 0": "rate is 0; it must be 1 to 10000",
     "--id 1 --ticks 0": "ticks is 0",
@@ -477,7 +481,7 @@ BAD = {
     "--id 1 --observations bad --lockstep": "leave out --observations",
     "--id 1 --observations - --until-eof": "leave out --until-eof",
     "--id 1 --log run.db": "SQLite",
-    "--id 1 --log no/such/run.log": "no/such",
+    "--id 1 --log no/such/run.log": "cannot write no/such/run.log: its folder does not exist",
     "--id 1 --interface nonsense": "nonsense",
     "--id 1 --interface slcan --channel socket://127.0.0.1:1": "cannot open the bus slcan socket://127.0.0.1:1",
 }
@@ -494,6 +498,28 @@ def test_bad_usage(
     assert BAD[arguments] in captured.err
     assert captured.out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["bad"]
+
+
+@pytest.mark.parametrize("obstructed", ["run.log", "run.log.events", "run.log.json"])
+def test_what_cannot_be_written_is_told_before_the_first_tick(
+    obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(NodeRun, "in_real_time", lambda self, source: pytest.fail("it ran"))
+    (tmp_path / obstructed).mkdir()
+    assert main(["node", "--id", "3", "--ticks", "1", "--log", f"{tmp_path}/run.log"]) == 2
+    assert f"cannot write {tmp_path / obstructed}: it is not a regular file" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [obstructed]
+
+
+def test_results_that_fail_at_the_end_cost_neither_the_summary_nor_the_log(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(NodeRun, "in_real_time", lambda self, source: (tmp_path / "run.log.json").mkdir())
+    assert main(["node", "--id", "3", "--ticks", "1", "--log", f"{tmp_path}/run.log"]) == 2
+    out, err = capsys.readouterr()
+    assert "0 ticks as robot 3" in out
+    assert f"cannot write {tmp_path}/run.log.json" in err
+    assert {path.name for path in tmp_path.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
 
 
 @pytest.mark.parametrize("option", ["--until-eof", "--observations=-"])

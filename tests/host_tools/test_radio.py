@@ -24,6 +24,7 @@ from host_tools.fault_kinds import parse_fault
 from host_tools.frames import (
     EVERY_ROBOT,
     ONE,
+    Action,
     FrameFormat,
     Message,
     Rejection,
@@ -39,7 +40,7 @@ from host_tools.node_run import Link
 from host_tools.odd_frames import malformed, stray_commands
 from host_tools.processes import start_nodes
 from host_tools.radio import Neighbourhood, RadioSettings, choose_ids, like
-from host_tools.radio_report import markdown
+from host_tools.radio_report import headline, markdown
 from host_tools.radio_run import RadioRun
 from host_tools.radio_verify import PHASES, Bench, Phase, Verdict, Verification
 from host_tools.sidecar import RobotRecord
@@ -207,12 +208,15 @@ def test_a_right_controller_passes_every_phase(firmware: str) -> None:
     verdict = judge(controller)
     assert verdict.has_passed, verdict
     assert len(verdict.phases) == len(PHASES)
-    assert all(phase.ticks == phase.broadcasts == phase.answers == TICKS for phase in verdict.phases)
+    assert all(phase.ticks == phase.broadcasts == TICKS for phase in verdict.phases)
+    unsettled = {"lost commands": (TICKS + 1) // 2}
+    assert all(phase.answers == TICKS - unsettled.get(phase.name, 0) for phase in verdict.phases)
+    assert verdict.repeated == 0
     assert all(phase.injected > 0 for phase in verdict.phases[1:])
     assert controller.robot.counters.updates > 0
     assert controller.robot.counters.rejected > 0
-    assert verdict.other_frames == len(PHASES) * TICKS // 10  # heartbeats
-    assert controller.traffic.disobeyed == 4 * TICKS
+    assert verdict.other_frames == 1 + (len(PHASES) * TICKS - 1) // 10  # heartbeats
+    assert (controller.traffic.disobeyed, controller.traffic.unsettled) == (4 * TICKS, (TICKS + 1) // 2)
 
 
 @pytest.mark.parametrize(
@@ -251,6 +255,27 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     assert [phase.ticks for phase in verdict.phases[:3]] == [TICKS, 3, 0]
     assert [phase.outcome for phase in verdict.phases[:3]] == ["passed", "not run", "not run"]
     assert (controller.ticks, controller.is_settled) == (TICKS + 3, True)
+
+
+def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
+    """An observe and a settle of the first phase."""
+
+    def is_command(frame: can.Message) -> bool:
+        return not isinstance(decode_command(frame, Subjects().commands), Rejection)
+
+    class Losing(Wire):
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            orders = [frame for frame in self.sent if is_command(frame)]
+            if is_command(msg) and len(orders) in (10, 20):
+                self.sent.append(msg)
+            else:
+                super().send(msg, timeout)
+
+    verdict = Verification(settings(), Bench(Losing(obedient()), TICKS, 0.05)).run()
+    assert verdict.has_passed, verdict
+    assert verdict.repeated == 2
+    assert headline(verdict.plain()).endswith("; 2 commands had to be said twice")
+    assert "twice" not in headline(judge(obedient()).plain())
 
 
 def test_a_bus_that_fails_ends_a_verification() -> None:
@@ -344,9 +369,32 @@ def accepting(*reasons: Rejection) -> type[Controller]:
 
 class SettlesInAnyTick(Controller):
     def _obey(self, command: Any) -> list[can.Message]:
-        if not self.is_settled and command.target in (ID, EVERY_ROBOT):
+        if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
             self._tick_of_command = command.tick
         return super()._obey(command)
+
+
+class StaysInATick(Controller):
+    """Waits for the settle of the tick that is open, whatever comes."""
+
+    def _obey(self, command: Any) -> list[can.Message]:
+        is_stuck = not self.is_settled and command.tick != self._tick_of_command
+        return [] if is_stuck else super()._obey(command)
+
+
+class AnswersLate(Controller):
+    """Answers a settle that has not come."""
+
+    def observe(self, z: Observation) -> list[can.Message]:
+        return ([] if self.is_settled else self.settle()) + super().observe(z)
+
+
+class ForgetsARound(Controller):
+    """Begins the next tick without ending the last."""
+
+    def observe(self, z: Observation) -> list[can.Message]:
+        self.is_settled = True
+        return super().observe(z)
 
 
 class ObeysOthers(Controller):
@@ -356,7 +404,8 @@ class ObeysOthers(Controller):
 
 class ObservesTwice(Controller):
     def _obey(self, command: Any) -> list[can.Message]:
-        if not self.is_settled and command.action.value < 3 and command.target == ID:
+        is_repeated = not self.is_settled and command.tick == self._tick_of_command
+        if is_repeated and command.action is not Action.SETTLE and command.target == ID:
             self.robot.observe(Observation(command.action.value))
         return super()._obey(command)
 
@@ -467,6 +516,9 @@ WRONG: dict[str, tuple[Callable[[], RobotNode], str, str]] = {
     "answers twice": (AnswersTwice, "nothing wrong", "tick 1: telemetry: the controller sent x"),
     "malformed": (Malformed, "nothing wrong", "sent a malformed frame (not a single-frame transfer)"),
     "hangs": (HangsAfterAWhile, "silence", "tick 99: robot 3 did not settle"),
+    "stays in a tick": (StaysInATick, "lost commands", "tick 426: robot 3 did not broadcast its estimate"),
+    "answers late": (AnswersLate, "lost commands", "tick 426: robot 3 answered in tick 426 with telemetry"),
+    "forgets a round": (ForgetsARound, "lost commands", "telemetry"),
     "settles in any tick": (SettlesInAnyTick, "commands out of order", ""),
     "obeys others": (ObeysOthers, "commands out of order", ""),
     "observes twice": (ObservesTwice, "commands out of order", ""),
@@ -524,7 +576,7 @@ def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[
     for phase in content["verdict"]["phases"]:
         row = f"| {phase['name']} | {phase['fault'] or ''} | 20 | {phase['frames']} |"
         assert row in shown
-    assert "**PASSED: 18 of 18 phases passed;" in shown
+    assert "**PASSED: 19 of 19 phases passed;" in shown
 
 
 def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
@@ -534,8 +586,8 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
     with node_in_a_thread(f"{CONTROLLER} --lockstep --b-hat 0.56"):
         assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout 20 --report {report}") == 1
     shown = " ".join(capsys.readouterr().out.split())
-    assert 'FAILED: 0 of 18 phases passed; first in phase "nothing wrong", tick 0: estimate: the co' in shown
-    assert "**FAILED: 0 of 18 phases passed" in report.read_text()
+    assert 'FAILED: 0 of 19 phases passed; first in phase "nothing wrong", tick 0: estimate: the co' in shown
+    assert "**FAILED: 0 of 19 phases passed" in report.read_text()
     assert "| nothing wrong |  | 0 | 10 | 0 | 0 | 0 | failed |" in report.read_text()
     assert "| silence | loss=1,receivers=3 | 0 | 0 | 0 | 0 | 0 | not run |" in report.read_text()
 
@@ -566,7 +618,7 @@ def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[
         Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
         options = f"{CONTROLLER} --verify --ticks 20 --timeout 30 --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0
-    assert "PASSED: 18 of 18 phases passed" in capsys.readouterr().out
+    assert "PASSED: 19 of 19 phases passed" in capsys.readouterr().out
     assert nodes.reports[3]["results"]["ticks"] == 20 * len(PHASES)
     assert main(["replay", str(log)]) == 0
 
@@ -627,6 +679,31 @@ BAD = {
     "--id 3 --command-subject 3000": "choose three different ones",
     "--id 3 --interface socketcan --channel vcan97": "ip link add dev vcan97 type vcan",
 }
+
+
+@pytest.mark.parametrize(
+    ("options", "obstructed"),
+    [
+        ("--log run.log", "run.log"),
+        ("--log run.log", "run.log.json"),
+        ("--verify --log run.log", "run.log.events"),
+        ("--verify --report report.md", "report.md"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_the_first_tick(
+    options: str,
+    obstructed: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    for kind in (RadioRun, Verification):
+        monkeypatch.setattr(kind, "run", lambda self: pytest.fail("it ran"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / obstructed).mkdir()
+    assert radio(f"--id 3 {options}") == 2
+    assert f"cannot write {obstructed}: it is not a regular file" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [obstructed]
 
 
 @pytest.mark.parametrize("arguments", BAD)

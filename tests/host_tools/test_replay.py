@@ -20,6 +20,7 @@ from host_tools import replay as module
 from host_tools.cli import main
 from host_tools.errors import UsageError
 from host_tools.fault_kinds import Kind
+from host_tools.files import FileSet
 from host_tools.frames import FrameFormat, Message, decode, encode
 from host_tools.log_reading import read_log
 from host_tools.replay import Player, Verdict, verify
@@ -155,7 +156,8 @@ def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", record(5).make()
     stranger = encode(Message(5, 77, 0x3F80_0000, 1), FrameFormat())
-    with SidecarWriter(sidecar_path(log), Header([record(5)], None, FrameFormat())) as writer:
+    header = Header([record(5)], None, FrameFormat())
+    with FileSet() as files, SidecarWriter(sidecar_path(log), header, files) as writer:
         writer.robots[5].observe(Observation.BLACK)
         writer.robots[5].foreign(stranger)
     robot.observe(Observation.BLACK)
@@ -172,7 +174,8 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_a_sidecar_that_contradicts_itself_is_named(tmp_path: Path) -> None:
-    with SidecarWriter(tmp_path / "x.events", Header([record(5)], None, FrameFormat())) as writer:
+    header = Header([record(5)], None, FrameFormat())
+    with FileSet() as files, SidecarWriter(tmp_path / "x.events", header, files) as writer:
         writer.robots[5].settle()
         writer.robots[5].silent()
     with pytest.raises(UsageError, match="line 3: robot 5 has a broadcast silent before it made one"):

@@ -18,6 +18,7 @@ from wire import record
 from firmware_py.robot import Config, Filter, Observation
 from firmware_py.table import Table
 from host_tools.errors import UsageError
+from host_tools.files import FileSet
 from host_tools.frames import FrameFormat
 from host_tools.sidecar import (
     Header,
@@ -47,7 +48,7 @@ def read(path: Path) -> tuple[Header, list[Any]]:
 
 
 def test_the_header_comes_back(tmp_path: Path) -> None:
-    with SidecarWriter(tmp_path / "x", HEADER):
+    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files):
         pass
     assert read(tmp_path / "x") == (HEADER, [])
 
@@ -72,7 +73,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         told[robot].append(event)
 
     frame = can.Message(arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5"))
-    with SidecarWriter(tmp_path / "x", HEADER) as writer:
+    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files) as writer:
         for _ in range(3000):
             robot = draw.choice(list(told))
             tell(robot, writer.robots[robot])
@@ -104,11 +105,15 @@ def test_it_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     path = sidecar_path(tmp_path / "run.log")
     assert path.name == "run.log.events"
     path.write_text("of yesterday")
-    with pytest.raises(ZeroDivisionError), SidecarWriter(path, HEADER) as writer:
+    with (
+        pytest.raises(ZeroDivisionError),
+        FileSet() as files,
+        SidecarWriter(path, HEADER, files) as writer,
+    ):
         writer.robots[0].settle()
         raise ZeroDivisionError
     assert path.read_text() == "of yesterday"
-    with SidecarWriter(path, HEADER) as writer:
+    with FileSet() as files, SidecarWriter(path, HEADER, files) as writer:
         writer.robots[0].observe(Observation.BLACK)  # not settled yet, and not lost
         assert path.read_text() == "of yesterday"
     assert read(path)[1] == [(0, [1])]
@@ -116,10 +121,10 @@ def test_it_appears_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"cannot write .*no/such: No such file"):
-        SidecarWriter(tmp_path / "no/such", HEADER)
+    with pytest.raises(UsageError, match=r"cannot write .*no/such: its folder does not exist"):
+        SidecarWriter(tmp_path / "no/such", HEADER, FileSet())
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        SidecarWriter(tmp_path / "x", Header([record(1), record(1)], 1, FrameFormat()))
+        SidecarWriter(tmp_path / "x", Header([record(1), record(1)], 1, FrameFormat()), FileSet())
     own = Table(3, 29, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         config_as_plain(Config(own))

@@ -252,6 +252,6 @@ def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
     swarm = ["swarm", "--robots", "3", "--ticks", "3000", "--firmware", "mirror", "--filter", "off"]
     assert main([*swarm, "--slcan", str(port)]) == 0
     listener.join()
-    assert f"socket://127.0.0.1:{port}" in capsys.readouterr().out
+    assert f"socket://127.0.0.1:{port}" in capsys.readouterr().err
     assert {frame.arbitration_id & 127 for frame in heard} == {0, 1, 2}
     assert len(heard) == 30

@@ -6,10 +6,11 @@ import argparse
 import io
 import json
 import os
+import resource
 import shlex
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
@@ -440,7 +441,7 @@ def test_json_is_one_object_and_stands_beside_the_files(
     report = json.loads(capsys.readouterr().out)
     assert report["parameters"]["seed"] == 1
     assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
-    assert report["bus"] == {"interface": "virtual", "channel": "vcan0"}
+    assert report["bus"] == {"interface": "virtual", "channel": "vcan0", "slcan": None}
     assert report["results"]["frames"]["delivered"] == 30 * 4 * 3
     for path in (plot, log):
         assert json.loads(Path(f"{path}.json").read_text()) == report
@@ -525,6 +526,7 @@ BAD = {
     "--omega 0": "omega is 0",
     "--omega 0.95": "omega is 0.95",
     "--omega nan": "nan",
+    "--filter off --omega 0.1": "omega is 0.1, but filter is off",
     "--seed -1": "seed is -1",
     "--subject 6144": "subject is 6144",
     "--priority 8": "priority is 8",
@@ -534,10 +536,10 @@ BAD = {
     "--log run.db.gz": "SQLite",
     "--log run.xyz": ".xyz",
     "--log run": "run",
-    "--log no/such/folder/run.log": "no/such/folder",
+    "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
     "--log .": "regular file",
     "--plot run.gif": "run.gif",
-    "--plot no/such/folder/run.png": "no/such/folder",
+    "--plot no/such/folder/run.png": "cannot write no/such/folder/run.png: its folder does not exist",
     "--interface nonsense": "nonsense",
     "--interface socketcan --channel nowhere0": "socketcan nowhere0",
     "--no-such-option": "--no-such-option",
@@ -673,6 +675,74 @@ def test_a_crash_leaves_no_half_of_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
         swarm_command(*SMALL, "--log", str(tmp_path / "run.log"), "--plot", str(tmp_path / "run.png"))
     assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
     assert (tmp_path / "run.log").read_text() == "the log of yesterday"
+
+
+@pytest.mark.parametrize(
+    "obstructed", ["run.log", "run.log.events", "run.log.json", "run.png", "run.png.json"]
+)
+def test_what_cannot_be_written_is_told_before_the_first_tick(
+    obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Swarm, "tick", lambda self: pytest.fail("it ran"))
+    names = {"run.log", "run.log.events", "run.log.json", "run.png", "run.png.json"}
+    for name in names - {obstructed}:
+        (tmp_path / name).write_text("of yesterday")
+    (tmp_path / obstructed).mkdir()
+    assert swarm_command(*SMALL, "--log", f"{tmp_path}/run.log", "--plot", f"{tmp_path}/run.png") == 2
+    assert f"cannot write {tmp_path / obstructed}: it is not a regular file" in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert all((tmp_path / name).read_text() == "of yesterday" for name in names - {obstructed})
+
+
+@pytest.mark.parametrize(
+    ("lost", "kept"),
+    [("run.log", set()), ("run.log.events", set()), ("run.log.json", {"run.log", "run.log.events"})],
+)
+def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
+    lost: str,
+    kept: set[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    def obstruct(self: LiveTable, swarm: Swarm) -> None:
+        (tmp_path / lost).mkdir(exist_ok=True)
+
+    monkeypatch.setattr(LiveTable, "__call__", obstruct)
+    assert swarm_command(*SMALL, "--quiet", "--log", f"{tmp_path}/run.log") == 2
+    out, err = capsys.readouterr()
+    assert out.startswith("seed 1: 4 robots, 30 ticks")
+    assert f"cannot write {tmp_path / lost}" in err
+    assert {path.name for path in tmp_path.iterdir()} == kept | {lost}
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".txt", ".log.gz"])
+@pytest.mark.parametrize("bytes_left", [0, 3000, 9000, 20_000])
+def test_a_full_disk_is_told_and_leaves_nothing(suffix: str, bytes_left: int, tmp_path: Path) -> None:
+    """Whether it is full at once, in the midst of the run or when the files are completed."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    options = ("--ticks", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
+    errors = io.StringIO()  # pytest captures in files, which are limited, too
+    with redirect_stdout(errors), redirect_stderr(errors):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, before[1]))
+        try:
+            code = swarm_command(*SMALL, *options)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert code == 2
+    assert f"error: cannot write {tmp_path}/run{suffix}" in errors.getvalue()
+    assert "File too large" in errors.getvalue()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("output", ["--quiet", "--json"])
+def test_a_free_port_is_told_however_little_is_printed(
+    output: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert swarm_command(*SMALL, "--slcan", "0", output, "--log", str(tmp_path / "run.log")) == 0
+    port = json.loads((tmp_path / "run.log.json").read_text())["bus"]["slcan"]
+    assert capsys.readouterr().err == f"the bus is an slcan adapter, too: socket://127.0.0.1:{port}\n"
+    assert port > 0
 
 
 # History and picture

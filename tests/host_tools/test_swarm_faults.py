@@ -26,6 +26,7 @@ from host_tools.buses import WithoutEcho
 from host_tools.cli import main
 from host_tools.clocks import ClockKind, RealTimeClock
 from host_tools.faults import parse_fault
+from host_tools.files import FileSet
 from host_tools.frames import ONE, FrameFormat, Message, bits_of, decode
 from host_tools.medium import OpenBus, Wiring
 from host_tools.replay import verify
@@ -520,7 +521,11 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
     settings = make(*faults, comms_period=2, filter_period=20)
     path = tmp_path / "run.events"
     header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
-    with SidecarWriter(path, header) as sidecar, Swarm(settings, Wiring(one_bus), sidecar=sidecar) as swarm:
+    with (
+        FileSet() as files,
+        SidecarWriter(path, header, files) as sidecar,
+        Swarm(settings, Wiring(one_bus), sidecar=sidecar) as swarm,
+    ):
         run = run_swarm(swarm)
     with SidecarReader(path) as reader:
         records = {each.id: each for each in reader.header.robots}
@@ -557,7 +562,8 @@ def test_a_replay_finds_every_fault_that_the_sidecar_tells(
     header = Header(robot_records(settings), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
-        SidecarWriter(path, header) as sidecar,
+        FileSet() as files,
+        SidecarWriter(path, header, files) as sidecar,
         Swarm(settings, Wiring(one_bus), frames.append, sidecar) as swarm,
     ):
         run_swarm(swarm)

@@ -50,9 +50,12 @@ def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
     require("yakut")
     command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
     endless = ["--filter-period", "1000", "--ticks", "100000000", "--slcan", "0", *options]
-    with subprocess.Popen(command + endless, env=environment, stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout
-        where = re.search(r"socket://\S+:(\d+)", running.stdout.readline())
+    quiet, told = subprocess.DEVNULL, subprocess.PIPE
+    with subprocess.Popen(
+        command + endless, env=environment, stdout=quiet, stderr=told, text=True
+    ) as running:
+        assert running.stderr
+        where = re.search(r"socket://\S+:(\d+)", running.stderr.readline())
         try:
             assert where
             yield documented(where[1])
