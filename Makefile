@@ -46,7 +46,7 @@ socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in
 	@$(BIN)/pytest tests/socketcan
 
 docs: .venv/ready-to-test ## build the documentation in build/site
-	@$(BIN)/mkdocs build --quiet --strict --config-file .ci/mkdocs.yml
+	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml
 
 clean: ## remove everything that was built or installed here
 	rm -rf build .venv

@@ -4,93 +4,261 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from multicast import multicast
+from support import PATH, ROOT, require, run
 
-ROOT = Path(__file__).parents[1]
+from host_tools import cli
+
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)")
-OUTSIDE = ("make ", "git clone", "cd ")
-"""Commands that set up or test everything themselves; that ``make`` knows the target is checked."""
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml"}
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
+
+SHOWN = ("FAILED at call", "(0.000000) vcan0", "PASS scenarios", "scenario 6", "cortex-m3 on mps2-an385")
+"""How the blocks of text begin that a program prints; every other line of text is a command."""
+
+RUN_ELSEWHERE = {
+    "tests/benchmarks/test_cost.py": ("cost.md", "benchmarks.cost --draw"),
+    "tests/c_ref/test_porting.py": ("porting.md", "avr-gcc"),
+    "tests/host_tools/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
+    "tests/host_tools/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),
+    "tests/targets/test_firmware_in_the_loop.py": ("firmware_in_the_loop.md", "build/loop"),
+    "tests/targets/test_golden_vectors.py": ("targets.md", "python -m host_tools.golden_vectors"),
+    "tests/test_setup.py": ("development.md", ".venv"),
+}
+"""Tests that run commands of a page: the page, and what is in these commands."""
+
+HERE_WITH_MULTICAST = (
+    "mcp-asdf swarm --interface udp_multicast --processes --robots 4 --ticks 100",
+    "mcp-asdf radio --id 3 --interface udp_multicast --verify --wait 60",
+    "mcp-asdf node --id 3 --interface udp_multicast --lockstep",
+)
+C_NODES = (
+    "mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value",
+    "tile_sensor | mcp_asdf_node --interface can0 --id 7 --observations -",
+    "mcp_asdf_node --interface vcan0 --id 7 --lockstep",
+)
+CAN0 = "--interface socketcan --channel can0"
+NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
+AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
+TAKES_LONG = "takes minutes"
+NEEDS_CLUSTER = "wants several machines; tests/host_tools/test_sweep_cluster.py has a cluster on this one"
+NOT_RUN = {
+    f"mcp-asdf radio --id 3 --robots 10 {CAN0}": NO_CAN,
+    f"mcp-asdf radio --id 3 {CAN0} --verify --wait 60 --report controller.md": NO_CAN,
+    f"mcp-asdf replay run.log --onto-bus {CAN0} --leave-out 3 --speed 2": NO_CAN,
+    "mcp-asdf swarm --interface socketcan --channel vcan0": NO_CAN,
+    "candump vcan0 | cantools decode --single-line -m 0x1FFFFF00 mcp_asdf.dbc": NO_CAN,
+    "yakut -i \"CAN(can.media.socketcan.SocketCANMedia('vcan0', 8), 126)\" monitor": NO_CAN,
+    "modprobe vcan": AS_ROOT,
+    "ip link add dev vcan0 type vcan": AS_ROOT,
+    "ip link set vcan0 up": AS_ROOT,
+    "mcp-asdf swarm --slcan 20000": "ends with Ctrl-C; tests/host_tools/test_yakut.py joins such a swarm",
+    "can_viewer -i slcan -c socket://127.0.0.1:20000": "draws on a terminal until a key is pressed",
+    "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
+        "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
+    ),
+    "mcp-asdf reproduce": TAKES_LONG,
+    "mcp-asdf reproduce --part fully_connected --seed 2 --output second": TAKES_LONG,
+    "mcp-asdf reproduce --firmware reference --conventions authors --output authors": TAKES_LONG,
+    "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
+    "mcp-asdf sweep study.toml": TAKES_LONG,
+    "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
+    "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
+    "dask scheduler": NEEDS_CLUSTER,
+    "dask worker tcp://head:8786": NEEDS_CLUSTER,
+    "mcp-asdf sweep study.toml --scheduler tcp://head:8786": NEEDS_CLUSTER,
+}
+"""Commands that no test runs as they stand, and why."""
 
 
-def blocks(page: Path, language: str) -> list[str]:
-    return [code for kind, code in BLOCK.findall(page.read_text(encoding="utf-8")) if kind == language]
+NEEDED = {
+    "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
+    "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
+    "ctest": ("qemu-system-arm", "qemu-system-arm"),
+}
+"""What commands want beside Python and a C compiler, by a part of the command."""
 
 
-def commands(page: Path) -> list[str]:
-    """Lines of the page's ``sh`` blocks, comments cut, continued lines joined."""
-    lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
-    stripped = (re.sub(r"\s+#.*$", "", line).strip() for line in lines)
+def blocks(page: Path, *languages: str) -> list[str]:
+    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
+
+
+def commands_in(block: str) -> list[str]:
+    """The lines of a block, comments cut, continued lines joined."""
+    joined = re.sub(r"\\\n\s*", "", block)
+    stripped = (re.sub(r"\s+#.*$", "", line).strip() for line in joined.splitlines())
     return [line for line in stripped if line and not line.startswith("#")]
 
 
-def cases(outside: bool) -> list[tuple[str, str]]:
-    return [
-        (page.name, command)
-        for page in PAGES
-        for command in commands(page)
-        if command.startswith(OUTSIDE) == outside
-    ]
+def scripts(page: Path) -> list[list[str]]:
+    """The page's blocks of commands."""
+    shown = [block for block in blocks(page, "sh", "console", "text") if not block.startswith(SHOWN)]
+    return [commands_in(block) for block in shown]
+
+
+def all_commands(page: Path) -> list[str]:
+    return [command for script in scripts(page) for command in script]
+
+
+def is_run_elsewhere(page: Path, command: str) -> bool:
+    return any(
+        page.name == name and any(part in command for part in parts)
+        for name, *parts in RUN_ELSEWHERE.values()
+    )
+
+
+def is_run(page: Path, command: str) -> bool:
+    """Whether it is for the page's own test; ``make`` would set up or test everything."""
+    others = (*HERE_WITH_MULTICAST, *C_NODES, *NOT_RUN)
+    return not (command.startswith("make ") or command in others or is_run_elsewhere(page, command))
 
 
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands expect to find in the project's own."""
     folder = tmp_path_factory.mktemp("docs")
-    for name in ("tables", "c_ref"):
+    for name in ("tables", "c_ref", "tests/targets"):
         shutil.copytree(ROOT / name, folder / name)
     return folder
 
 
-def environment() -> dict[str, str]:
-    return {
-        **os.environ,
-        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "MPLBACKEND": "Agg",
-    }
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
+    for script in scripts(page):
+        lines = [command for command in script if is_run(page, command)]
+        for tool, packages in NEEDED.items():
+            if any(tool in line for line in lines):
+                require(*packages)
+        run("sh", "-exc", "\n".join(lines), cwd=workplace, MPLBACKEND="Agg")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
-    for command in commands(page):
-        if command.startswith(OUTSIDE):
-            continue
+def test_no_command_hides(page: Path) -> None:
+    """Blocks are fenced and of a known kind; what is indented instead is a formula."""
+    text = page.read_text(encoding="utf-8")
+    assert {kind for kind, _ in FENCED.findall(text)} <= LANGUAGES
+    outside = FENCED.sub("", text)
+    assert "```" not in outside
+    indented = re.findall(r"(?<=\n\n)(?: {4}.*\n)+", outside)
+    for line in "".join(indented).splitlines():
+        assert re.search(r" [=<>] ", line), line
+
+
+def test_what_is_not_run_is_shown_and_the_tests_named_are_there() -> None:
+    shown = {command for page in PAGES for command in all_commands(page)}
+    assert {*NOT_RUN, *C_NODES, *HERE_WITH_MULTICAST} <= shown
+    for name, (page, *parts) in RUN_ELSEWHERE.items():
+        assert (ROOT / name).is_file(), name
+        assert all(any(part in c for c in all_commands(ROOT / "docs" / page)) for part in parts), name
+    for reason in NOT_RUN.values():
+        for path in re.findall(r"tests/\S+", reason):
+            assert (ROOT / path).exists(), path
+    assert sum(is_run(page, command) for page in PAGES for command in all_commands(page)) > 40
+
+
+@pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
+def test_what_is_not_run_is_parsed(command: str) -> None:
+    _, name, *words = shlex.split(command)
+    cli._parser_for(cli._load(name), f"mcp-asdf {name}").parse_args(words)
+
+
+def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
+    """Each gets as far as the interface or the sensor, which no machine has by that name."""
+    run(require("cmake"), "-S", ROOT / "c_ref/ports/linux", "-B", tmp_path)
+    run("cmake", "--build", tmp_path)
+    for command in C_NODES:
+        words = re.sub(r"v?can0", "none0", command.split("| ")[-1]).replace("/sys/", "/none/").split()
         done = subprocess.run(
-            command,
-            shell=True,
-            cwd=workplace,
-            env=environment(),
+            [tmp_path / words[0], *words[1:]],
+            stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
             check=False,
-            timeout=300,
         )
-        assert done.returncode == 0, f"{page.name}: {command}\n{done.stdout}\n{done.stderr}"
+        assert done.returncode == 2
+        assert re.match(r"mcp_asdf_node: (there is no CAN interface none0|cannot open /none/)", done.stderr)
 
 
-@pytest.mark.parametrize("command", sorted({c for _, c in cases(outside=True) if c.startswith("make ")}))
+def test_a_swarm_of_processes_runs() -> None:
+    multicast(97)
+    run(*HERE_WITH_MULTICAST[0].split(), CAN_CHANNEL="239.74.163.97", CAN_CONFIG='{"port": 43297}')
+
+
+def test_a_node_on_one_machine_passes_the_verification() -> None:
+    """In two terminals: the node is started when the other is listening. Fewer ticks than by default do."""
+    multicast(98)
+    bus = {"CAN_CHANNEL": "239.74.163.98", "CAN_CONFIG": '{"port": 43298}'}
+    radio, node = (command.split() for command in HERE_WITH_MULTICAST[1:])
+    environment = {**os.environ, "PATH": PATH, **bus}
+    with subprocess.Popen([*radio, "--ticks", "3"], env=environment, stdout=subprocess.PIPE) as judge:
+        joined = "62A34AEF"  # 239.74.163.98 as the kernel writes it
+        while judge.poll() is None and joined not in Path("/proc/net/igmp").read_text():
+            time.sleep(0.05)
+        with subprocess.Popen(node, env=environment, stdout=subprocess.DEVNULL) as controller:
+            printed, _ = judge.communicate(timeout=120)
+            controller.terminate()
+    assert judge.returncode == 0, printed.decode()
+    assert controller.returncode == 0
+
+
+@pytest.mark.parametrize(
+    "command", sorted({c for page in PAGES for c in all_commands(page) if c.startswith("make ")})
+)
 def test_make_knows_the_target(command: str) -> None:
-    done = subprocess.run(
-        ["make", "-n", *command.split()[1:]], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    run(require("make", "make"), "-n", *command.split()[1:])
 
 
 def test_there_are_commands_to_test() -> None:
-    assert len(cases(outside=False)) >= 5
-    assert ("README.md", "make test") in cases(outside=True)
+    assert "make test" in all_commands(ROOT / "README.md")
+
+
+def test_the_documentation_is_built(tmp_path: Path) -> None:
+    """Every name that the page of the Python API asks for is there, and links and anchors lead somewhere."""
+    *_, command = run(require("make", "make"), "-n", "docs").splitlines()
+    words = shlex.split(command)
+    assert "--strict" in words
+    assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
+    run(require(Path(words[0]).name), *words[1:], "--site-dir", tmp_path)
+    assert (tmp_path / "index.html").exists()
+
+
+def anchors(page: Path) -> set[str]:
+    """The names that GitHub gives the page's headings."""
+    titles = re.findall(r"^#+ +(.+)$", FENCED.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in LINK.findall(page.read_text(encoding="utf-8")):
-        assert (page.parent / target).exists(), f"{page.name} links to {target}"
+    for name, anchor in LINK.findall(page.read_text(encoding="utf-8")):
+        target = page.parent / name if name else page
+        assert target.exists(), f"{page.name} links to {name}"
+        assert not anchor or anchor in anchors(target), f"{page.name} links to {name}#{anchor}"
+
+
+def test_the_readme_names_what_its_first_commands_need() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    before, _, block = text.partition("```sh\n")
+    for program in {line.split()[0] for line in block.partition("```")[0].splitlines()}:
+        assert f"`{program}`" in before.split("\n\n")[-2], program
+
+
+def test_the_readme_names_every_exit_code() -> None:
+    """Those that the command line says it has."""
+    assert cli.__doc__
+    (said,) = re.findall(r"Exit codes: ([^.]*)\.", cli.__doc__)
+    codes = re.findall(r"\b\d+\b", said)
+    (shown,) = re.findall(r"exit codes are ([^.]*)\.", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert re.findall(r"\b\d+\b", shown) == codes == ["0", "1", "2", "130", "141"]
 
 
 def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
@@ -102,6 +270,12 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
     subprocess.run([compiler, *flags, *map(str, sources), "-o", str(tmp_path / "robot")], check=True)
     shown = subprocess.run([tmp_path / "robot"], capture_output=True, text=True, check=True).stdout
     assert shown == "fill ratio 0.685\n"  # (2/3 + 0.95 - 1) / (2 0.95 - 1) = 0.6852
+
+
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
+def test_python_programs_of_the_page_run(page: Path) -> None:
+    for code in blocks(page, "python"):
+        run(sys.executable, "-c", code)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

@@ -2,13 +2,136 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support import CORE, ROOT, TABLE, require, run
+from support import ROOT, require, run
 
-C_SOURCES = sorted((ROOT / "c_ref/src").glob("*.c"))
-C_FILES = sorted(path for room in ("c_ref", "tests") for path in (ROOT / room).rglob("*.[ch]"))
+C_FILES = sorted(
+    path for folder in ("c_ref", "host_tools", "tables", "tests") for path in (ROOT / folder).rglob("*.[ch]")
+)
+INCLUDES = [
+    f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", "host_tools/arena", "host_tools/engine")
+]
+PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
+"""Those that the C tests are built with, as errors."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """C files that are compiled in one way, whatever compiles or analyses them.
+
+    Attributes:
+        name: Of the room.
+        files: Patterns of its files' paths.
+        not_files: Paths that these patterns match and that belong elsewhere.
+        definitions: Macros that its build sets.
+        gcc: Its compiler with the flags that choose a processor.
+        packages: Debian's packages with the compiler and the headers.
+        clang: Flags that choose the same processor for clang.
+        headers: Folder of a library's headers, or empty.
+        can_analyse: Whether its gcc has ``-fanalyzer``.
+        not_clang_tidy: What clang-tidy takes for wrong there, and is right.
+        not_cppcheck: The same for cppcheck.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    definitions: tuple[str, ...] = ()
+    gcc: tuple[str, ...] = ("gcc",)
+    packages: str = "gcc"
+    clang: tuple[str, ...] = ()
+    headers: str = ""
+    can_analyse: bool = True
+    not_clang_tidy: str = ""
+    not_cppcheck: tuple[str, ...] = ()
+    not_files: tuple[str, ...] = ()
+
+    @property
+    def sources(self) -> list[Path]:
+        found = {path for pattern in self.files for path in ROOT.glob(pattern)}
+        return sorted(found - {ROOT / name for name in self.not_files})
+
+    def flags(self) -> list[str]:
+        """For every compiler and analyser; skips the test where the library is not installed."""
+        if self.headers and not Path(self.headers).is_dir():
+            pytest.skip(f"{self.headers} is missing: apt-get install {self.packages}")
+        headers = ["-isystem", self.headers] if self.headers else []
+        return ["-std=c99", *INCLUDES, *headers, *self.definitions]
+
+
+# A byte that counts to a constant below 256 saves an AVR two instructions in each round of the loop.
+COUNTS_BYTES = "bugprone-too-small-loop-variable"
+# Start-up code compares addresses that its linker script defines, and registers are there to lie in between.
+ON_BARE_METAL = ("comparePointers", "unusedStructMember")
+CORTEX_M = ("-mcpu=cortex-m3", "-mthumb", "-mfloat-abi=soft", "-ffreestanding")
+NOT_FOR_AVR_LIBC = ("-Wno-gnu-zero-variadic-macro-arguments", "-Wno-unknown-attributes")
+RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
+ROOMS = (
+    Room("core", ("c_ref/src/*.c",)),
+    Room("tables", ("tables/*.c",)),
+    Room("arena and engine", ("host_tools/arena/*.c", "host_tools/engine/*.c")),
+    Room("ports", ("c_ref/ports/*.c", "c_ref/ports/node/*.c"), not_clang_tidy=COUNTS_BYTES),
+    Room(
+        "slcan",
+        ("c_ref/ports/slcan/*.c",),
+        ("-DROBOT_ID=0", "-DROBOT_B_HAT=0.55", "-DROBOT_FILTER_PERIOD=1000"),
+    ),
+    Room(
+        "cortex_m",
+        ("c_ref/ports/cortex_m/*.c",),
+        gcc=("arm-none-eabi-gcc", *CORTEX_M),
+        packages="gcc-arm-none-eabi",
+        clang=("--target=arm-none-eabi", *CORTEX_M),
+        not_cppcheck=ON_BARE_METAL,
+    ),
+    Room(
+        "riscv",
+        ("c_ref/ports/riscv/*.c",),
+        gcc=("riscv64-unknown-elf-gcc", *RISC_V),
+        packages="gcc-riscv64-unknown-elf",
+        clang=("--target=riscv32-unknown-elf", *RISC_V),
+        not_cppcheck=ON_BARE_METAL,
+    ),
+    Room(
+        "avr",
+        ("c_ref/ports/avr/*.c",),
+        gcc=("avr-gcc", "-mmcu=atmega328p"),
+        packages="gcc-avr avr-libc",
+        clang=("--target=avr", "-mmcu=atmega328p", *NOT_FOR_AVR_LIBC),
+        headers="/usr/lib/avr/include",
+        can_analyse=False,
+    ),
+)
+SIMULATORS = ("tests/c_ref/avr_robot.c", "tests/benchmarks/cost/avr_machine.c")
+TEST_ROOMS = (
+    Room(
+        "tests",
+        ("tests/**/*.c",),
+        tuple(
+            f"-DTEST_{name}=0" for name in ("HARDWARE_DIVIDE", "SPLIT_MULTIPLY", "EIGHT_BIT", "WITHOUT_CLZ")
+        ),
+        not_files=SIMULATORS,
+    ),
+    Room(
+        "simulators",
+        SIMULATORS,
+        packages="libsimavr-dev",
+        headers="/usr/include/simavr",
+    ),
+)
+"""C of the tests, which compilers must not warn of; the analysers' rules are for code that is delivered."""
+
+LINUX = ROOT / "c_ref/ports/linux"
+"""``tests/targets/test_node.py`` compiles and analyses it."""
+
+
+def each_of(rooms: Iterable[Room]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("room", rooms, ids=lambda room: room.name)
 
 
 def test_ruff_finds_nothing() -> None:
@@ -28,28 +151,62 @@ def test_c_is_formatted(path: Path) -> None:
     run(require("clang-format"), "--dry-run", "-Werror", path)
 
 
-@pytest.mark.parametrize("path", C_SOURCES, ids=lambda path: path.name)
-def test_clang_tidy_finds_nothing(path: Path) -> None:
-    run(require("clang-tidy"), "--quiet", path, "--", "-std=c99", f"-I{CORE.parent}")
+def test_all_c_is_in_one_room() -> None:
+    rooms = [room.sources for room in (*ROOMS, *TEST_ROOMS)] + [sorted(LINUX.glob("*.c"))]
+    assert all(rooms)
+    assert sorted(path for room in rooms for path in room) == [
+        path for path in C_FILES if path.suffix == ".c"
+    ]
 
 
+@pytest.mark.parametrize(
+    ("room", "path"),
+    [pytest.param(room, path, id=str(path.relative_to(ROOT))) for room in ROOMS for path in room.sources],
+)
+def test_clang_tidy_finds_nothing(room: Room, path: Path) -> None:
+    checks = [f"--checks=-{room.not_clang_tidy}"] if room.not_clang_tidy else []
+    run(require("clang-tidy"), "--quiet", *checks, path, "--", *room.flags(), *room.clang)
+
+
+CPPCHECK = ("--enable=warning,style,performance,portability", "--std=c99", "--inline-suppr", "--quiet")
 # Locals may be named like the function whose result they hold, and cppcheck takes 0 - x for negative.
-NOT_CPPCHECK = ("--suppress=shadowFunction", "--suppress=knownConditionTrueFalse")
+NOT_CPPCHECK = ("shadowFunction", "knownConditionTrueFalse")
+
+
+def cppcheck(room: Room, *choices: str) -> None:
+    left_out = [f"--suppress={name}" for name in (*NOT_CPPCHECK, *room.not_cppcheck)]
+    given = [*INCLUDES, *room.definitions, *choices]
+    run(require("cppcheck", "cppcheck"), *CPPCHECK, *left_out, *given, "--error-exitcode=1", *room.sources)
 
 
 @pytest.mark.parametrize(
     ("split", "divide", "eight"), [(0, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0), (0, 0, 1)]
 )
-def test_cppcheck_finds_nothing(split: int, divide: int, eight: int) -> None:
+def test_cppcheck_finds_nothing_in_the_core(split: int, divide: int, eight: int) -> None:
     speed = {"SPLIT_MULTIPLY": split, "HARDWARE_DIVIDE": divide, "EIGHT_BIT": eight}
-    choices = [f"-DMCP_ASDF_{name}={choice}" for name, choice in speed.items()]
-    checks = ("--enable=warning,style,performance,portability", "--std=c99", "--inline-suppr", "--quiet")
-    run(require("cppcheck", "cppcheck"), *checks, *NOT_CPPCHECK, *choices, "--error-exitcode=1", *C_SOURCES)
+    cppcheck(ROOMS[0], *(f"-DMCP_ASDF_{name}={choice}" for name, choice in speed.items()))
 
 
-def test_gcc_s_analyser_finds_nothing(tmp_path: Path) -> None:
-    include = f"-I{CORE.parent}"
-    run(require("gcc", "gcc"), "-fanalyzer", "-O2", "-Werror", "-c", include, *C_SOURCES, TABLE, cwd=tmp_path)
+@each_of(ROOMS[1:])
+def test_cppcheck_finds_nothing(room: Room) -> None:
+    cppcheck(room)
+
+
+@each_of(ROOMS)
+def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
+    require(room.gcc[0], room.packages)
+    analyser = ["-fanalyzer"] if room.can_analyse else []
+    run(*room.gcc, *room.flags(), *WARNINGS, *analyser, "-O2", "-c", *room.sources, cwd=tmp_path)
+
+
+@each_of(TEST_ROOMS)
+def test_gcc_warns_of_nothing_in_tests(room: Room) -> None:
+    run(require("gcc", "gcc"), *room.flags(), *WARNINGS, "-fsyntax-only", *room.sources)
+
+
+@each_of((*ROOMS, *TEST_ROOMS))
+def test_clang_warns_of_nothing(room: Room) -> None:
+    run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
 
 
 @pytest.mark.parametrize("script", ["setup", "run"])

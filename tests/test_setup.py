@@ -1,0 +1,75 @@
+"""What ``.ci/setup`` does to a virtual environment, and that the page's way by hand is the same."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from support import ROOT, require, run
+
+PAGE = ROOT / "docs/development.md"
+PYTHON = """#!/bin/sh
+# Stands in for Python: writes down how it was called, and makes environments whose Python does the same.
+echo "$0 $*" >>"$CALLS"
+for last; do :; done
+if [ "$1 $2" = "-m venv" ]; then mkdir -p "$last/bin" && cp "$0" "$last/bin/python"; fi
+"""
+WITHOUT_PIP = '#!/bin/sh\n[ "$1 $2" != "-m pip" ] || { echo "No module named pip" >&2; exit 1; }\n'
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
+    """A folder with the set-up in it; in ``bin`` a stand-in for Python, and somebody who is not root."""
+    require("cc", "gcc libc6-dev")
+    for folder in (".ci", "bin"):
+        (tmp_path / folder).mkdir()
+    shutil.copy(ROOT / ".ci/setup", tmp_path / ".ci/setup")
+    program(tmp_path / "bin/python3", PYTHON)
+    program(tmp_path / "bin/id", "#!/bin/sh\necho 1000\n")
+    return tmp_path
+
+
+def program(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+def set_up(clone: Path, purpose: str) -> list[list[str]]:
+    """Run the set-up; returns the calls of Python that make environments and install packages."""
+    calls = clone / "calls"
+    calls.unlink(missing_ok=True)
+    path = f"{clone / 'bin'}:/usr/bin:/bin"
+    run(clone / ".ci/setup", purpose, cwd=clone, PATH=path, CALLS=str(calls))
+    words = [shlex.split(line) for line in calls.read_text().splitlines()]
+    return [call for call in words if "-m" in call and "--version" not in call]
+
+
+def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
+    """Ctrl-C while the environment is made leaves one whose Python is there and whose pip is not."""
+    program(clone / ".venv/bin/python", WITHOUT_PIP)
+    made, *installed = set_up(clone, "run")
+    assert made[1:] == ["-m", "venv", "--clear", ".venv"]
+    assert all("install" in call for call in installed) and len(installed) == 2
+    assert (clone / ".venv/ready-to-run").exists()
+
+
+def test_an_environment_with_pip_is_kept(clone: Path) -> None:
+    set_up(clone, "run")
+    assert all("venv" not in call[1:] for call in set_up(clone, "run"))
+
+
+def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
+    """The page's commands are what made the environment of these tests; only how much pip says may differ."""
+    (block,) = (
+        block for block in re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL) if "venv" in block
+    )
+    shown = [shlex.split(line) for line in block.splitlines()]
+    purpose = "test" if "dev" in shown[-1] else "run"
+    quiet = {"-qq", "--disable-pip-version-check"}
+    done = [[word for word in call if word not in quiet] for call in set_up(clone, purpose)]
+    assert [call[1:] for call in shown] == [call[1:] for call in done]
+    assert [Path(call[0]).name for call in shown] == [Path(call[0]).name for call in done]
