@@ -331,10 +331,15 @@ HOT uint32_t divide_24(uint32_t a, uint32_t d)
 }
 #endif
 
-/* 2^32 times (whole + fraction / 2^32) / divisor, rounded down and then by at most 2^3 too small: the upper
- * 31 bits of both numbers, the divisor's rounded up, cost 2^32 (2^-30 + 2^-30). Needs a quotient of at most 1
- * and 0 < divisor < 2^62; a quotient of 1 gives less. */
-static inline uint32_t quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
+/* A quotient of at most 1 in 31-bit numbers, for divide() or divide_24(). */
+typedef struct {
+    uint32_t a;
+    uint32_t d;
+} ratio_t;
+
+/* (whole + fraction / 2^32) / divisor, and up to 2^-29 less: the upper 31 bits of both numbers, the divisor's
+ * rounded up, cost 2^-30 each. Needs a quotient of at most 1, which becomes less, and 0 < divisor < 2^62. */
+static inline ratio_t ratio(uint64_t whole, uint32_t fraction, uint64_t divisor)
 {
     uint32_t d1 = high_word(divisor), d0 = low_word(divisor), a1 = high_word(whole), a0 = low_word(whole);
     if (d1 == 0) {
@@ -344,7 +349,15 @@ static inline uint32_t quotient(uint64_t whole, uint32_t fraction, uint64_t divi
         a0 = fraction;
     }
     const uint32_t shift = leading_zeros(d1);
-    return divide(upper(a1, a0, shift) >> 1, (upper(d1, d0, shift) >> 1) + 1);
+    const ratio_t found = {upper(a1, a0, shift) >> 1, (upper(d1, d0, shift) >> 1) + 1};
+    return found;
+}
+
+/* 2^32 whole / divisor, rounded down and then by at most 2^3 too small. */
+static inline uint32_t quotient(uint64_t whole, uint64_t divisor)
+{
+    const ratio_t found = ratio(whole, 0, divisor);
+    return divide(found.a, found.d);
 }
 
 /* ---- Confidence on the grid -------------------------------------------------------------------------- */
@@ -710,7 +723,7 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     return receive_checked(robot, sender, x_hat, alpha);
 }
 
-/* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0, as quotient() needs.
+/* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0, as ratio() needs.
  */
 static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
@@ -758,14 +771,14 @@ mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *s
 
 /* ---- Settle ------------------------------------------------------------------------------------------ */
 
-/* floor(sum of alpha x_hat / sum of alpha) in units of x_hat; sums->alpha > 0. The quotient's upper 23 bits
- * are right or one too small; the remainder, below 2 sums->alpha, tells which. */
+/* floor(sum of alpha x_hat / sum of alpha) in units of x_hat; alpha > 0. The quotient's upper 23 bits
+ * are right or one too small; the remainder, below 2 alpha, tells which. */
 static inline uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
     const uint64_t middle = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30: the sum from bit 32 up */
     const uint64_t sum = join(low_word(middle), low_word(alpha_x_low)); /* modulo 2^64 */
-    const uint32_t estimate =
-        quotient(middle << 9 | low_word(alpha_x_low) >> 23, low_word(sum) << 9, alpha) >> 9;
+    const ratio_t found = ratio(middle << 9 | low_word(alpha_x_low) >> 23, low_word(sum) << 9, alpha);
+    const uint32_t estimate = divide_24(found.a, found.d) >> 1;
     const uint64_t product = multiply(estimate, low_word(alpha)) + join(estimate * high_word(alpha), 0);
     return estimate + (sum - product >= alpha);
 }
@@ -835,7 +848,7 @@ static bool reestimate(mcp_asdf_t *robot)
     uint32_t b_hat = 0;
     if (whole > offset) {
         const uint64_t numerator = whole - offset;
-        b_hat = numerator < denominator ? quotient(numerator, 0, denominator) : UINT32_MAX;
+        b_hat = numerator < denominator ? quotient(numerator, denominator) : UINT32_MAX;
     }
     b_hat = b_hat < MCP_ASDF_B_HAT_MIN ? MCP_ASDF_B_HAT_MIN : b_hat;
     set_b_hat(robot, b_hat > MCP_ASDF_B_HAT_MAX ? MCP_ASDF_B_HAT_MAX : b_hat);

@@ -23,15 +23,18 @@ static void check_quotient(uint64_t whole, uint32_t fraction, uint64_t divisor)
 {
     const wide_t scaled = (wide_t)whole << 32 | fraction;
     if (scaled <= (wide_t)divisor << 32) {
-        const uint64_t exact = (uint64_t)(scaled / divisor), found = quotient(whole, fraction, divisor);
-        GIVEN(whole, divisor, exact - found);
-        CHECK(found <= exact && exact - found <= 8);
+        const ratio_t found = ratio(whole, fraction, divisor);
+        const uint64_t exact = (uint64_t)(scaled / divisor), error = exact - divide(found.a, found.d);
+        const uint64_t short_error = (exact >> 9) - (divide_24(found.a, found.d) >> 1);
+        GIVEN(whole, divisor, error);
+        CHECK(found.a < found.d && found.d > UINT32_C(1) << 30 && found.d <= UINT32_C(1) << 31);
+        CHECK(error <= 8 && short_error <= 1);
     }
 }
 
 /* The upper 31 bits of both numbers cost less than 2^32 (2^-30 + 2^-30) = 8 before the last rounding; one
  * word more or less in the divisor, and divisors around powers of two, are where bits can go wrong. */
-static void quotient_at_every_length(void)
+static void ratio_at_every_length(void)
 {
     for (uint32_t bit = 0; bit < 62; ++bit) {
         for (uint32_t i = 0; i < 20000; ++i) {
@@ -127,7 +130,7 @@ static void test_is_exact(void)
     }
 }
 
-/* Never above the exact value of eq. 8, and less than 2^-29 below it: what quotient() loses in general would
+/* Never above the exact value of eq. 8, and less than 2^-29 below it: what ratio() loses in general would
  * be 9 units, but numerator and denominator share their low bits here (see check_quotient and
  * docs/design.md). */
 static void reestimate_is_within_its_bound(void)
@@ -258,7 +261,7 @@ static void confidence_at_end_is_within_its_bound(void)
 
 int main(void)
 {
-    quotient_at_every_length();
+    ratio_at_every_length();
     mean_is_the_exact_quotient();
     test_is_exact();
     reestimate_is_within_its_bound();
