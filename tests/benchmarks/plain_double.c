@@ -49,7 +49,7 @@ int main(int argc, char **argv)
             robots[i] = (robot_t){0, i < FLAWED ? 0.55 : 0.95, 0.5, 0};
         }
         run(robots, series);
-        check += series[STEPS];
+        check += (double)series[STEPS];
     }
     const double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
     printf("%.6g %.6g\n", (double)trials * STEPS * ROBOTS / seconds, check / trials);

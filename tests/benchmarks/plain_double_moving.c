@@ -65,7 +65,7 @@ int main(int argc, char **argv)
             return 1;
         }
         run(robots, &arena, series);
-        check += series[STEPS];
+        check += (double)series[STEPS];
     }
     const double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
     printf("%.6g %.6g\n", (double)trials * STEPS * ROBOTS / seconds, check / trials);

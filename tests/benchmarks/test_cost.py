@@ -7,9 +7,12 @@ code, and bounds of the stack are what runs reach.
 from __future__ import annotations
 
 import copy
+import functools
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,7 +20,7 @@ from support import ROOT, require
 
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
 from benchmarks.cost import figures, measurement, report, runs
-from benchmarks.cost.budgets import BUDGETS, Budget, grows, measured
+from benchmarks.cost.budgets import BUDGETS, Budget, grows, measured, most
 from benchmarks.cost.demo import measure_demo
 from benchmarks.cost.flow import Flow, LongestWay
 from benchmarks.cost.images import LEVELS, TARGETS, Image, Target, build
@@ -32,8 +35,14 @@ from host_tools.tables import generate, parse_omega
 
 KEPT = figures.kept()
 TOLERANCE = 0.02
+CLOSE = 1.06
+"""The longest way along turns that calls were seen to take, in the dearest call that was seen, at most."""
 ALIGNMENT = {"avr-": 1, "arm-none-eabi-": 8, "riscv64-unknown-elf-": 16}
 """Of the stack pointer, bytes."""
+UNUSED = {"avr-": 8, "arm-none-eabi-": 4, "riscv64-unknown-elf-": 28}
+"""Most bytes of the deepest frames that stay as they were: they align it, are for arguments of another call
+than the deepest one, or for a variable that then found a register.
+"""
 
 every_target = pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 every_level = pytest.mark.parametrize("level", LEVELS)
@@ -54,22 +63,25 @@ def named(name: str) -> Target:
 # ---- The kept figures ----
 
 
+def untrue(kept: measurement.Figures, fresh: measurement.Figures) -> list[str]:
+    """Where kept figures are not those that were measured; ``fresh`` has all or some of the targets."""
+    only = {name: kept["targets"][name] for name in fresh["targets"]}
+    return list(figures.differences({**kept, "targets": only}, {**kept, **fresh}, TOLERANCE))
+
+
+@every_level
 @every_target
-def test_the_kept_figures_are_what_is_measured(target: Target, tmp_path: Path) -> None:
+def test_the_kept_figures_are_what_is_measured(target: Target, level: str, tmp_path: Path) -> None:
     usable(target)
     kept_with = KEPT["compilers"][target.name]
     if target.version() != kept_with:
         pytest.skip(f"the figures of {target.name} are those of {kept_with}, not {target.version()}")
-    fresh = {
-        "-O2": {"firmware": measurement.firmware(target, "-O2", tmp_path / "calls")},
-        "-Os": {"flash": measurement.flash(target, "-Os", tmp_path / "flash")},
-    }
-    levels = KEPT["targets"][target.name]
-    kept = {level: {part: levels[level][part] for part in parts} for level, parts in fresh.items()}
-    assert list(figures.differences(kept, fresh, TOLERANCE)) == [], "run make cost"
+    levels = {**KEPT["targets"][target.name], level: measurement.measure(target, level, tmp_path)}
+    fresh = {"settings": measurement.SETTINGS, "targets": {target.name: levels}}
+    assert untrue(KEPT, fresh) == [], "run make cost"
     for budget in BUDGETS:
         if budget.target == target.name:
-            assert measured(budget, {**KEPT, "targets": {target.name: fresh}}) <= budget.agreed, budget
+            assert measured(budget, {**KEPT, **fresh}) <= budget.agreed, budget
 
 
 def test_the_table_and_the_whole_firmware_are_what_is_measured(tmp_path: Path) -> None:
@@ -80,8 +92,7 @@ def test_the_table_and_the_whole_firmware_are_what_is_measured(tmp_path: Path) -
         "table": measurement.table_bytes(tmp_path / "table"),
         "demo": measure_demo(tmp_path / "demo"),
     }
-    kept = {name: KEPT[name] for name in fresh}
-    assert list(figures.differences(kept, fresh, TOLERANCE)) == [], "run make cost"
+    assert untrue(KEPT, {**fresh, "targets": {}}) == [], "run make cost"
 
 
 def test_the_whole_firmware_fits_a_kilobot() -> None:
@@ -95,7 +106,7 @@ def test_the_kept_figures_are_within_budget(budget: Budget) -> None:
     assert measured(budget, KEPT) <= budget.agreed
 
 
-@pytest.mark.parametrize("path", [report.README, report.PAGE], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", report.pages(KEPT), ids=lambda path: path.name)
 def test_the_pages_say_what_was_kept(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert report.fill(text, report.pages(KEPT)[path]) == text, "run make cost"
@@ -122,12 +133,12 @@ def test_no_call_is_longer_than_the_longest_way(target: Target, level: str) -> N
         for name in measurement.TICK_CALLS
     }
     if target.tools == "avr-":
-        assert set(core["longest"].values()) == {None}
-    else:
-        assert all(seen[name] <= core["longest"][name] <= 1.25 * seen[name] for name in ("observe", "x")), (
-            core
-        )
-        assert all(seen[name] <= core["longest"][name] for name in seen)
+        assert set(core["longest"].values()) == set(core["longest seen"].values()) == {None}
+        return
+    assert all(seen[name] <= core["longest"][name] for name in seen), core
+    for name, longest in core["longest seen"].items():
+        assert most(core["calls"], name) <= longest <= CLOSE * most(core["calls"], name), name
+        assert longest <= core["longest"]["x" if name == "x" else "step"]
 
 
 def test_growth_is_seen() -> None:
@@ -142,19 +153,71 @@ def test_growth_is_seen() -> None:
 def test_painted_stacks_reach_the_bounds(target: Target, level: str) -> None:
     stacks = KEPT["targets"][target.name][level]["firmware"]["stack"]
     unused = {name: bound - painted for name, (bound, painted) in stacks.items()}
-    assert all(0 <= rest < ALIGNMENT[target.tools] for rest in unused.values()), unused
+    assert all(0 <= rest <= UNUSED[target.tools] for rest in unused.values()), unused
 
 
-def test_a_figure_that_is_off_is_told() -> None:
+Place = tuple[str | int, ...]
+
+
+def places(part: object, at: Place = ()) -> Iterator[Place]:
+    """Where the numbers are."""
+    if isinstance(part, dict | list):
+        for key, below in part.items() if isinstance(part, dict) else enumerate(part):
+            yield from places(below, (*at, key))
+    elif isinstance(part, int | float):
+        yield at
+
+
+@contextmanager
+def off_by(part: measurement.Figures, place: Place, factor: float) -> Iterator[None]:
+    """Multiply one number for a while."""
+    *way, last = place
+    numbers = functools.reduce(lambda inner, key: inner[key], way, part)
+    right = numbers[last]
+    numbers[last] *= factor
+    yield
+    numbers[last] = right
+
+
+@every_level
+@every_target
+def test_every_figure_that_is_off_is_told(target: Target, level: str) -> None:
+    fresh = {**KEPT, "targets": {target.name: KEPT["targets"][target.name]}}
+    kept = copy.deepcopy(fresh)
+    of_level = [place for place in places(kept) if place[0] != "targets" or place[2] == level]
+    assert len(of_level) > 250
+    for place in of_level:
+        for factor in (0.97, 1.03):
+            with off_by(kept, place, factor):
+                told = [one.split(": ")[0] for one in untrue(kept, fresh)]
+            assert told in ([", ".join(map(str, place))], [] if is_zero(kept, place) else None), place
+
+
+def is_zero(part: measurement.Figures, place: Place) -> bool:
+    return functools.reduce(lambda inner, key: inner[key], place, part) == 0  # no factor changes it
+
+
+def test_a_figure_within_the_tolerance_is_not_told() -> None:
+    place = ("targets", "Cortex-M4", "-O2", "firmware", "calls", "receive", "instructions", 2)
+    kept = copy.deepcopy(KEPT)
+    with off_by(kept, place, 1.019):
+        assert untrue(kept, KEPT) == []
+    with off_by(kept, place, 1.021):
+        assert len(untrue(kept, KEPT)) == 1
+
+
+def test_figures_that_are_missing_are_told() -> None:
     fresh = copy.deepcopy(KEPT)
-    span = fresh["targets"]["Cortex-M4"]["-O2"]["firmware"]["calls"]["receive"]["instructions"]
-    span[2] *= 1.019
-    assert list(figures.differences(KEPT, fresh, TOLERANCE)) == []
-    span[2] *= 1.01
-    (told,) = figures.differences(KEPT, fresh, TOLERANCE)
-    assert told.startswith("targets, Cortex-M4, -O2, firmware, calls, receive, instructions, 2: ")
-    del fresh["targets"]["RV32IMC"]
-    assert len(list(figures.differences(KEPT, fresh, TOLERANCE))) == 2
+    del fresh["targets"]["Cortex-M4"]["-Os"]["firmware"]["calls"]["receive"]
+    assert untrue(KEPT, fresh) != []
+    assert untrue(fresh, KEPT) != []
+
+
+def test_on_an_avr_floats_are_cheaper() -> None:
+    both = KEPT["targets"]["ATmega328P"]["-O2"]
+    own, plain = (both[kind]["calls"] for kind in ("firmware", "float"))
+    assert plain[report.USUAL]["cycles"][1] < own[report.USUAL]["cycles"][1] + own["x"]["cycles"][1]
+    assert plain["receive"]["cycles"][1] < own["receive"]["cycles"][1]
 
 
 def test_a_page_without_markers_is_refused() -> None:

@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from host_tools.errors import UsageError
-from host_tools.plot_files import check_plot_path, save_figure
+from host_tools.files import FileSet
+from host_tools.plot_files import check_plot_path, image_of, save_figure
 
 from . import figures, picture, report
 from .images import TARGETS
@@ -48,7 +49,7 @@ def main() -> int:
         print(f"cost: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("cost: stopped; nothing was written", file=sys.stderr)
+        print("cost: stopped", file=sys.stderr)
         return 130
 
 
@@ -60,12 +61,19 @@ def _measure(writes: bool, as_json: bool) -> int:
         for done, parts, measured in figures.gather():  # noqa: B007
             progress.update(task, completed=done, total=parts)
     if writes:
-        figures.keep(measured)
-        report.write(measured)
-        save_figure(picture.draw(measured), picture.PATH)
+        _write(measured)
     table = report.pages(measured)[report.README]["cost table"]
     print(json.dumps(measured, indent=1) if as_json else table)
     return 0
+
+
+def _write(measured: Figures) -> None:
+    """Write what is kept, the pages and the picture: all together, or nothing if it fails or is stopped."""
+    with FileSet() as files:
+        files.write(figures.KEPT, figures.text_of(measured))
+        for path, text in report.filled(measured).items():
+            files.write(path, text)
+        files.write(picture.PATH, image_of(picture.draw(measured), picture.PATH))
 
 
 def _check_tools() -> None:

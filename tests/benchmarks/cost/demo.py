@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from .images import FIRMWARE, PORTS, ROOT, TARGETS, build
+from .images import FIRMWARE, PORTS, ROOT, TARGETS, Image, build
 from .stacks import Stacks
 
 AVR = TARGETS[0]
@@ -13,6 +13,8 @@ FLASH, RAM = 32 * 1024, 2 * 1024
 """Bytes of an ATmega328P."""
 CLOCK = 8_000_000
 """Of a Kilobot, hertz."""
+BAUD = 38_400
+"""Of its serial line: 115200 is out of an 8 MHz UART's reach."""
 
 _SOURCES = (
     PORTS / "demo.c",
@@ -26,9 +28,15 @@ _SOURCES = (
 _INTERRUPT = re.compile(r"__vector_\d+")
 
 
+def demo_image(folder: Path) -> Image:
+    """The firmware, built in a new folder for a Kilobot's clock."""
+    clock = (f"-DF_CPU={CLOCK}UL", f"-DBAUD={BAUD}")
+    return build(AVR, folder, list(_SOURCES), "-Os", f"-I{PORTS}", *clock)
+
+
 def measure_demo(folder: Path) -> dict[str, int]:
     """Bytes of flash, of variables, and of stack: the main loop's and an interrupt's on top of it."""
-    image = build(AVR, folder, list(_SOURCES), "-Os", f"-I{PORTS}")
+    image = demo_image(folder)
     stacks = Stacks(image)
     handlers = [
         name

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from host_tools.files import write_atomically
-
 from .demo import measure_demo
 from .images import HERE, LEVELS, TARGETS, Target
 from .measurement import SETTINGS, Figures, measure, table_bytes
@@ -49,13 +47,13 @@ def gather() -> Iterator[tuple[int, int, Figures]]:
     yield len(parts) + 1, len(parts) + 1, figures
 
 
-def keep(figures: Figures) -> None:
-    """Write the figures, in the order of the targets. Raises UsageError if that cannot be done."""
+def text_of(figures: Figures) -> str:
+    """What is to be kept, in the order of the targets."""
     ordered = {
         target.name: {level: figures["targets"][target.name][level] for level in LEVELS} for target in TARGETS
     }
     text = json.dumps(figures | {"targets": ordered}, indent=1)
-    write_atomically(KEPT, _LIST.sub(lambda found: " ".join(found[0].split()), text) + "\n")
+    return _LIST.sub(lambda found: " ".join(found[0].split()), text) + "\n"
 
 
 def kept() -> Figures:

@@ -10,16 +10,18 @@ mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE;
 mcp_asdf_estimate_t estimate = {6, 1, MCP_ASDF_HALF, MCP_ASDF_ALPHA_MAX};
 uint8_t image[MCP_ASDF_IMAGE_SIZE];
 
-void bench_start(uint32_t b_hat, uint32_t filter_period)
+void bench_start(uint32_t b_hat)
 {
-    config.filter_period = filter_period;
     config.filter = MCP_ASDF_OFF; /* so that the table is not checked every time */
     (void)mcp_asdf_init(&robot, &config, 5, b_hat);
     config.filter = MCP_ASDF_ADAPTIVE;
 }
 
-void bench_set(uint32_t t, uint32_t n)
+void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
 {
+    config.filter_period = filter_period;
+    config.memory = memory;
+    robot.filter_left = filter_period;
     robot.t = t;
     robot.n = n;
 }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Sequence
+from itertools import pairwise
 
 from .images import Image, Instruction
 
@@ -45,6 +47,26 @@ class Flow:
         if _JUMP.fullmatch(line.name):
             return jumped
         return [*jumped, number + 1, *([number + 2] if _SKIP.fullmatch(line.name) else [])]
+
+
+class SeenFlow(Flow):
+    """The same as far as it was seen: a branch leads only where it led in one of some runs."""
+
+    def __init__(self, image: Image, runs: Collection[Sequence[tuple[int, int]]]) -> None:
+        """``runs`` have the addresses and bytes of blocks that ran one after the other."""
+        super().__init__(image)
+        ends = {block: self._last(*block) for run in runs for block in run}
+        self._seen = {
+            (ends[block], self._numbers.get(after)) for run in runs for block, (after, _) in pairwise(run)
+        }
+
+    def _last(self, address: int, size: int) -> int:
+        return max(self._numbers.get(at, -1) for at in range(address, address + size, 2))
+
+    def following(self, number: int) -> list[int]:
+        """As of ``Flow``, without the turns that were not seen."""
+        ways = super().following(number)
+        return ways if len(ways) < 2 else [way for way in ways if (number, way) in self._seen]
 
 
 class LongestWay:

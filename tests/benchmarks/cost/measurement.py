@@ -9,24 +9,35 @@ from pathlib import Path
 from typing import Any
 
 from . import runs
-from .flow import Flow, LongestWay
+from .flow import Flow, LongestWay, SeenFlow
 from .images import FIRMWARE, HERE, ROOT, TARGETS, Image, Target, build
 from .machines import Cost, Machine, load
-from .robots import Robot
+from .robots import SHORT, TESTED, UPDATED, Robot
+from .search import seek
 from .stacks import Stacks
 
 Figures = dict[str, Any]
 """What is measured, as JSON holds it."""
 
 BASELINES = {"double": "-DREAL=double", "float": "-DREAL=float"}
+COMPARED = "-O2"
+"""The level at which the firmware's calls are compared with the baselines'."""
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
+STEPS = ("step", SHORT, TESTED, UPDATED)
+"""Kinds of a step; the first is that in which the filter is not due."""
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 """Functions of the firmware whose stack is measured."""
 _TABLES = {q: ROOT / "tables" / f"t_table_omega05_q{q}.c" for q in (30, 127)}
 _KEPT = ("bench_start", "bench_set", "bench_updates", "bench_size")
 _IS_OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
-SETTINGS = {"seed": 1, "samples of every age": 20, "searches": 32, "rounds of every size": 8}
+SETTINGS = {
+    "seed": 1,
+    "samples of every age": 15,
+    "climbs for every call": 10,
+    "vain changes that end a climb": 80,
+    "rounds of every size": 8,
+}
 """Of the situations that the robots live through beside their lives; kept with the figures."""
 
 
@@ -99,8 +110,9 @@ def firmware(target: Target, level: str, folder: Path) -> Figures:
     rng = random.Random(SETTINGS["seed"])
     robot.live()
     robot.suffer(SETTINGS["samples of every age"], rng)
-    robot.seek(SETTINGS["searches"], rng)
+    seek(robot, SETTINGS["climbs for every call"], SETTINGS["vain changes that end a climb"], rng)
     robot.fill_rounds(SETTINGS["rounds of every size"], rng)
+    robot.lead_usual_life()  # whose invariants hold to the last
     painted = robot.deepest | _other_stacks(machine)
     stacks = Stacks(image)
     return {
@@ -108,6 +120,7 @@ def firmware(target: Target, level: str, folder: Path) -> Figures:
         "ram": machine.call("bench_size").value,
         "series": _series(robot, "cycles" if target.tools.startswith("avr") else "instructions"),
         "longest": _longest_ways(image),
+        "longest seen": _longest_seen(image, robot),
         "stack": {name: [stacks.deepest(f"mcp_asdf_{name}"), painted[name]] for name in STACK_CALLS},
     }
 
@@ -115,13 +128,27 @@ def firmware(target: Target, level: str, folder: Path) -> Figures:
 def _longest_ways(image: Image) -> dict[str, int | None]:
     """Instructions of the longest way through each function of a tick; None where the code has a loop."""
     ways = LongestWay(Flow(image))
+    return {name: _longest(ways, name) for name in TICK_CALLS}
+
+
+def _longest_seen(image: Image, robot: Robot) -> dict[str, int | None]:
+    """Instructions of the longest way through each kind of step, and x, along turns that one of them took.
+
+    None where the code has a loop, or ways were not recorded.
+    """
     longest: dict[str, int | None] = {}
-    for name in TICK_CALLS:
-        try:
-            longest[name] = ways.of(f"mcp_asdf_{name}")
-        except ValueError:
-            longest[name] = None
+    for name in (*STEPS, "x"):
+        call = "x" if name == "x" else "step"
+        seen = robot.ways[name]
+        longest[name] = _longest(LongestWay(SeenFlow(image, seen)), call) if all(seen) else None
     return longest
+
+
+def _longest(ways: LongestWay, call: str) -> int | None:
+    try:
+        return ways.of(f"mcp_asdf_{call}")
+    except ValueError:
+        return None
 
 
 def _series(robot: Robot, unit: str) -> Figures:
@@ -175,9 +202,11 @@ def baseline(target: Target, level: str, folder: Path, kind: str) -> Figures:
 
 
 def measure(target: Target, level: str, folder: Path) -> Figures:
-    """All of a target at a level."""
+    """All of a target at a level; the baselines' calls at one of them."""
     figures = {
         "flash": flash(target, level, folder),
         "firmware": firmware(target, level, folder / "firmware"),
     }
+    if level != COMPARED:
+        return figures
     return figures | {kind: baseline(target, level, folder / kind, kind) for kind in kinds(target)}

@@ -20,15 +20,16 @@ void plain_receive(plain_t *own, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 void plain_settle(plain_t *own);
 void plain_step(plain_t *own, mcp_asdf_observation_t z);
 
-void bench_start(uint32_t b_hat, uint32_t filter_period)
+void bench_start(uint32_t b_hat)
 {
     robot = (plain_t){0};
     robot.b_hat = (REAL)b_hat * (REAL)(1.0 / 4294967296.0);
-    robot.filter_left = robot.filter_period = filter_period;
 }
 
-void bench_set(uint32_t t, uint32_t n)
+void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
 {
+    (void)memory; /* it keeps all */
+    robot.filter_left = robot.filter_period = filter_period;
     robot.t = t;
     robot.n = n;
 }
@@ -110,7 +111,8 @@ void plain_step(plain_t *own, mcp_asdf_observation_t z)
 
 int main(void)
 {
-    bench_start(UINT32_C(0xF3333333), 1000);
+    bench_start(UINT32_C(0xF3333333));
+    bench_set(1000, 0, 0, 0);
     plain_observe(&robot, MCP_ASDF_BLACK);
     plain_receive(&robot, 6, 0, 0);
     plain_settle(&robot);

@@ -12,11 +12,12 @@
 #define TABLE_OF(q) PASTE(mcp_asdf_t_table_omega05_q, q)
 extern const uint32_t TABLE_OF(Q)[Q + 4];
 
-/* Make a robot with id 5 that filters every filter_period ticks. */
-void bench_start(uint32_t b_hat, uint32_t filter_period);
+/* Make a robot with id 5. */
+void bench_start(uint32_t b_hat);
 
-/* Set the numbers of observations and of black ones among them. */
-void bench_set(uint32_t t, uint32_t n);
+/* Let it filter every filter_period ticks and halve t when it reaches memory, and set the numbers of
+ * observations and of black ones among them. */
+void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
 
 /* Times that b_hat was re-estimated since the start. */
 uint32_t bench_updates(void);

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import struct
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -12,8 +11,10 @@ from firmware_py import Config, Filter, NativeRobot, Observation
 OWN_ID = 5
 NEIGHBOURS = (0, 1, 10, 127)
 """Of the robots whose lives are measured."""
-AGES = (*(2**k for k in range(32)), 2**32 - 2)
-"""Observations counted by the steps of all situations; at the last one t is halved."""
+MEMORIES = (64, 2**32 - 2)
+"""Of a robot: the least and the most, which is usual."""
+AGES = (*(2**k for k in range(32)), MEMORIES[1])
+"""Observations counted by the steps that are looked at one by one; at the last one t is halved."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
 
@@ -23,28 +24,45 @@ _BLACK = 0.545
 """p(z = 1) for a fill ratio of 0.55 and sensors right 95 times out of 100."""
 _FLAWED, _SOUND = 0.55, 0.95
 
+_B_HATS = (2**12, 2**32 - 2**12)
+"""Least and most, units of 2**-32."""
+_HALF, _INFORMATIVE = 2**31, 2**19
+"""Accuracy 1/2, and how far from it a robot begins to learn; units of 2**-32."""
+_ONE = 2**23
+"""Of x_hat, units of 2**-23."""
+_UNIT, _MOST, _LARGEST = 0x33800000, 0x4EFFFFFF, 0x7F7FFFFF
+"""As binary32 bits the alpha of one unit, the most of the firmware, and the largest there is."""
+_ALPHAS = (0, _UNIT - 1, _UNIT, 0x33FFFFFF, 0x34000000, 0x3EFFFFFF, 0x3F000000, _MOST, _MOST + 1, _LARGEST)
+"""Where one way through the code gives way to another, and the numbers beside."""
+
 Message = tuple[int, int, int]
 """Sender, x_hat in units of 2**-23, alpha as binary32 bits."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """A robot before an observation: b_hat (unit 2**-32), t, n, the open round, and what it sees next."""
+    """A robot before an observation: b_hat (unit 2**-32), memory, t, n, open round, and what it sees next."""
 
     b_hat: int
+    memory: int
     t: int
     n: int
     messages: tuple[Message, ...]
     observation: int
 
+    @property
+    def audible(self) -> int:
+        """Messages that say something: of alpha from one unit on."""
+        return sum(alpha >= _UNIT for _, _, alpha in self.messages)
+
 
 @dataclass(frozen=True)
 class Tick:
-    """What a robot sees and hears in a tick, and whether it then tests (eq. 12)."""
+    """What a robot sees and hears in a tick, and whether its filter is due then."""
 
     observation: int
     messages: tuple[Message, ...]
-    tests: bool
+    due: bool
 
 
 @dataclass(frozen=True)
@@ -74,7 +92,7 @@ def _life(neighbours: int) -> Life:
         for robot in swarm.values():
             robot.step(Observation(_see(rng)))
         messages = tuple((sender, robot.x_hat_raw, robot.alpha_raw) for sender, robot in swarm.items())
-        ticks.append(Tick(_see(rng), messages, number % period == 0 and neighbours >= 2))
+        ticks.append(Tick(_see(rng), messages, number % period == 0))
     return Life(int(_FLAWED * 2**32), period, neighbours, tuple(ticks))
 
 
@@ -87,33 +105,127 @@ def senders(count: int) -> list[int]:
     return [sender for sender in range(128) if sender != OWN_ID][:count]
 
 
-def situation(rng: random.Random, age: int, messages: int) -> Situation:
-    """Any one of that age with that many messages, edges over-represented."""
-    b = rng.choice(
-        [0.55, 0.75, 0.95, 0.999999, 0.02, rng.uniform(0.5001, 0.9999), rng.uniform(0.0001, 0.4999)]
-    )
-    share = rng.choice([0.0, 0.5, 1.0, 1 - b, b, rng.random(), rng.uniform(min(b, 1 - b), max(b, 1 - b))])
-    n = min(int((age - 1) * share), age - 1)
-    heard = tuple(_message(rng, sender) for sender in senders(messages))
-    return Situation(int(b * 2**32), age - 1, n, heard, rng.getrandbits(1))
+DEAR = (
+    Situation(2151478824, 400, 399, 199, (), 0),
+    Situation(2190624173, 88, 87, 44, (), 0),
+    Situation(4096, 221264, 221263, 3, (), 0),
+    Situation(65841, 2**32 - 2, 2**32 - 3, 131926, (), 0),
+    Situation(4117, 378148, 378147, 11, ((0, 2**23, 0x3387C747), (1, 2**23 - 1, 0x34000000)), 0),
+    Situation(11119630, 2**32 - 2, 2**32 - 3, 1922344842, ((0, 0, _UNIT), (1, 0, 0x3F800000)), 0),
+    Situation(2166151516, 2046, 2045, 1023, ((0, 2**23, 0x3F000000), (1, 2**23, 0x33FFFFFF)), 1),
+    Situation(
+        4294891937, 2**32 - 2, 2**32 - 3, 4292443597, ((0, 2**23, 0x3F000000), (1, 2**23, 0x34000000)), 1
+    ),
+    Situation(4294963200, 356012, 356011, 355999, ((0, 2**23 - 3, 0x3EFFFFFF), (1, 2**23, 0x4C5BF4BE)), 0),
+    Situation(4294963200, 450978, 450977, 450957, ((0, 2**23, 0x33FFFFED), (1, 2**23, 0x34000000)), 0),
+)
+"""What long searches found: a small memory halved, b_hat at a clamp or beside 1/2, n beside c t or t/2."""
+
+
+def usual_round(messages: int) -> tuple[Message, ...]:
+    """Messages of middling x_hat and confidence."""
+    return tuple((sender, _ONE // 4 * 3, 0x48000000) for sender in senders(messages))
+
+
+# ---- Situations ----
+
+
+def situation(rng: random.Random, messages: int, age: int | None = None) -> Situation:
+    """Any one with that many messages, edges over-represented; at that age if one is given."""
+    memory, t = _moment(rng) if age is None else (MEMORIES[1], age - 1)
+    b_hat = _accuracy(rng)
+    return Situation(b_hat, memory, t, _blacks(rng, t, b_hat), _round(rng, messages), rng.getrandbits(1))
 
 
 def mutated(rng: random.Random, old: Situation) -> Situation:
-    """The situation with another accuracy, share of black, observation or message, at the same age."""
-    new = situation(rng, old.t + 1, len(old.messages))
-    kind = rng.randrange(3 + len(old.messages))
-    if kind == 0:
-        return replace(old, b_hat=new.b_hat)
-    if kind == 1:
-        return replace(old, n=new.n)
-    if kind == 2:
+    """The situation with one thing changed, a little or altogether; as many messages as before."""
+    kind = rng.randrange(9 if old.messages else 7)
+    if kind < 2:
+        b_hat = _near(rng, old.b_hat, *_B_HATS) if kind else _accuracy(rng)
+        return replace(old, b_hat=b_hat)
+    if kind < 4:
+        n = _near(rng, old.n, 0, old.t) if kind == 2 else _blacks(rng, old.t, old.b_hat)
+        return replace(old, n=n)
+    if kind == 4:
+        memory, t = _moment(rng)
+        return replace(old, memory=memory, t=t, n=old.n * t // max(old.t, 1))
+    if kind == 5:
+        b_hat = _accuracy(rng)
+        return replace(old, b_hat=b_hat, n=_blacks(rng, old.t, b_hat))
+    if kind == 6:
         return replace(old, observation=1 - old.observation)
-    heard = list(old.messages)
-    heard[kind - 3] = new.messages[kind - 3]
-    return replace(old, messages=tuple(heard))
+    return replace(old, messages=_round(rng, len(old.messages)) if kind == 7 else _changed(rng, old.messages))
 
 
-def _message(rng: random.Random, sender: int) -> Message:
-    """Any valid message, its alpha off the firmware's grid, too."""
-    alpha = rng.choice([1.0, 1e4, 1e9, 3e9, 0.3, 1e-9, 2 ** rng.uniform(-30, 40)])
-    return sender, rng.getrandbits(23), int(struct.unpack("<I", struct.pack("<f", alpha))[0])
+def _accuracy(rng: random.Random) -> int:
+    """b_hat: the clamps, their neighbourhood and that of 1/2 on a logarithmic scale, or any."""
+    kind, sign = rng.randrange(7), rng.choice((-1, 1))
+    if kind == 0:
+        return rng.choice((*_B_HATS, _HALF, _HALF + sign * _INFORMATIVE))
+    if kind < 3:
+        return sign * int(2 ** rng.uniform(12, 31)) % 2**32
+    if kind < 5:
+        return _clamped(_HALF + sign * int(2 ** rng.uniform(18, 31)), *_B_HATS)
+    if kind == 5:
+        return _HALF + sign * (_INFORMATIVE + int(2 ** rng.uniform(0, 16)))
+    return rng.randint(*_B_HATS)
+
+
+def _moment(rng: random.Random) -> tuple[int, int]:
+    """A memory and t: mostly where the next observation halves it, else powers of two and any."""
+    kind = rng.randrange(10)
+    if kind < 3:
+        return MEMORIES[1], MEMORIES[1] - 1
+    if kind < 7:
+        memory = (
+            2 ** rng.randrange(6, 32) + 2 * rng.randint(-1, 1) if kind == 3 else int(2 ** rng.uniform(6, 32))
+        )
+        memory = _clamped(memory // 2 * 2, *MEMORIES)
+        return memory, memory - 1
+    t = 2 ** rng.randrange(32) + rng.randint(-1, 1) if kind == 7 else int(2 ** rng.uniform(0, 32))
+    return MEMORIES[1], _clamped(rng.randint(1, 5) if kind == 8 else t, 1, MEMORIES[1] - 1) - 1
+
+
+def _blacks(rng: random.Random, t: int, b_hat: int) -> int:
+    """n: at the ends, in the middle, where x_hat leaves 0 or 1, or any, and the numbers beside."""
+    b, small = b_hat / 2**32, 2 ** rng.uniform(-32, 0)
+    share = rng.choice((0.0, 0.5, 1.0, b, 1 - b, rng.random(), small, 1 - small))
+    return _clamped(int(t * share) + rng.randint(-3, 3), 0, t)
+
+
+def _round(rng: random.Random, messages: int) -> tuple[Message, ...]:
+    """Messages around any x_hat, 1/2 more often, close together or not; confidence of all kinds."""
+    away = rng.choice((-1, 1)) * int(2 ** rng.uniform(0, 22))
+    middle = rng.choice((_ONE // 2 + rng.randint(-3, 3), _ONE // 2 + away, rng.randint(0, _ONE), 0, _ONE))
+    width, usual = rng.choice((0, 1, 3, 2 ** rng.randrange(1, 23))), rng.choice(_ALPHAS)
+    common = rng.random() < 0.4
+    return tuple(
+        (sender, _clamped(middle + rng.randint(-width, width), 0, _ONE), usual if common else _alpha(rng))
+        for sender in senders(messages)
+    )
+
+
+def _alpha(rng: random.Random) -> int:
+    """Of any valid message, off the firmware's grid, too; as binary32 bits."""
+    return rng.choice((rng.choice(_ALPHAS), rng.randint(_UNIT, _MOST), rng.randint(0, _LARGEST)))
+
+
+def _changed(rng: random.Random, messages: tuple[Message, ...]) -> tuple[Message, ...]:
+    """The same with one of them changed."""
+    at = rng.randrange(len(messages))
+    sender, x_hat, alpha = messages[at]
+    if rng.getrandbits(1):
+        new = sender, _near(rng, x_hat, 0, _ONE), alpha
+    else:
+        new = sender, x_hat, rng.choice((_alpha(rng), _near(rng, alpha, 0, _LARGEST)))
+    return (*messages[:at], new, *messages[at + 1 :])
+
+
+def _near(rng: random.Random, value: int, least: int, most: int) -> int:
+    """A value beside it, at any distance on a logarithmic scale."""
+    away = int(2 ** rng.uniform(0, (most - least).bit_length()))
+    return _clamped(value + rng.choice((-1, 1)) * away, least, most)
+
+
+def _clamped(value: int, least: int, most: int) -> int:
+    return max(least, min(value, most))
