@@ -223,7 +223,7 @@ def test_there_are_commands_to_test() -> None:
 
 def test_the_documentation_is_built(tmp_path: Path) -> None:
     """Every name that the page of the Python API asks for is there, and links and anchors lead somewhere."""
-    *_, command = run(require("make", "make"), "-n", "docs").splitlines()
+    *_, command = run(require("make", "make"), "-n", "--no-print-directory", "docs").splitlines()
     words = shlex.split(command)
     assert "--strict" in words
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"

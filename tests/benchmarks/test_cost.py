@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support import ROOT, require
@@ -156,7 +157,7 @@ def test_painted_stacks_reach_the_bounds(target: Target, level: str) -> None:
     assert all(0 <= rest <= UNUSED[target.tools] for rest in unused.values()), unused
 
 
-Place = tuple[str | int, ...]
+Place = tuple[Any, ...]
 
 
 def places(part: object, at: Place = ()) -> Iterator[Place]:
@@ -194,7 +195,8 @@ def test_every_figure_that_is_off_is_told(target: Target, level: str) -> None:
 
 
 def is_zero(part: measurement.Figures, place: Place) -> bool:
-    return functools.reduce(lambda inner, key: inner[key], place, part) == 0  # no factor changes it
+    number: Any = functools.reduce(lambda inner, key: inner[key], place, part)
+    return bool(number == 0)  # no factor changes it
 
 
 def test_a_figure_within_the_tolerance_is_not_told() -> None:

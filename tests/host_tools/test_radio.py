@@ -264,9 +264,11 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
         return not isinstance(decode_command(frame, Subjects().commands), Rejection)
 
     class Losing(Wire):
+        orders = 0
+
         def send(self, msg: can.Message, timeout: float | None = None) -> None:
-            orders = [frame for frame in self.sent if is_command(frame)]
-            if is_command(msg) and len(orders) in (10, 20):
+            self.orders += is_command(msg)
+            if is_command(msg) and self.orders in (11, 21):
                 self.sent.append(msg)
             else:
                 super().send(msg, timeout)

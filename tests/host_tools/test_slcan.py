@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import signal
 import socket
 import threading
 import time
@@ -225,22 +226,29 @@ def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
 
 
 def estimates_at(port: int, heard: list[can.Message], count: int) -> None:
-    """Connect as soon as there is an adapter and collect estimates."""
+    """Connect as soon as there is an adapter, collect estimates, then press Ctrl-C."""
     deadline = time.monotonic() + 10 * TIMEOUT
-    while time.monotonic() < deadline:
+    try:
+        with connection_to(port, deadline) as program:
+            program.sendall(b"O\r")
+            for line in program.makefile("r", newline="\r"):
+                frame = frame_of(line.rstrip("\r").encode())
+                if frame is not None and isinstance(frames.decode(frame, FrameFormat()), Message):
+                    heard.append(frame)
+                if len(heard) == count or time.monotonic() > deadline:
+                    return
+    finally:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
+def connection_to(port: int, deadline: float) -> socket.socket:
+    while True:
         try:
-            program = socket.create_connection(("127.0.0.1", port), TIMEOUT)
-            break
+            return socket.create_connection(("127.0.0.1", port), TIMEOUT)
         except ConnectionRefusedError:
+            if time.monotonic() > deadline:
+                raise
             time.sleep(0.02)
-    with program:
-        program.sendall(b"O\r")
-        for line in program.makefile("r", newline="\r"):
-            frame = frame_of(line.rstrip("\r").encode())
-            if frame is not None and isinstance(frames.decode(frame, FrameFormat()), Message):
-                heard.append(frame)
-            if len(heard) == count:
-                return
 
 
 def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
@@ -249,8 +257,8 @@ def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
     heard: list[can.Message] = []
     listener = threading.Thread(target=estimates_at, args=(port, heard, 30))
     listener.start()
-    swarm = ["swarm", "--robots", "3", "--ticks", "3000", "--firmware", "mirror", "--filter", "off"]
-    assert main([*swarm, "--slcan", str(port)]) == 0
+    swarm = ["swarm", "--robots", "3", "--ticks", "100000", "--filter", "off", "--clock", "real-time"]
+    assert main([*swarm, "--slcan", str(port)]) == 130
     listener.join()
     assert f"socket://127.0.0.1:{port}" in capsys.readouterr().err
     assert {frame.arbitration_id & 127 for frame in heard} == {0, 1, 2}
