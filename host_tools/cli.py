@@ -1,7 +1,7 @@
 """The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``host_tools.commands``.
 
-Exit codes: 0 done, 1 a check failed, 2 bad usage or output that cannot be written, 130 interrupted, 141 the
-reader of the output left.
+Exit codes: 0 done, 1 a check or the bus failed, 2 bad usage, or a file or bus that cannot be opened or
+written, 130 interrupted, 141 the reader of the output left.
 """
 
 from __future__ import annotations

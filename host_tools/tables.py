@@ -1,4 +1,4 @@
-"""Making t-tables: the thresholds of the hypothesis test (eq. 13) for one omega and one bound q.
+"""Making t-tables: the thresholds of the hypothesis test (eq. 12) for one omega and one bound q.
 
 With ``k_m = (t_{m-1,(1-omega)/2} / sqrt(m) + 1)**2 * m / (m - 1)`` the test needs no root and no
 division. Omega is a decimal with at most 9 places, so that the word that the table stores
@@ -154,7 +154,7 @@ def _density(t: mpf, freedom: int) -> mpf:
 
 @dataclass(frozen=True)
 class ThresholdError:
-    """Largest relative error of a table's thresholds, as eq. 13 compares them: of sqrt(k_m).
+    """Largest relative error of a table's thresholds, as eq. 12 compares them: of sqrt(k_m).
 
     Attributes:
         rounding: For m = 2 .. q.

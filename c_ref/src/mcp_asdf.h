@@ -117,7 +117,7 @@ typedef struct {
 /* The usual settings: broadcast every tick, tau = 1000, longest memory, adaptive filter. */
 #define MCP_ASDF_CONFIG(t_table) {(t_table), 1, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE}
 
-/* Exact sums over the messages of a round that have alpha > 0 (eq. 5, 6 and 13). With alpha in units of
+/* Exact sums over the messages of a round that have alpha > 0 (eq. 5, 6 and 12). With alpha in units of
  * 2^-24 split into alpha = high 2^32 + low, the product alpha x_hat is summed in two parts that need no
  * carry between them. Sums of robots add and subtract member by member.
  *   alpha         sum of alpha                      < 2^62, unit 2^-24
@@ -245,12 +245,13 @@ bool mcp_asdf_sums_add(mcp_asdf_sums_t *sums, uint32_t x_hat, uint32_t alpha);
 mcp_asdf_status_t mcp_asdf_add_round(mcp_asdf_t *robot, const mcp_asdf_sums_t *sums, uint8_t messages);
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
- * Needs sizeof(mcp_asdf_t) of stack. */
+ * Needs up to 240 bytes of stack, among them a copy of the robot (docs/cost.md). */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 
-/* Make a robot from an image; it goes on as the saved one would have, bit for bit. Needs sizeof(mcp_asdf_t)
- * of stack. Fails as init does for config and table, and if the image is damaged, of another version, or
- * does not fit the config's periods and memory (ERR_IMAGE). On failure *robot is unchanged. */
+/* Make a robot from an image; it goes on as the saved one would have, bit for bit. Needs up to 350
+ * bytes of stack, among them a copy. Fails as init does for config and table, and if the image is damaged, of
+ * another version, or does not fit the config's periods and memory (ERR_IMAGE). On failure *robot is
+ * unchanged. */
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 

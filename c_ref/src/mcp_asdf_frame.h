@@ -9,7 +9,7 @@
  *   telemetry   x, b_hat and the number of updates, for watchers (optional)
  *   command     a simulator's order to observe or to settle, for lockstep (optional)
  *
- * A robot that a broadcast is due from sends
+ * When a broadcast is due, a robot sends
  *
  *     const mcp_asdf_estimate_t own = {id, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
  *     if (mcp_asdf_encode_estimate(&frame, &format, &own) == MCP_ASDF_FRAME_OK)

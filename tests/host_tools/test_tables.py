@@ -224,7 +224,7 @@ def test_an_exact_tie_ends_in_one_of_its_neighbours(monkeypatch: pytest.MonkeyPa
     assert generate.__wrapped__(Decimal("0.05"), 3).entries[0] - table.entries[0] in (0, 1)
 
 
-def eq_13_multiple(omega: float, m: int) -> float:
+def eq_12_multiple(omega: float, m: int) -> float:
     """t/sqrt(m) + 1 in double precision by scipy."""
     return float(scipy.stats.t.isf((1 - omega) / 2, m - 1)) / math.sqrt(m) + 1
 
@@ -237,7 +237,7 @@ def used_multiple(table: Table, m: int) -> float:
 def test_the_stated_error_is_the_worst_of_all_thresholds(omega: str, q: int) -> None:
     table = generate(Decimal(omega), q)
     stated = worst_threshold_error(Decimal(omega), table)
-    errors = {m: abs(used_multiple(table, m) / eq_13_multiple(float(omega), m) - 1) for m in range(2, 128)}
+    errors = {m: abs(used_multiple(table, m) / eq_12_multiple(float(omega), m) - 1) for m in range(2, 128)}
     beyond = max((errors[m] for m in range(q + 1, 128)), default=0.0)
     assert stated.rounding == pytest.approx(max(errors[m] for m in range(2, q + 1)), rel=0.02, abs=1e-14)
     assert beyond * (1 - 1e-9) <= stated.beyond_q <= beyond * 1.01
@@ -831,14 +831,14 @@ def test_the_thresholds_on_the_page() -> None:
     for row in rows:
         m = int(row.pop("m"))
         for title, cell in row.items():
-            multiple = eq_13_multiple(float(title.removeprefix("omega ")), m)
+            multiple = eq_12_multiple(float(title.removeprefix("omega ")), m)
             assert cell == f"{multiple:.4f} / {multiple**2 * m / (m - 1):.4f}", (m, title)
 
 
 def rejection_share(omega: float, m: int, distance: float) -> float:
     """P(|mean - own| > multiple S) for an own estimate ``distance`` sigma from the true mean: S is
     sigma times a chi variable over sqrt(m - 1), independent of the mean."""
-    multiple, root = eq_13_multiple(omega, m), math.sqrt(m - 1)
+    multiple, root = eq_12_multiple(omega, m), math.sqrt(m - 1)
     normal, chi = scipy.stats.norm(scale=1 / math.sqrt(m)), scipy.stats.chi(m - 1)
 
     def share(s: float) -> float:
@@ -855,7 +855,7 @@ def test_the_rejections_on_the_page() -> None:
     for row in rows:
         m, omega = int(row["m"]), float(row["omega"])
         spread = math.sqrt(1 + 1 / m)  # of the difference of two that vary
-        same = 2 * scipy.stats.t.sf(eq_13_multiple(omega, m) / spread, m - 1)
+        same = 2 * scipy.stats.t.sf(eq_12_multiple(omega, m) / spread, m - 1)
         assert row["one of them"] == f"{same:.1%}"
         for title, distance in distances.items():
             assert row[title] == f"{rejection_share(omega, m, distance):.1%}", (m, omega, title)

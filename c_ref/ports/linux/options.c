@@ -38,7 +38,7 @@ static const char usage[] =
     "  --save-period TICKS    save there in between, too (0: no)\n"
     "\n"
     "Ends with a line of JSON. Status 0: by --ticks, the end of observations, SIGINT or SIGTERM;\n"
-    "1: the bus or the observations failed; 2: the command line is wrong.\n";
+    "1: the bus or the observations failed; 2: it could not start.\n";
 
 /* Numbers first, then texts, then what takes no argument. */
 enum option_index {

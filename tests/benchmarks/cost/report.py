@@ -93,7 +93,7 @@ def _short(figures: Figures) -> str:
             [f"plain {kind} C for step and x: times as many", *_ratios(targets, kind)]
             for kind in ("double", "float")
         ),
-        ["code: bytes of flash, -Os (-O2)", *map(_code, targets.values())],
+        ["code without save and restore: bytes of flash, -Os (-O2)", *map(_code, targets.values())],
         ["RAM of a robot, bytes", *(core["ram"] for core in cores)],
         ["deepest stack of a tick, bytes", *(stack_of_tick(core) for core in cores)],
     ]
