@@ -23,7 +23,9 @@ else()
     file(RELATIVE_PATH up_to_prefix /${pkgconfig_dir} /)
     set(prefix \${pcfiledir}/${up_to_prefix})
 endif()
-cmake_path(APPEND includedir "\${prefix}" ${CMAKE_INSTALL_INCLUDEDIR}) # or just the latter, if it is absolute
-cmake_path(APPEND libdir "\${prefix}" ${CMAKE_INSTALL_LIBDIR})
+set(includedir "\${prefix}")
+cmake_path(APPEND includedir ${CMAKE_INSTALL_INCLUDEDIR}) # which replaces it, if it is absolute
+set(libdir "\${prefix}")
+cmake_path(APPEND libdir ${CMAKE_INSTALL_LIBDIR})
 configure_file(cmake/mcp_asdf.pc.in mcp_asdf.pc @ONLY)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/mcp_asdf.pc DESTINATION ${pkgconfig_dir})

@@ -54,18 +54,18 @@
 #define QUICK_RECEIVE 1
 #endif
 
-/* HOT only where registers are many, as they are not on cores that split products. */
-#if MCP_ASDF_SPLIT_MULTIPLY
-#define NEAR static
-#else
-#define NEAR HOT
-#endif
-
 /* What it calls for any other message must not take registers from it. */
 #if defined(__GNUC__) && QUICK_RECEIVE
 #define COLD static __attribute__((noinline))
 #else
 #define COLD static
+#endif
+
+/* HOT only where registers are many, as they are not on cores that split products. */
+#if MCP_ASDF_SPLIT_MULTIPLY
+#define NEAR static
+#else
+#define NEAR HOT
 #endif
 
 #define TABLE_MAGIC UINT32_C(0x4D435054)
@@ -633,7 +633,7 @@ static mcp_asdf_status_t check_message(const mcp_asdf_t *robot, uint8_t sender, 
     return alpha >= ALPHA_INFINITE ? MCP_ASDF_ERR_ALPHA : MCP_ASDF_OK; /* sign bit, infinity, not a number */
 }
 
-/* Receive any message; with QUICK_RECEIVE, any that is not to be added. */
+/* Receive any message; with QUICK_RECEIVE, any that is not to be added: if it is sound, the round is full. */
 COLD mcp_asdf_status_t receive_checked(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_status_t status = check_message(robot, sender, x_hat, alpha);

@@ -62,7 +62,6 @@ static void confidence_inside_fits(void)
     }
 }
 
-/* "nu = floor(part 2^32 / total) <= c": around the largest part at the end, at both ends of total */
 /* (c + 1) total one above a multiple of 2^32, where the sum in at_end() just reaches the next one. */
 static void at_end_at_its_closest(void)
 {
@@ -81,6 +80,7 @@ static void at_end_at_its_closest(void)
     }
 }
 
+/* "nu = floor(part 2^32 / total) <= c": around the largest part at the end, at both ends of total */
 static void at_end_as_the_quotient_says(void)
 {
     for (int i = 0; i < 100000; ++i) {

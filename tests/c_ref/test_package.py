@@ -247,6 +247,12 @@ def test_absolute_folders_are_found(absolute: Path, project: Path, expected: str
     assert run(build(project, FIND.format(""), f"-Dmcp_asdf_DIR={config.parent}") / "consumer") == expected
 
 
+def test_a_project_s_own_names_for_folders_do_not_matter(tmp_path: Path) -> None:
+    """A project around it may hold variables that its own .pc file needs."""
+    cmake("-S", ROOT / "c_ref", "-B", tmp_path, "-Dincludedir=/elsewhere", "-Dlibdir=/elsewhere")
+    assert "/elsewhere" not in (tmp_path / "mcp_asdf.pc").read_text(encoding="utf-8")
+
+
 def test_what_is_installed(prefix: Path) -> None:
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
     config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
