@@ -24,6 +24,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 
 from host_tools.errors import UsageError
 from host_tools.experiments import Experiment
+from host_tools.files import check_target
 from host_tools.results import describe, read_table, table_of, versions, write_table
 from host_tools.simulation import Measured, run_trials
 from host_tools.stopping import stopping
@@ -78,8 +79,7 @@ class Store:
         self._names = {experiment: identity(experiment, thinning) for experiment in self.experiments}
         self._tables: list[pa.Table] = []
         self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
-        if not output.resolve().parent.is_dir():
-            raise UsageError(f"cannot write {output}: its folder does not exist; make it first")
+        check_target(output)
         for path in [*sorted(self.parts.glob("*.parquet")), output]:
             if path.exists():
                 self._take_file(path)

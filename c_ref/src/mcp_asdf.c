@@ -727,9 +727,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
  */
 static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    const uint64_t middle =
-        alpha_x_high + high_word(alpha_x_low); /* wraps only where the limits below fail */
-    const uint64_t most = alpha >> 9;          /* of middle, where the mean is 1.0 */
+    const uint64_t middle = alpha_x_high + high_word(alpha_x_low); /* may wrap, but not within the limits */
+    const uint64_t most = alpha >> 9;                              /* of middle, where the mean is 1.0 */
     return alpha <= multiply(MCP_ASDF_MAX_ID, UINT32_C(0xFFFFFF)) << ALPHA_SHIFT_MAX &&
            alpha_x_low < UINT64_C(1) << 62 && alpha_x_high < UINT64_C(1) << 53 &&
            (middle < most || (middle == most && low_word(alpha_x_low) <= low_word(alpha) << 23));

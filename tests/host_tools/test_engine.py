@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import CORE, ROOT, require, run
+from trials import check_that_the_engine_is_the_mirror
 
 from firmware_py.robot import B_HAT_MARGIN, FirmwareError
 from host_tools import _engine, draws
@@ -196,10 +197,7 @@ def test_lanes_are_used_only_where_they_are_exact(experiment: Experiment, expect
     ],
 )
 def test_engine_equals_the_mirror(experiment: Experiment) -> None:
-    own = run_trials(experiment, 1, 2, thinning=7)
-    other = run_trials(replace(experiment, firmware="mirror"), 1, 2, thinning=7)
-    for name in ("settled", "errors", "b_hat", "tests", "updates", "records"):
-        assert np.array_equal(getattr(own, name), getattr(other, name)), name
+    check_that_the_engine_is_the_mirror(experiment)
 
 
 def test_all_robots_have_the_same_informed_estimate_to_the_bit() -> None:

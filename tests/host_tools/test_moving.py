@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from trials import check_that_the_engine_is_the_mirror
 
 from host_tools.engine import native
 from host_tools.errors import UsageError
@@ -258,10 +259,7 @@ def test_lanes_equal_the_firmware_in_random_worlds() -> None:
     ],
 )
 def test_engine_equals_the_mirror(experiment: Experiment) -> None:
-    own = run_trials(experiment, 1, 2, thinning=7)
-    other = run_trials(replace(experiment, firmware="mirror"), 1, 2, thinning=7)
-    for name in ("settled", "errors", "b_hat", "tests", "updates", "records"):
-        assert np.array_equal(getattr(own, name), getattr(other, name)), name
+    check_that_the_engine_is_the_mirror(experiment)
 
 
 def test_recording_changes_nothing() -> None:
