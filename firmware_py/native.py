@@ -13,9 +13,10 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from firmware_py._native import ffi, lib
-from firmware_py.fixed_point import FixedPointView, b_hat_to_raw
+from firmware_py.fixed_point import MAX_WORD, FixedPointView, b_hat_to_raw
 from firmware_py.robot import (
     B_HAT_MARGIN,
+    MAX_ID,
     Config,
     Counters,
     Filter,
@@ -26,15 +27,15 @@ from firmware_py.robot import (
     whole_number,
     whole_settings,
 )
-from firmware_py.table import HEADER_WORDS, MAX_Q, Table
+from firmware_py.table import EXTRA_WORDS, MAX_Q, Table
 
 __all__ = ["NativeRobot", "ffi", "lib"]
 
 _STATUS = {int(status): status for status in Status}
-_MAX_WORD = 2**32 - 1
 _MAX_BYTE = 2**8 - 1
+_COUNTER_MASK = 2**16 - 1
 _REASONS = {
-    Status.ERR_CONFIG: "the firmware refuses the filter, a period or the memory of {config}",
+    Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
     Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
     Status.ERR_ID: "robot id is {robot_id}; choose 0 .. 127",
     Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
@@ -87,30 +88,35 @@ class NativeRobot(FixedPointView):
         return bytes(image)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast."""
-        return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, _MAX_WORD))]
+        """Count an observation and form x_hat and alpha."""
+        return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, MAX_WORD))]
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         try:
             return _STATUS[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
         except OverflowError:
-            message = _fit(sender, _MAX_BYTE), _fit(x_hat, _MAX_WORD), _fit(alpha, _MAX_WORD)
-            return _STATUS[lib.mcp_asdf_receive(self.pointer, *message)]
+            fitting = _fit(sender, _MAX_BYTE), _fit(x_hat, MAX_WORD)
+            return _STATUS[lib.mcp_asdf_receive(self.pointer, *fitting, alpha)]
 
-    def _add_round(self, sums: Sums, messages: int) -> Status:
-        try:
-            native_sums = ffi.new("mcp_asdf_sums_t *", vars(sums))
-            return _STATUS[lib.mcp_asdf_add_round(self.pointer, native_sums, messages)]
-        except OverflowError:  # more than the C can be asked, so more than 127 messages can give
-            return Status.ERR_SUMS
+    def _unheard(self) -> list[int]:
+        robot = self.pointer
+        return [i for i in range(MAX_ID + 1) if i != robot.id and not robot.heard.of[i >> 3] >> (i & 7) & 1]
+
+    def _add(self, sums: Sums, senders: list[int]) -> None:
+        robot = self.pointer
+        for sender in senders:
+            robot.heard.of[sender >> 3] |= 1 << (sender & 7)
+        robot.counters.accepted = robot.counters.accepted + len(senders) & _COUNTER_MASK
+        for name, value in vars(sums).items():
+            setattr(robot.open, name, getattr(robot.open, name) + value)
 
     def settle(self) -> Status:
-        """Close the round if a broadcast was due, and filter when the time has come."""
+        """Close the round, and filter every ``filter_period`` rounds."""
         return _STATUS[lib.mcp_asdf_settle(self.pointer)]
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``; returns what ``observe`` returned."""
-        return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, _MAX_WORD))]
+        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+        return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, MAX_WORD))]
 
     @property
     def t(self) -> int:
@@ -134,7 +140,7 @@ class NativeRobot(FixedPointView):
 
     @property
     def alpha_raw(self) -> int:
-        """alpha as binary32 bits."""
+        """alpha as the firmware's word."""
         return int(lib.mcp_asdf_alpha(self.pointer))
 
     @property
@@ -154,7 +160,7 @@ class NativeRobot(FixedPointView):
 
     @property
     def counters(self) -> Counters:
-        """Diagnostics, the open round's messages included."""
+        """Diagnostics since the robot was made."""
         native_counters = lib.mcp_asdf_counters(self.pointer)
         return Counters(*(getattr(native_counters, member.name) for member in fields(Counters)))
 
@@ -176,11 +182,9 @@ class _SharedConfig:
             self._table = _table_in_c(config.table)
         self.pointer = ffi.new("mcp_asdf_config_t *")
         self.pointer.table = self._table
-        filter_mode, *settings = whole_settings(config)
-        comms_period, filter_period, memory = (_fit(value, _MAX_WORD, refused=0) for value in settings)
-        self.pointer.comms_period = comms_period
-        self.pointer.filter_period = filter_period
-        self.pointer.memory = memory
+        filter_mode, filter_period, memory = whole_settings(config)
+        self.pointer.filter_period = _fit(filter_period, MAX_WORD, refused=0)
+        self.pointer.memory = _fit(memory, MAX_WORD, refused=0)
         self.pointer.filter = _fit(filter_mode, _MAX_BYTE)
 
 
@@ -188,7 +192,7 @@ def _table_in_c(table: Table) -> Any:
     """A table's words and zeros up to the longest table: whatever q they claim, C reads what is there."""
     words = table.words()
     try:
-        return ffi.new("uint32_t[]", [*words, *[0] * (HEADER_WORDS + MAX_Q - len(words))])
+        return ffi.new("uint32_t[]", [*words, *[0] * (EXTRA_WORDS + MAX_Q - len(words))])
     except OverflowError:  # a word of more than 32 bits: no table
         return ffi.NULL
 
@@ -205,7 +209,7 @@ def _share(config: Config) -> _SharedConfig:
 
 
 def _fit(value: int, most: int, refused: int | None = None) -> int:
-    """``value`` if the C type holds it, else a number that the C refuses: the largest, unless told."""
+    """``value`` if the C type holds it, else a number that the C refuses: ``refused``, or the largest."""
     value = whole_number(value)
     if 0 <= value <= most:
         return value

@@ -22,7 +22,6 @@ from scipy.special import stdtrit  # type: ignore[import-untyped]
 
 from firmware_py.robot import (
     B_HAT_MARGIN,
-    MAX_ALPHA,
     MAX_ID,
     Config,
     Counters,
@@ -30,17 +29,18 @@ from firmware_py.robot import (
     FirmwareError,
     Observation,
     Status,
+    check_alpha,
     check_identity,
-    check_periods,
+    check_settings,
     check_table,
     whole_number,
 )
 
 UNINFORMATIVE = 2.0**-12
-"""Where |2 b_hat - 1| is below this an observation says nothing."""
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p says nothing."""
 
 MAX_OMEGA = 0.9
-MAX_COUNT = 65535
+COUNTER_MODULUS = 2**16
 WEIGHT_EXPONENT = 500
 """Weights are scaled to 2**500: their products with x_hat keep all bits down to x_hat's own least."""
 
@@ -53,7 +53,7 @@ class Conventions:
         lost_degrees: The t-score has m - ``lost_degrees`` degrees of freedom.
         strict: Update where the deviation is above the interval (eq. 12), not where it equals it.
         guarded: b_hat within UNINFORMATIVE of saying nothing gives x_hat = 1/2 and alpha = 0, and no
-            update follows from x_bar = 1/2. Otherwise a division by zero is IEEE 754's, whose infinity
+            update follows from such an x_bar. Otherwise a division by zero is IEEE 754's, whose infinity
             the case distinctions of eq. 3 and 8 then clamp; 0/0 alone, NaN in the authors' programs,
             is 1/2: the value of both equations at n/t = 1/2 for every other b_hat or x_bar.
         clamp_at: A quotient of eq. 8 at most ``clamp_at`` or at least 1 - ``clamp_at`` ...
@@ -146,11 +146,11 @@ def informed_estimate(own: Message, messages: Sequence[Message]) -> float:
 def assumed_accuracy_update(n: int, t: int, x_bar: float, conventions: Conventions = PAPER) -> float | None:
     """The b_hat that makes ``x_bar`` in [0, 1] the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
 
-    None, no update, before the first observation and where eq. 8 is undefined at x_bar = 1/2.
+    None, no update, before the first observation and where ``x_bar`` says nothing.
     """
     _check_counts(n, t)
     _check_unit(x_bar, "x_bar")
-    if t == 0 or (conventions.guarded and x_bar == 0.5):
+    if t == 0 or _says_nothing(x_bar, conventions):
         return None
     b = _quotient(n / t + x_bar - 1, 2 * x_bar - 1)
     if b <= conventions.clamp_at:
@@ -204,8 +204,8 @@ def _check_messages(messages: Sequence[Message]) -> None:
             raise ValueError(f"a message says {x_hat}, {alpha}; x_hat is in [0, 1], alpha finite and >= 0")
 
 
-def _says_nothing(b: float, conventions: Conventions) -> bool:
-    return conventions.guarded and abs(2 * b - 1) < UNINFORMATIVE
+def _says_nothing(p: float, conventions: Conventions) -> bool:
+    return conventions.guarded and abs(2 * p - 1) < UNINFORMATIVE
 
 
 def _quotient(numerator: float, denominator: float) -> float:
@@ -244,7 +244,7 @@ class ReferenceRobot:
         *,
         omega: float | None = None,
     ) -> None:
-        check_periods(config)
+        check_settings(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
         check_identity(robot_id, b_hat)
         self._config, self._id, self._conventions = config, whole_number(robot_id), conventions
@@ -252,23 +252,28 @@ class ReferenceRobot:
         self._own = Message(x_hat=0.5, alpha=0.0)
         self._open: dict[int, Message] = {}
         self._round: list[Message] = []
-        self._x = 0.5
-        self._comms_left, self._filter_left = config.comms_period, config.filter_period
+        self._filter_left = config.filter_period
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast. O(1)."""
-        if whole_number(z) not in (Observation.WHITE, Observation.BLACK, Observation.NONE):
+        """Count an observation and form x_hat and alpha. O(1)."""
+        if whole_number(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
-        if z != Observation.NONE:
-            self._take_in(black=z == Observation.BLACK)
-        self._comms_left = max(self._comms_left - 1, 0)  # 0 if a round was not settled: it is still due
-        return Status.OK if self._comms_left else Status.DUE
+        self._t += 1
+        self._n += z == Observation.BLACK
+        if self._t == self._config.memory:
+            self._t, self._n = self._t // 2, round(self._n / 2)  # round() takes ties to even
+        self._own = Message(
+            local_estimate(self._n, self._t, self._b_hat, self._conventions),
+            local_confidence(self._n, self._t, self._b_hat, self._conventions),
+        )
+        return Status.OK
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message into the open round; errors are the interface's. O(1)."""
         sender = whole_number(sender)
-        status = self._check_message(sender, x_hat, alpha)
+        check_alpha(alpha)
+        status = self._check_message(sender, x_hat)
         if status < Status.OK:
             self._count("rejected")
         elif sender in self._open:
@@ -280,51 +285,29 @@ class ReferenceRobot:
         return status
 
     def settle(self) -> Status:
-        """Close the round if a broadcast was due, form x, and filter when the time has come. O(m)."""
-        due = self._comms_left == 0
-        if due:
-            self._comms_left = self._config.comms_period
-            self._close_round()
-        self._x = informed_estimate(self._own, self._round)
-        return self._filter() if due else Status.OK
+        """Close the round, and filter every ``filter_period`` rounds. O(m)."""
+        if self._open or not self._conventions.stale_social:
+            self._round = [message for message in self._open.values() if message.alpha > 0]
+        self._open = {}
+        self._filter_left -= 1
+        if self._filter_left:
+            return Status.OK
+        self._filter_left = self._config.filter_period
+        return self._filter()
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``; returns what ``observe`` returned."""
+        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
         status = self.observe(z)
-        if status >= Status.OK:
-            self.settle()
-        return status
+        return self.settle() if status == Status.OK else status
 
-    def _take_in(self, *, black: bool) -> None:
-        self._t += 1
-        self._n += black
-        if self._t == self._config.memory:
-            self._t, self._n = self._t // 2, round(self._n / 2)  # round() takes ties to even
-        self._own = Message(
-            local_estimate(self._n, self._t, self._b_hat, self._conventions),
-            local_confidence(self._n, self._t, self._b_hat, self._conventions),
-        )
-
-    def _check_message(self, sender: int, x_hat: float, alpha: float) -> Status:
+    def _check_message(self, sender: int, x_hat: float) -> Status:
         if not 0 <= sender <= MAX_ID or sender == self._id:
             return Status.ERR_SENDER
         if not 0 <= x_hat <= 1:
             return Status.ERR_X_HAT
-        if not 0 <= alpha <= MAX_ALPHA or math.copysign(1, alpha) < 0:
-            return Status.ERR_ALPHA
         return Status.OK
 
-    def _close_round(self) -> None:
-        if self._open or not self._conventions.stale_social:
-            self._round = [message for message in self._open.values() if message.alpha > 0]
-        self._open = {}
-
     def _filter(self) -> Status:
-        """Re-estimate b_hat at the end of a filtering period, which is a whole number of rounds."""
-        self._filter_left -= self._config.comms_period
-        if self._filter_left:
-            return Status.OK
-        self._filter_left = self._config.filter_period
         if not self._is_activated():
             return Status.OK
         b_hat = assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
@@ -346,7 +329,7 @@ class ReferenceRobot:
         return rejects(self._own.x_hat, neighbours, self._omega, self._conventions)
 
     def _count(self, counter: str) -> None:
-        self._counts[counter] = min(self._counts[counter] + 1, MAX_COUNT)
+        self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
 
     @property
     def t(self) -> int:
@@ -385,8 +368,8 @@ class ReferenceRobot:
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7) of the last settle, in [0, 1]."""
-        return self._x
+        """Informed estimate (eq. 7) of the own estimate now and the last closed round, in [0, 1]. O(m)."""
+        return informed_estimate(self._own, self._round)
 
     @property
     def counters(self) -> Counters:

@@ -1,4 +1,4 @@
-"""What every robot firmware offers, whichever arithmetic runs inside.
+"""The interface of a robot's firmware, whichever arithmetic runs inside.
 
 Three firmwares implement :class:`Robot`: the paper's equations in float64 (``reference``), plain
 integers (``mirror``) and the C itself (``native``). A tool written against this module runs on any
@@ -8,6 +8,7 @@ are the firmware's own integers; the step's exact meaning is in ``docs/design.md
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from operator import index
@@ -19,30 +20,26 @@ MAX_ID = 127
 """Largest robot id; a round therefore holds at most 127 messages."""
 
 DEFAULT_FILTER_PERIOD = 1000
-"""Nominal filtering period tau, ticks."""
+"""Rounds from one run of the filter to the next."""
 
-DEFAULT_MEMORY = 2**32 - 2
+DEFAULT_MEMORY = 2**31
 """Observations at which t and n are halved; the largest the firmware can count."""
 
-MAX_ALPHA = (2 - 2**-23) * 2.0**127
-"""Largest alpha that can be sent: the largest finite IEEE binary32."""
-
 MIN_MEMORY = 64
-MAX_PERIOD = 2**32 - 1
+MAX_FILTER_PERIOD = 2**32 - 1
 B_HAT_MARGIN = 2.0**-20
 """b_hat stays in [2**-20, 1 - 2**-20]."""
 
 
 class Observation(IntEnum):
-    """Colour of the tile under the robot, or none this tick."""
+    """Colour of the tile under the robot."""
 
     WHITE = 0
     BLACK = 1
-    NONE = 2
 
 
 class Filter(IntEnum):
-    """When the assumed accuracy is re-estimated, every ``filter_period`` ticks."""
+    """When the assumed accuracy is re-estimated, every ``filter_period`` rounds."""
 
     ADAPTIVE = 0
     """When the hypothesis test (eq. 12) rejects: the paper's ASDF."""
@@ -53,19 +50,17 @@ class Filter(IntEnum):
 
 
 class Status(IntEnum):
-    """What a call reports; the numbers are those of ``mcp_asdf_status_t`` in the C header.
+    """Result of a call; the numbers are those of ``mcp_asdf_status_t`` in the C header.
 
-    Zero is "done, nothing to say", positive values say something worth knowing, negative values
-    are errors and mean that nothing but the ``rejected`` counter has changed.
+    Zero and positive values mean success, negative values are errors: nothing but the ``rejected`` counter
+    has changed.
     """
 
     OK = 0
-    DUE = 1
-    """observe, step: a broadcast of (x_hat, alpha) is due."""
-    REPEATED = 2
+    REPEATED = 1
     """receive: this sender was heard in this round already; the message is ignored."""
-    UPDATED = 3
-    """settle: the assumed accuracy was re-estimated."""
+    UPDATED = 2
+    """settle, step: the assumed accuracy was re-estimated."""
     ERR_CONFIG = -1
     ERR_TABLE = -2
     ERR_ID = -3
@@ -73,9 +68,7 @@ class Status(IntEnum):
     ERR_OBSERVATION = -5
     ERR_SENDER = -6
     ERR_X_HAT = -7
-    ERR_ALPHA = -8
-    ERR_SUMS = -9
-    ERR_IMAGE = -10
+    ERR_IMAGE = -8
 
 
 class FirmwareError(ValueError):
@@ -93,21 +86,20 @@ class Config:
     Attributes:
         table: Thresholds of the hypothesis test; may be None unless ``filter`` is ADAPTIVE.
         filter: When the assumed accuracy is re-estimated.
-        comms_period: Ticks between broadcasts, 1 .. 2**32 - 1.
-        filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period``.
-        memory: When t reaches this even number (64 .. 2**32 - 2), t and n are halved.
+        filter_period: Rounds from one run of the filter to the next, 1 .. 2**32 - 1: the nominal filtering
+            period tau divided by the broadcast period, which is the caller's.
+        memory: When t reaches this multiple of 4 (64 .. 2**31), t and n are halved.
     """
 
     table: Table | None = None
     filter: Filter = Filter.ADAPTIVE
-    comms_period: int = 1
     filter_period: int = DEFAULT_FILTER_PERIOD
     memory: int = DEFAULT_MEMORY
 
 
 @dataclass(frozen=True)
 class Counters:
-    """Diagnostics, each saturating at 65535."""
+    """Diagnostics, each modulo 2**16."""
 
     accepted: int = 0
     repeated: int = 0
@@ -118,7 +110,7 @@ class Counters:
 
 @dataclass
 class Sums:
-    """Exact sums over a round's messages with alpha > 0 (units: see ``mcp_asdf_sums_t``).
+    """Exact sums over a round's messages with alpha > 0 (units: see ``mcp_asdf_open_t``).
 
     With every alpha in units of 2**-24 and every x_hat in units of 2**-23: ``alpha`` is the sum of
     alpha; ``alpha_x_low`` and ``alpha_x_high`` are the sums of (alpha mod 2**32) x_hat and of
@@ -146,20 +138,21 @@ class Robot(Protocol):
     """
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and estimate; DUE when (x_hat, alpha) is to be broadcast. O(1)."""
+        """Count an observation and form x_hat and alpha. Fails for another z (ERR_OBSERVATION). O(1)."""
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message into the open round. O(1).
 
-        Fails, counting it as rejected, if ``sender`` is outside 0 .. 127 or the own id (ERR_SENDER),
-        ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT), ``alpha`` signed, NaN or above MAX_ALPHA (ERR_ALPHA).
+        Fails, counting it as rejected, if ``sender`` is outside 0 .. 127 or the own id (ERR_SENDER), or
+        ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and changes nothing, for an ``alpha``
+        that is no confidence: negative (-0.0, too), infinite or NaN.
         """
 
     def settle(self) -> Status:
-        """Close the round if a broadcast was due, form x, and filter when the time has come. O(1)."""
+        """Close the round, and filter every ``filter_period`` rounds; UPDATED after a re-estimate. O(1)."""
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``; returns what ``observe`` returned."""
+        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
 
     @property
     def t(self) -> int:
@@ -191,7 +184,7 @@ class Robot(Protocol):
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7), in [0, 1]."""
+        """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1]."""
 
     @property
     def counters(self) -> Counters:
@@ -203,10 +196,17 @@ class FixedPointRobot(Robot, Protocol):
     """A robot whose arithmetic is the firmware's; raw values are its integers."""
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """``receive`` with x_hat in units of 2**-23 and alpha as IEEE binary32 bits."""
+        """``receive`` with x_hat in units of 2**-23 and alpha as the firmware's word.
 
-    def add_round(self, sums: Sums, messages: int) -> Status:
-        """Add the exact sums of ``messages`` messages at once to the open round."""
+        Raises ValueError, and changes nothing, for an ``alpha`` that is no word of 32 bits.
+        """
+
+    def add_round(self, sums: Sums, messages: int) -> None:
+        """Receive ``messages`` messages at once, of which these are the exact sums. For simulators. O(1).
+
+        The senders are the robots with the lowest ids that were not heard in this round. Raises ValueError,
+        and changes nothing, where there are not as many, or that many messages cannot have these sums.
+        """
 
     def save(self) -> bytes:
         """The state as an image that ``restore`` takes back."""
@@ -236,7 +236,7 @@ class FixedPointRobot(Robot, Protocol):
 
     @property
     def alpha_raw(self) -> int:
-        """alpha as IEEE binary32 bits."""
+        """alpha as the firmware's word."""
 
     @property
     def x_bar_raw(self) -> int:
@@ -262,29 +262,32 @@ def whole_number(value: SupportsIndex) -> int:
     return index(value)
 
 
-def whole_settings(config: Config) -> tuple[int, int, int, int]:
-    """filter, comms_period, filter_period and memory. Raises TypeError for one that is no integer."""
-    filter_mode, comms = whole_number(config.filter), whole_number(config.comms_period)
-    return filter_mode, comms, whole_number(config.filter_period), whole_number(config.memory)
+def whole_settings(config: Config) -> tuple[int, int, int]:
+    """filter, filter_period and memory. Raises TypeError for one that is no integer."""
+    return whole_number(config.filter), whole_number(config.filter_period), whole_number(config.memory)
 
 
-def check_periods(config: Config) -> None:
+def check_settings(config: Config) -> None:
     """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse, and
     TypeError for one that is no integer."""
-    mode, comms, tau, memory = whole_settings(config)
+    mode, period, memory = whole_settings(config)
     if mode not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
-    if not 1 <= comms <= MAX_PERIOD:
-        raise FirmwareError(Status.ERR_CONFIG, f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
-    if not 1 <= tau <= MAX_PERIOD or tau % comms:
+    if not 1 <= period <= MAX_FILTER_PERIOD:
+        raise FirmwareError(
+            Status.ERR_CONFIG, f"filter_period is {period} rounds; choose 1 .. {MAX_FILTER_PERIOD}"
+        )
+    if not MIN_MEMORY <= memory <= DEFAULT_MEMORY or memory % 4:
         raise FirmwareError(
             Status.ERR_CONFIG,
-            f"filter_period is {tau}; choose a multiple of comms_period {comms} up to {MAX_PERIOD}",
+            f"memory is {memory}; choose a multiple of 4, {MIN_MEMORY} .. {DEFAULT_MEMORY}",
         )
-    if not MIN_MEMORY <= memory <= DEFAULT_MEMORY or memory % 2:
-        raise FirmwareError(
-            Status.ERR_CONFIG, f"memory is {memory}; choose an even number {MIN_MEMORY} .. {DEFAULT_MEMORY}"
-        )
+
+
+def check_alpha(alpha: float) -> None:
+    """Raises ValueError for what is no confidence: a negative number, -0.0, infinity or NaN."""
+    if not 0 <= alpha < math.inf or math.copysign(1, alpha) < 0:
+        raise ValueError(f"alpha is {alpha}; a confidence is finite, not negative and not -0.0")
 
 
 def check_table(table: Table | None) -> Table:

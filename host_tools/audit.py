@@ -1,9 +1,9 @@
-"""Judging what a robot did in a scenario, by exact rationals and by float64, and collecting its errors.
+"""Judging the calls of a scenario by exact rationals and by float64, and collecting a robot's errors.
 
-Everything is computed anew from what the robot knew before a call: the estimates from t, n and b_hat, the
-social values from the round's exact sums, the test's decision from those sums and the true threshold.
-What has one right answer to the last bit must have it; the rest must keep the limits of ``exact``, and
-its errors are collected by region.
+Everything is computed anew from the robot's state before a call: the sums from the message, the estimates
+from t, n and b_hat, the social values from the round's exact sums, the test's decision from those sums and
+the true threshold. Values with one right answer must have it to the last bit; the others must keep the limits
+of ``exact``, and their errors are collected by region.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from firmware_py import fixed_point
-from firmware_py.fixed_point import ONE, bits_to_alpha
+from firmware_py.fixed_point import HALF, ONE
 from firmware_py.reference import (
     Message,
     assumed_accuracy_update,
@@ -23,20 +22,20 @@ from firmware_py.reference import (
     local_confidence,
     local_estimate,
 )
-from firmware_py.robot import Filter
-from host_tools.crosscheck import Look, State, Watcher
+from firmware_py.robot import Filter, Sums
+from firmware_py.table import FRACTION_BITS
+from host_tools.crosscheck import REFUSED, Look, State, Watcher
 from host_tools.exact import (
-    B_HAT_LIMIT,
     EPSILON,
-    HALF,
     LARGEST_ALPHA,
-    LATE,
     THRESHOLD_SCALE,
     alpha_limit,
+    b_hat_limit,
     exact_b_hat,
     exact_estimate,
     threshold_limit,
     true_threshold,
+    updates,
     x_hat_limit,
 )
 from host_tools.scenarios import Call, Setup, build_table
@@ -51,13 +50,13 @@ REGIONS = (
 )
 """Upper ends of regions: of |2 b_hat - 1|, or for b_hat itself of |2 x_bar - 1|."""
 
-QUANTITIES = ("x_hat", "alpha", "small alpha", "x", "b_hat", "b_hat, x_bar exact")
-PLACES = ("inside", "end", "late")
-"""Inside the scale, clamped to one of its ends, or either with t of 2**31 or more."""
+QUANTITIES = ("x_hat", "alpha", "small alpha", "x", "b_hat")
+PLACES = ("inside", "end")
+"""Inside the scale, or clamped to one of its ends."""
 
 _COARSE = Fraction(1, 2)
 """An alpha below has fewer than 24 significant bits; its error is given in units of its grid, 2**-24."""
-_SATURATED = 0xFFFF
+_COUNTER_MASK = 0xFFFF
 _BINS_PER_OCTAVE = 16
 
 
@@ -89,7 +88,7 @@ class Errors:
 
 
 class Key(NamedTuple):
-    """What errors are about: indices into QUANTITIES, REGIONS and PLACES, so that keys sort."""
+    """The kind of an error: indices into QUANTITIES, REGIONS and PLACES, so that keys sort."""
 
     quantity: int
     region: int
@@ -101,8 +100,8 @@ class Decisions:
     """Hypothesis tests, compared with exact arithmetic and the true threshold.
 
     Attributes:
-        tests: How many ran.
-        disagreements: How many went the other way.
+        tests: Their number.
+        disagreements: Number of those with the other result.
         nearest: The smallest relative distance to the threshold (of its square) among all tests.
         limit: The largest relative error of an entry that was used; no disagreement is further away.
     """
@@ -120,7 +119,7 @@ class Decisions:
 
 
 class Audit:
-    """Judges robots and collects how far off they are.
+    """Judges robots and collects their errors.
 
     Attributes:
         errors: Against exact rationals and against float64.
@@ -178,16 +177,21 @@ class _Follower:
         self._own: _Own | None = None
 
     def __call__(self, call: Call, before: Look, after: Look) -> list[str]:
+        old, new = before.state, after.state
         if call.name in ("restore", "damage") and after.image != before.image:
             self._own = None  # x_hat and alpha may now be what no observation gives
-        problems = [] if after.state["holds_invariants()"] else ["the invariants do not hold"]
-        if after.outcome.startswith("ERR"):
-            return problems
-        if call.name in ("observe", "step") and call.numbers[0] < 2:
-            problems += self._counted(call.numbers[0], before.state, after.state)
-            problems += self._estimated(before.state["b_hat"], after.state)
+        problems = [] if new["holds_invariants()"] else ["the invariants do not hold"]
+        problems += _means(new)
+        if call.name == "receive":
+            return problems + self._received(call, before, after)
+        if after.outcome == REFUSED or after.outcome.startswith("ERR"):
+            return problems + _same(old, new)
+        if call.name in ("observe", "step"):
+            problems += self._counted(call.numbers[0], old, new)
+            problems += self._estimated(old["b_hat()"], new)
         if call.name in ("settle", "step"):
-            problems += self._informed(after.state) + self._settled(call, before.state, after)
+            problems += self._settled(before, after)
+            self._compare_x(new)
         return problems
 
     def _counted(self, black: int, before: State, state: State) -> list[str]:
@@ -203,63 +207,88 @@ class _Follower:
         x_hat, alpha = exact_estimate(n, t, b_hat)
         guess = local_estimate(n, t, float(b_hat))
         confidence = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
-        place = 2 if t >= LATE else int(x_hat in (0, 1))
-        own = self._own = _Own(x_hat, alpha, Message(guess, confidence), region_of(2 * b_hat - 1), place)
+        message, region = Message(guess, confidence), region_of(2 * b_hat - 1)
+        own = self._own = _Own(x_hat, alpha, message, region, int(x_hat in (0, 1)))
 
         found = Fraction(state["x_hat"], ONE)
         self._add("x_hat", own, found - x_hat, float(found) - guess)
         problems = _within("x_hat", found - x_hat, x_hat_limit(b_hat))
-        found = Fraction(bits_to_alpha(state["alpha"]))
+        found = _alpha(state["alpha"])
         if alpha < _COARSE:
             self._add("small alpha", own, (found - alpha) * 2**24, (float(found) - confidence) * 2**24)
         else:
             self._add("alpha", own, found / alpha - 1, float(found) / confidence - 1)
         return problems + _within("alpha", found - alpha, alpha_limit(n, t, b_hat, alpha))
 
-    def _informed(self, state: State) -> list[str]:
-        """Compare x_bar and x, which are exact but for their last bit, and x with one of exact own values."""
+    def _received(self, call: Call, before: Look, after: Look) -> list[str]:
+        """Check the outcome of a message, and the sums, counters and senders that it leaves."""
+        (sender, x_hat, alpha), old = call.numbers, before.state
+        heard = old[f"heard_{sender >> 5}"] >> (sender & 31) & 1 if sender < 128 else 0
+        outcome, counter = ("REPEATED", "repeated") if heard else ("OK", "accepted")
+        if sender > 127 or sender == old["id"]:
+            outcome, counter = "ERR_SENDER", "rejected"
+        elif x_hat > ONE:
+            outcome, counter = "ERR_X_HAT", "rejected"
+        expected = dict(old)
+        for name in (counter, f"{counter}()"):
+            expected[name] = old[name] + 1 & _COUNTER_MASK
+        if outcome == "OK":
+            expected[f"heard_{sender >> 5}"] |= 1 << (sender & 31)
+            for name, value in vars(_message(x_hat, alpha)).items():
+                expected[f"open_{name}"] += value
+        problems = [] if after.outcome == outcome else [f"receive gives {after.outcome}, not {outcome}"]
+        return problems + _same(expected, after.state)
+
+    def _compare_x(self, state: State) -> None:
+        """Collect the error of x against an x of the exact own values."""
         weight, total = closed_sums(state)
-        alpha, x_hat = Fraction(bits_to_alpha(state["settled_alpha"])), Fraction(state["settled_x_hat"], ONE)
-        x = _floor_mean(alpha * x_hat + total, alpha + weight, otherwise=state["settled_x_hat"])
-        x_bar = _floor_mean(total, weight, otherwise=fixed_point.HALF)
         own, found = self._own, Fraction(state["x()"], ONE)
-        if own is not None:
-            exact = (
-                (own.alpha * own.x_hat + total) / (own.alpha + weight) if own.alpha + weight else own.x_hat
-            )
-            others = [Message(float(total / weight), float(weight))] if weight else []
-            self._add("x", own, found - exact, float(found) - informed_estimate(own.message, others))
-        return _equal("x()", state["x()"], x) + _equal("x_bar()", state["x_bar()"], x_bar)
+        if own is None:
+            return
+        exact = (own.alpha * own.x_hat + total) / (own.alpha + weight) if own.alpha + weight else own.x_hat
+        others = [Message(float(total / weight), float(weight))] if weight else []
+        self._add("x", own, found - exact, float(found) - informed_estimate(own.message, others))
 
     def _add(self, quantity: str, own: _Own, exact: Fraction, reference: float) -> None:
         self._audit.add(Key(QUANTITIES.index(quantity), own.region, own.place), exact, reference)
 
-    def _settled(self, call: Call, before: State, after: Look) -> list[str]:
-        """Check whether the filter did what it should, and compare the new b_hat."""
-        state = after.state
+    def _settled(self, before: Look, after: Look) -> list[str]:
+        """Check what closing a round leaves, whether the filter acted rightly, and the new b_hat."""
+        old, new = before.state, after.state
         problems: list[str] = []
-        updated = (
-            after.outcome == "UPDATED"
-            or state["b_hat"] != before["b_hat"]
-            or state["updates"] != before["updates"]
-        )
-        rejects = self._filter_acts(call, before, state["t"])
-        if rejects and self._setup.filter == Filter.ADAPTIVE:
-            rejects, problems = self._decide(before, state["x_hat"])
-        expected = rejects and state["x_bar()"] != fixed_point.HALF
-        if updated:
-            problems += self._reestimated(state) if expected else ["b_hat is re-estimated, wrongly"]
-        elif expected and not (call.name == "step" and state["updates"] == _SATURATED):
-            problems.append("b_hat is not re-estimated, wrongly")
-        return problems
+        for name in ("alpha", "alpha_x_low", "alpha_x_high"):
+            problems += _equal(f"closed_{name}", new[f"closed_{name}"], old[f"open_{name}"])
+        runs = old["filter_left"] == 1
+        left = self._setup.filter_period if runs else old["filter_left"] - 1
+        problems += _equal("filter_left", new["filter_left"], left)
+        tested = runs and self._filter_acts(old, new["t"])
+        rejects = tested
+        if self._setup.filter == Filter.ADAPTIVE:
+            problems += _equal("tests", new["tests"], old["tests"] + tested & _COUNTER_MASK)
+            if tested:
+                rejects, excuse = self._decide(old, new["x_hat"])
+                problems += excuse
+        return problems + self._updated(rejects, before, after)
 
-    def _filter_acts(self, call: Call, before: State, t: int) -> bool:
-        """Whether a round closes that ends a filtering period, and there is something to go by."""
-        closes = before["comms_left"] <= (1 if call.name == "step" else 0)
-        ends = before["filter_left"] == self._setup.comms_period
-        least = 2 if self._setup.filter == Filter.ADAPTIVE else 0
-        enough = t > 0 and before["open_count"] >= least
-        return closes and ends and enough and self._setup.filter != Filter.OFF
+    def _filter_acts(self, sums: State, t: int) -> bool:
+        """Whether there is enough for the filter to go by."""
+        least = 2 if self._setup.filter == Filter.ADAPTIVE else 1
+        return t > 0 and sums["open_count"] >= least and self._setup.filter != Filter.OFF
+
+    def _updated(self, rejects: bool, before: Look, after: Look) -> list[str]:
+        """Check whether b_hat was re-estimated, if the test ``rejects``, and how."""
+        old, new = before.state, after.state
+        updated = after.outcome == "UPDATED"
+        problems = _equal("updates", new["updates"], old["updates"] + updated & _COUNTER_MASK)
+        if not updated:
+            problems += _equal("b_hat", new["b_hat()"], old["b_hat()"])
+        weight, total = closed_sums(new)
+        expected = updates(total / weight) if rejects else False
+        if expected is not None and updated != expected:
+            problems.append(f"b_hat is {'' if updated else 'not '}re-estimated, wrongly")
+        elif updated:
+            problems += self._reestimated(new, total / weight)
+        return problems
 
     def _decide(self, sums: State, x_hat: int) -> tuple[bool, list[str]]:
         """Eq. 12 with the table's entry; a problem if the true threshold decides otherwise without excuse."""
@@ -268,7 +297,7 @@ class _Follower:
         table = build_table(choice)
         left = (sums["open_x"] - m * x_hat) ** 2
         spread = m * sums["open_x_squared"] - sums["open_x"] ** 2
-        rejects = left << table.fraction_bits > table.entry(m) * spread
+        rejects = left << FRACTION_BITS > table.entry(m) * spread
         if choice.replaced:  # no omega belongs to such a table
             return rejects, []
         left, right, limit = (
@@ -284,21 +313,16 @@ class _Follower:
         problem = f"the true threshold, {distance:.3g} away (limit {limit:.3g}), decides otherwise"
         return rejects, [f"test with m = {m}: {problem}"]
 
-    def _reestimated(self, state: State) -> list[str]:
-        """Compare b_hat with eq. 8 of the x_bar that the firmware has rounded, and of the exact one."""
-        n, t = state["n"], state["t"]
-        weight, total = closed_sums(state)
-        found, rounded = Fraction(state["b_hat"], 2**32), Fraction(state["x_bar()"], ONE)
-        for quantity, x_bar in (("b_hat", rounded), ("b_hat, x_bar exact", total / weight)):
-            reference = assumed_accuracy_update(n, t, float(x_bar))
-            if x_bar == HALF or reference is None:
-                continue
-            b_hat = exact_b_hat(n, t, x_bar)
+    def _reestimated(self, state: State, x_bar: Fraction) -> list[str]:
+        """Compare b_hat with eq. 8 of the exact x_bar."""
+        n, t, found = state["n"], state["t"], Fraction(state["b_hat()"], 2**32)
+        b_hat = exact_b_hat(n, t, x_bar)
+        reference = assumed_accuracy_update(n, t, float(x_bar))
+        if reference is not None:
             place = int(b_hat in (EPSILON, 1 - EPSILON))
-            key = Key(QUANTITIES.index(quantity), region_of(2 * x_bar - 1), place)
+            key = Key(QUANTITIES.index("b_hat"), region_of(2 * x_bar - 1), place)
             self._audit.add(key, found - b_hat, float(found) - reference)
-        error = found - exact_b_hat(n, t, rounded)
-        return _within("b_hat", error + B_HAT_LIMIT / 2, B_HAT_LIMIT / 2)
+        return _within("b_hat", found - b_hat, b_hat_limit(x_bar))
 
 
 def region_of(value: Fraction) -> int:
@@ -308,16 +332,47 @@ def region_of(value: Fraction) -> int:
 
 def closed_sums(state: State) -> tuple[Fraction, Fraction]:
     """The sums of alpha and of alpha x_hat over the last closed round."""
-    total = (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
-    return Fraction(state["closed_alpha"], 2**24), Fraction(total, 2**47)
+    return Fraction(state["closed_alpha"], 2**24), Fraction(_closed_alpha_x(state), 2**47)
 
 
-def _floor_mean(total: Fraction, weight: Fraction, otherwise: int) -> int:
-    return total * ONE // weight if weight else otherwise
+def _closed_alpha_x(state: State) -> int:
+    return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
+
+
+def _units(word: int) -> int:
+    """The value of an alpha word in units of 2**-24: mantissa 2**shift."""
+    return (word >> 8) << word % 32
+
+
+def _alpha(word: int) -> Fraction:
+    return Fraction(_units(word), 2**24)
+
+
+def _message(x_hat: int, alpha: int) -> Sums:
+    """The sums of one message."""
+    high, low = divmod(_units(alpha), 2**32)
+    if high + low == 0:
+        return Sums()
+    return Sums(2**32 * high + low, low * x_hat, high * x_hat, x_hat**2, x_hat, 1)
+
+
+def _means(state: State) -> list[str]:
+    """Check x_bar and x, which are exact but for their last bit."""
+    weight, total = state["closed_alpha"], _closed_alpha_x(state)
+    alpha, x_hat = _units(state["alpha"]), state["x_hat"]
+    x = (alpha * x_hat + total) // (alpha + weight) if alpha + weight else x_hat
+    x_bar = total // weight if weight else HALF
+    return _equal("x()", state["x()"], x) + _equal("x_bar()", state["x_bar()"], x_bar)
 
 
 def _equal(name: str, found: int, expected: int) -> list[str]:
     return [] if found == expected else [f"{name} is {found}, exactly {expected}"]
+
+
+def _same(expected: State, state: State) -> list[str]:
+    if state == expected:
+        return []
+    return [problem for name, value in expected.items() for problem in _equal(name, state[name], value)]
 
 
 def _within(name: str, error: Fraction, limit: Fraction) -> list[str]:

@@ -1,4 +1,4 @@
-"""Two firmwares through the same scenario: do they agree in every bit, and if not, what shows it shortest?"""
+"""Two firmwares through the same scenario: do they agree in every bit, and if not, in which shortest one?"""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ from host_tools.scenarios import IMAGE, REPLACING, Call, Scenario, Setup, edited
 State = dict[str, int]
 """All that can be seen of a robot after a call, by name."""
 
+REFUSED = "REFUSED"
+"""Outcome of an ``add`` of sums that the messages cannot have, which raises ValueError."""
+OUTCOMES = frozenset({*Status.__members__, REFUSED})
+"""Outcomes that a firmware may have."""
+
 
 class Firmware(Protocol):
     """A class of robots, such as ``MirrorRobot``."""
@@ -26,12 +31,12 @@ class Firmware(Protocol):
 
 @dataclass(frozen=True)
 class Look:
-    """What a call did.
+    """The result of a call.
 
     Attributes:
-        outcome: The status's name, or what was raised in place of one.
+        outcome: One of OUTCOMES, or an exception that was raised instead.
         state: The robot afterwards; empty if there is none.
-        image: What it saved.
+        image: Its state as saved.
     """
 
     outcome: str
@@ -53,10 +58,10 @@ class Subject:
         self.last = self._look(lambda: self._dispatch(call))
         return self.last
 
-    def _look(self, act: Callable[[], Status]) -> Look:
-        """Act and look. Whatever a firmware raises is an outcome, to be compared like any other."""
+    def _look(self, act: Callable[[], str]) -> Look:
+        """Act and look. An exception is an outcome, to be compared like any other."""
         try:
-            outcome = act().name
+            outcome = act()
         except FirmwareError as error:
             outcome = error.status.name
         except Exception as error:
@@ -66,9 +71,9 @@ class Subject:
         except Exception as error:
             return Look(f"{outcome}, then {type(error).__name__}: {error}", {}, b"")
 
-    def _make(self, setup: Setup) -> Status:
+    def _make(self, setup: Setup) -> str:
         self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
-        return Status.OK
+        return Status.OK.name
 
     def _observed(self) -> tuple[State, bytes]:
         robot = self._robot
@@ -93,12 +98,21 @@ class Subject:
         }
         return state, robot.save()
 
-    def _dispatch(self, call: Call) -> Status:
+    def _dispatch(self, call: Call) -> str:
         assert self._robot is not None
         if call.name not in REPLACING:
-            return perform(self._robot, call)
+            return self._perform(self._robot, call)
         self._robot = self._firmware.restore(self._config, edited_image(self._robot.save(), call))
-        return Status.OK
+        return Status.OK.name
+
+    @staticmethod
+    def _perform(robot: FixedPointRobot, call: Call) -> str:
+        try:
+            return perform(robot, call).name
+        except ValueError:
+            if call.name != "add":
+                raise
+            return REFUSED
 
 
 @dataclass(frozen=True)
@@ -106,8 +120,8 @@ class Finding:
     """Something wrong in a scenario.
 
     Attributes:
-        calls: How many calls had been made when it showed; 0 is the making of the robot.
-        problems: What is wrong, a line each.
+        calls: Number of calls made when it showed; 0 is the making of the robot.
+        problems: One line for each.
     """
 
     calls: int
@@ -115,7 +129,7 @@ class Finding:
 
 
 Watcher = Callable[[Call, Look, Look], list[str]]
-"""Judges what a call did, given the looks before and after it; returns problems."""
+"""Judges a call by the looks before and after it; returns problems."""
 
 Check = Callable[[Scenario], Finding | None]
 
@@ -127,13 +141,13 @@ def compare(
     one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
     if one.last != other.last:
         return Finding(0, tuple(differences(one.last, other.last)))
-    if one.last.outcome not in Status.__members__:
+    if one.last.outcome not in OUTCOMES:
         return Finding(0, (f"both: {one.last.outcome}",))
     for made, call in enumerate(scenario.calls if one.last.state else (), start=1):
         before = one.last
         if one.apply(call) != other.apply(call):
             return Finding(made, tuple(differences(one.last, other.last)))
-        if one.last.outcome not in Status.__members__:
+        if one.last.outcome not in OUTCOMES:
             return Finding(made, (f"both: {one.last.outcome}",))
         problems = watch(call, before, one.last) if watch is not None else []
         if problems:
@@ -142,7 +156,7 @@ def compare(
 
 
 def differences(left: Look, right: Look) -> Iterator[str]:
-    """What differs, a line each: the first firmware's value, then the second's."""
+    """Differences, a line each: the first firmware's value, then the second's."""
     if left.outcome != right.outcome:
         yield f"status: {left.outcome}, {right.outcome}"
     if not left.state or not right.state:  # one has no robot, which the status says
@@ -159,11 +173,11 @@ def differences(left: Look, right: Look) -> Iterator[str]:
 
 @dataclass
 class Outcome:
-    """What came of a cross-check.
+    """The result of a cross-check.
 
     Attributes:
-        calls: Calls made and compared.
-        scenarios: Scenarios they belonged to.
+        calls: Number of calls made and compared.
+        scenarios: Number of scenarios they belonged to.
         failing: The scenario with something wrong, at which the check stopped.
         interrupted: Ctrl-C ended it early.
     """
@@ -177,7 +191,7 @@ class Outcome:
 def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> Outcome:
     """Check the random scenarios of ``seed`` until ``calls`` calls are made or something is found.
 
-    ``report`` hears of the calls made after every scenario.
+    ``report`` gets the number of calls made after every scenario.
     """
     outcome = Outcome()
     try:
@@ -196,10 +210,10 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
 
 
 def shrink(scenario: Scenario, check: Check) -> Scenario:
-    """The scenario without what is not needed for ``check`` to find something; unchanged if it finds nothing.
+    """The scenario without calls that ``check`` does not need to find something, or as it is if sound.
 
-    What is left is minimal: without any one of its calls, or any one word that a restore replaces, nothing
-    is found. Needs a few hundred runs of the check for a scenario of a hundred calls.
+    The result is minimal: without any one of its calls, or any one word that a restore replaces, nothing is
+    found. Needs a few hundred runs of the check for a scenario of a hundred calls.
     """
     calls = _cut(scenario, check)
     size = max(len(calls) // 2, 1)

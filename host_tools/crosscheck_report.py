@@ -1,4 +1,4 @@
-"""What a cross-check found, as tables for people and as plain data for machines."""
+"""The findings of a cross-check, as tables for people and as plain data for machines."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ _TITLES = {
     "alpha": ("alpha, relative", _B_HAT),
     "small alpha": ("alpha below 1/2, in units of its grid 2^-24", _B_HAT),
     "x": ("x", _B_HAT),
-    "b_hat": ("b_hat, from x_bar as rounded", _X_BAR),
-    "b_hat, x_bar exact": ("b_hat, from the exact x_bar", _X_BAR),
+    "b_hat": ("b_hat, from the exact x_bar", _X_BAR),
 }
 _LEGEND = (
-    "Largest errors against exact arithmetic and their 99.9 percentiles: inside the scale, at its ends,\n"
-    "late (t of 2^31 or more); last the largest errors against float64."
+    "Largest errors against exact arithmetic and their 99.9 percentiles, inside the scale and at its\n"
+    "ends; last the largest errors against float64."
 )
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A scenario and what is wrong with it, which shows at its last call."""
+    """A scenario and its finding, which shows at its last call."""
 
     scenario: Scenario
     finding: Finding
@@ -62,7 +61,7 @@ class Result:
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong with the claims about time and memory."""
+        """Claims about time and memory that do not hold."""
         return exceeded(self.counts) + self.storage.problems()
 
     @property
@@ -89,17 +88,17 @@ class Result:
         }
 
     def tables(self) -> Group:
-        """What was measured."""
+        """The measurements."""
         collected = self.audit.as_dict()
         return Group(
             _errors(collected["errors"]), _decisions(collected["decisions"]), _operations(self.counts)
         )
 
     def verdict(self) -> str:
-        """What it comes to; the last line replays a failure."""
+        """The conclusion; the last line replays a failure."""
         outcome = self.outcome
         lines = [
-            f"memory: 16 + 4 q bytes for a table, {self.storage.images[0]} for a saved robot",
+            f"memory: 12 + 4 q bytes for a table, {self.storage.images[0]} for a saved robot",
             f"calls made and compared: {outcome.calls} in {outcome.scenarios} scenarios, seed {self.seed}"
             + (", interrupted" if outcome.interrupted else ""),
             *(f"FAILED: {problem}" for problem in self.problems),
@@ -140,7 +139,7 @@ def _decisions(tallies: dict[str, dict[str, Any]]) -> Table:
 
 
 def _operations(counts: dict[str, CallCount]) -> Table:
-    table = _table("integer operations a call, least to most, and most lines of Python executed", "")
+    table = _table("integer operations per call, from minimum to maximum, and maximum lines of Python", "")
     for name in (*(f"over {axis}" for axis in AXES), "bound", "widest", "lines", "bound"):
         table.add_column(name, justify="right")
     for name, count in counts.items():

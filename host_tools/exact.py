@@ -1,7 +1,7 @@
 """The paper's equations in exact rationals, and how far from them the firmware's arithmetic may be.
 
-Nothing here knows how the firmware computes. The limits follow from the roundings that docs/design.md
-lists, each taken at its worst at once, so they are above what is measured.
+Nothing here knows how the firmware computes. The limits are what ``tests/exact.py`` derives, each as one
+number for both directions.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from mpmath import mp  # type: ignore[import-untyped]
 
-from firmware_py.fixed_point import ALPHA_MAX, bits_to_alpha
+from firmware_py.table import FRACTION_BITS
 from host_tools.scenarios import TableChoice, build_table
 from host_tools.tables import parse_omega, true_thresholds, worst_threshold_error
 
@@ -19,14 +19,12 @@ HALF = Fraction(1, 2)
 EPSILON = Fraction(1, 2**20)
 """b_hat stays in [EPSILON, 1 - EPSILON]."""
 UNINFORMATIVE = Fraction(1, 2**12)
-"""Where |2 b_hat - 1| is below this an observation says nothing."""
-LARGEST_ALPHA = Fraction(bits_to_alpha(ALPHA_MAX))
-LATE = 2**31
-"""From here on t does not fit 31 bits, and the firmware's ratio n / t has lost one."""
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p says nothing."""
+LARGEST_ALPHA = Fraction(2**31 - 2**7)
+UNIT = Fraction(1, 2**23)
+"""Of x_hat, x_bar and x."""
 
 THRESHOLD_SCALE = 128
-B_HAT_LIMIT = Fraction(1, 2**29)
-"""b_hat may be below eq. 8 of the rounded x_bar by at most this, and never above it."""
 
 
 def exact_estimate(n: int, t: int, b_hat: Fraction) -> tuple[Fraction, Fraction]:
@@ -50,28 +48,38 @@ def exact_b_hat(n: int, t: int, x_bar: Fraction) -> Fraction:
     return min(max(b_hat, EPSILON), 1 - EPSILON)
 
 
+def updates(x_bar: Fraction) -> bool | None:
+    """Whether a re-estimate follows from the exact ``x_bar``; None within its error of the limit."""
+    distance = abs(2 * x_bar - 1) - UNINFORMATIVE
+    return None if abs(distance) < 2 * _x_bar_error(x_bar) else distance > 0
+
+
 def x_hat_limit(b_hat: Fraction) -> Fraction:
-    """The largest error of x_hat: one unit of 2**-23, and n / t off by less than 2**-29."""
+    """The largest error of x_hat: one unit towards an end of the scale, or c t cut to t's 31 bits."""
     d = abs(2 * b_hat - 1)
-    return Fraction(0) if d < UNINFORMATIVE else Fraction(1, 2**23) + Fraction(1, 2**29) / d
+    return Fraction(0) if d < UNINFORMATIVE else max(UNIT, Fraction(1, 2**31) / d)
 
 
 def alpha_limit(n: int, t: int, b_hat: Fraction, alpha: Fraction) -> Fraction:
-    """The largest error of an ``alpha``: its last bit, the grid, and what n / t has lost; at an end of the
-    scale also two squares of quotients of 24 bits.
-
-    Inside the scale the rarer colour's share counts as a 32-bit fraction. From t = 2**31 on its number may be
-    1 too small, or that of all observations, which matters for a rare colour at an end of the scale.
-    """
-    rarer, c = min(n, t - n), min(b_hat, 1 - b_hat)
-    relative = Fraction(1, 2**22) + Fraction(1, 2**28)
-    if rarer <= c * t * (1 + Fraction(1, 2**20)):
-        relative += Fraction(1, 2**21)
-    if rarer > c * t * (1 - Fraction(1, 2**20)):
-        relative += Fraction(t, rarer) / 2**29
-    elif t >= LATE:
-        relative += (1 / c**2) / t
+    """The largest error of an ``alpha``: its last bit, the grid, and either two squares of quotients of 24
+    bits (at an end of the scale) or c t cut to t's 31 bits and squared (inside)."""
+    relative = Fraction(1, 2**23) + Fraction(1, 2**27)
+    if Fraction(min(n, t - n), t) <= min(b_hat, 1 - b_hat):
+        relative += Fraction(1, 2**22)
+    elif abs(2 * b_hat - 1) >= UNINFORMATIVE:
+        relative = max(relative, (1 / abs(2 * b_hat - 1) + 1) / 2**29)
     return alpha * relative + Fraction(1, 2**24)
+
+
+def b_hat_limit(x_bar: Fraction) -> Fraction:
+    """The largest error of a b_hat re-estimated from the exact ``x_bar``, not 1/2: below 2**-26 for
+    |2 x_bar - 1| from 0.1 on."""
+    return _x_bar_error(x_bar) / abs(2 * x_bar - 1) + Fraction(7, 2**32)
+
+
+def _x_bar_error(x_bar: Fraction) -> Fraction:
+    """Of x_bar inside the firmware: it is a quotient of 32 bits by 31."""
+    return (x_bar + Fraction(3, 4)) / 2**30
 
 
 @lru_cache(maxsize=512)
@@ -84,10 +92,9 @@ def true_threshold(choice: TableChoice, m: int) -> int:
 @lru_cache(maxsize=512)
 def threshold_limit(choice: TableChoice, m: int) -> float:
     """The largest relative error of the entry for ``m`` messages: half a unit, up to m = q."""
-    table = build_table(choice)
-    if m > table.q:
+    if m > build_table(choice).q:
         return (1 + _error_beyond_q(choice)) ** 2 - 1
-    return (1 << (THRESHOLD_SCALE - table.fraction_bits)) / 2 / true_threshold(choice, m)
+    return (1 << (THRESHOLD_SCALE - FRACTION_BITS)) / 2 / true_threshold(choice, m)
 
 
 @lru_cache(maxsize=64)

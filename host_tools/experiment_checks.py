@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from firmware_py.robot import DEFAULT_MEMORY, MAX_PERIOD, MIN_MEMORY
+from firmware_py.robot import DEFAULT_MEMORY, MIN_MEMORY
 from host_tools import floors
 from host_tools.errors import UsageError
 from host_tools.experiment_words import Convention, Drift, Floor
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MAX_ROBOTS = 128
 MAX_STEPS = 10**8
 MAX_TRIALS = 10**6
+MAX_PERIOD = 2**32 - 1
+"""Steps."""
 MAX_SIDE = 1000.0
 
 _BODY_DIAMETER = 0.1408
@@ -95,8 +97,9 @@ def _check_periods(experiment: Experiment) -> None:
         tau, comms = experiment.filter_period, experiment.comms_period
         message = f"filter_period is {tau}; it must be a multiple of comms_period, {comms}"
         raise ExperimentError("filter_period", message)
-    if experiment.memory % 2:
-        raise ExperimentError("memory", f"memory is {experiment.memory}; it must be even")
+    if experiment.memory % 4:
+        message = f"memory is {experiment.memory}; it must be a multiple of 4"
+        raise ExperimentError("memory", message)
 
 
 def _check_firmware(experiment: Experiment) -> None:

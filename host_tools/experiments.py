@@ -47,7 +47,7 @@ class Experiment:
         filter_period: Nominal filtering period tau in steps, a multiple of ``comms_period``.
         comms_period: Steps between broadcasts.
         omega: Type II error probability of the test, above 0 and at most 0.9.
-        memory: Observations at which t and n are halved, even, 64 .. 2**32 - 2.
+        memory: Observations at which t and n are halved, a multiple of 4, 64 .. 2**31.
         drift: How the true accuracy changes.
         drift_rate: Per step.
         drift_period: Steps between the steps of STEPPED, 1 or more.
@@ -125,7 +125,7 @@ class Experiment:
         adaptive = filters and self.activation is Activation.ADAPTIVE
         kind = Filter.ADAPTIVE if adaptive else Filter.ALWAYS if filters else Filter.OFF
         table = generate(self.omega, max(2, self.robots - 1)) if adaptive else None
-        return Config(table, kind, self.comms_period, self.filter_period, self.memory)
+        return Config(table, kind, self.filter_period // self.comms_period, self.memory)
 
     def b_hat(self, robot: int) -> float:
         """What a robot assumes at the start, kept within the firmware's [2**-20, 1 - 2**-20]."""

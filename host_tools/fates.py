@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import can
 
 from host_tools.faults import Sent
-from host_tools.frames import FrameFormat, Message, decode
+from host_tools.frames import FrameFormat, Message, alpha_bits, decode
 from host_tools.sidecar import SidecarWriter
 
 
@@ -28,8 +28,8 @@ def note_fate(
         said = decode(sent.frame, frames)
         if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
             is_heard = True
-            if said != own:
-                sidecar.robots[robot].falsified(said.x_hat, said.alpha)
+            if frame is not None and sent.frame.data != frame.data:
+                sidecar.robots[robot].falsified(said.x_hat, alpha_bits(sent.frame))
         elif sent.frame is not frame:
             sidecar.injected(sent.frame)
     if isinstance(own, Message) and not is_heard:

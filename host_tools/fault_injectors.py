@@ -222,9 +222,12 @@ class _Freeze(AtSender):
 class _Liar(_InItsTicks):
     def _act(self, sent: Sent) -> list[Sent]:
         own = decode(sent.frame, self._frames)
-        if isinstance(own, Message) and self._strikes(self._draws.of_frame(sent)):
-            return self._say(sent, own, round(self.fault.x * ONE), bits_of(self.fault.alpha))
-        return [sent]
+        if not (isinstance(own, Message) and self._strikes(self._draws.of_frame(sent))):
+            return [sent]
+        (lie,) = self._say(sent, own, round(self.fault.x * ONE), 0)
+        # As claimed, where the codec would round it to what a firmware can hold.
+        lie.frame.data[3:7] = bits_of(self.fault.alpha).to_bytes(4, "little")
+        return [lie]
 
 
 class _Collide(_InItsTicks):

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Protocol, cast
 
+from firmware_py.fixed_point import ONE, alpha_to_word, word_to_alpha
 from firmware_py.robot import Config, FixedPointRobot, Robot, Status
 from host_tools.errors import UsageError
-from host_tools.frames import ONE, bits_of, float_of
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot of a config, a robot id and the accuracy it assumes at the start."""
@@ -37,7 +37,7 @@ def load_firmware(name: str) -> RobotMaker:
 
 
 class Port(Protocol):
-    """A robot's side of the bus: the raw integers of a frame (units: ``host_tools.frames.Message``)."""
+    """A robot's side of the bus: the raw integers of a message (units: ``host_tools.frames.Message``)."""
 
     @property
     def x_hat_raw(self) -> int:
@@ -57,7 +57,7 @@ def port_of(robot: Robot) -> Port:
 
 
 class RoundingPort:
-    """The port of a robot that computes in float64: what it says is rounded to the nearest raw value."""
+    """The port of a robot that computes in float64: it rounds x_hat to nearest, alpha down as codecs do."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -70,8 +70,8 @@ class RoundingPort:
     @property
     def alpha_raw(self) -> int:
         """Local confidence to broadcast."""
-        return bits_of(self._robot.alpha)
+        return alpha_to_word(self._robot.alpha)
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Hand over a neighbour's message."""
-        return self._robot.receive(sender, x_hat / ONE, float_of(alpha))
+        return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha))

@@ -2,9 +2,10 @@
 
 Each is one classic CAN frame with a 29-bit identifier and 8 bytes, and at the same time one OpenCyphal
 v1 single-frame message; ``docs/frame.md`` gives every bit. Values are the firmware's own integers:
-x_hat in units of 2**-23, alpha as IEEE binary32 bits. Nothing here raises on what comes from a bus: a
-frame that is not a legal message decodes to the :class:`Rejection` that says why. All in O(1). The same
-in C, with the same verdict on every frame, is ``c_ref/src/mcp_asdf_frame.h``.
+x_hat in units of 2**-23, alpha as a word (``firmware_py.fixed_point``), which a frame carries as IEEE
+binary32. Nothing here raises on what comes from a bus: a frame that is not a legal message decodes to the
+:class:`Rejection` that says why. All in O(1). The same in C, with the same verdict on every frame, is
+``c_ref/src/mcp_asdf_frame.h``.
 """
 
 from __future__ import annotations
@@ -15,11 +16,18 @@ from enum import Enum
 
 import can
 
+from firmware_py.fixed_point import ALPHA_MAX, SHIFT_MAX
+from firmware_py.robot import Observation
+
 ONE = 1 << 23
 """x_hat = 1."""
 
 INFINITE_ALPHA = 0x7F80_0000
 """Smallest binary32 bits that are no finite number >= 0: infinity, then NaN, then every sign bit."""
+
+_FRACTION, _IMPLICIT = 0x7F_FFFF, 0x80_0000
+_UNIT_EXPONENT = 126
+"""Biased exponent of the binary32 numbers whose last bit is worth 2**-24."""
 
 MAX_NODE = 127
 MAX_SUBJECT = 6143
@@ -119,7 +127,8 @@ class Message:
     Attributes:
         sender: Robot id, 0 .. 127.
         x_hat: Local estimate in units of 2**-23, 0 .. 2**23.
-        alpha: Local confidence as IEEE binary32 bits, 0 .. 0x7F7FFFFF (finite, no sign bit).
+        alpha: Local confidence as the firmware's word, any 32 bits; decoded with the smallest shift, as the
+            firmware forms its own.
         transfer_id: Number of the sender's broadcast modulo 32.
     """
 
@@ -195,6 +204,16 @@ class Action(Enum):
     OBSERVE_NONE = 2
     SETTLE = 3
 
+    @classmethod
+    def observing(cls, z: Observation | None) -> Action:
+        """The *observe* that brings ``z``."""
+        return cls.OBSERVE_NONE if z is None else cls(int(z))
+
+    @property
+    def observation(self) -> Observation | None:
+        """The observation that an *observe* brings, if any. Raises ValueError for SETTLE."""
+        return None if self is Action.OBSERVE_NONE else Observation(self.value)
+
 
 @dataclass(frozen=True, slots=True)
 class Command:
@@ -221,8 +240,8 @@ def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) 
     Raises ValueError if a field is out of range: what a decoder would refuse is never sent.
     """
     _check("x_hat", message.x_hat, ONE)
-    _check("alpha", message.alpha, INFINITE_ALPHA - 1)
-    payload = message.x_hat | message.alpha << 24
+    _check("alpha", message.alpha, 0xFFFF_FFFF)
+    payload = message.x_hat | binary32_of(message.alpha) << 24
     return _frame(frame_format.identifier(message.sender), payload, message.transfer_id, timestamp)
 
 
@@ -237,7 +256,8 @@ def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection
         return Rejection.X_HAT
     if alpha >= INFINITE_ALPHA:
         return Rejection.ALPHA
-    return Message(frame.arbitration_id & _NODE_BITS, x_hat, alpha, content >> 56 & _TRANSFER_BITS)
+    sender, transfer_id = frame.arbitration_id & _NODE_BITS, content >> 56 & _TRANSFER_BITS
+    return Message(sender, x_hat, word_of(alpha), transfer_id)
 
 
 def encode_heartbeat(heartbeat: Heartbeat, priority: int = 4, timestamp: float = 0.0) -> can.Message:
@@ -327,15 +347,41 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> 
     return Command(frame.arbitration_id & _NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
 
 
-def float_of(alpha: int) -> float:
-    """Confidence of binary32 bits ``alpha``, 0 .. 0x7F7FFFFF; exact."""
-    value: float = struct.unpack("<f", struct.pack("<I", alpha))[0]
+def binary32_of(alpha: int) -> int:
+    """The IEEE binary32 bits of an alpha word, 0 .. 2**32 - 1: the same value, exactly."""
+    mantissa, exponent = alpha >> 8, _UNIT_EXPONENT + (alpha & SHIFT_MAX)
+    if mantissa == 0:
+        return 0
+    shift = 24 - mantissa.bit_length()
+    return (exponent - shift << 23) + (mantissa << shift) - _IMPLICIT
+
+
+def word_of(bits: int) -> int:
+    """The word of the largest confidence not above the number of binary32 ``bits``, 0 .. 0x7F7FFFFF.
+
+    It undoes ``binary32_of``, but for the choice of the shift. Parts smaller than 2**-24 are lost; numbers
+    above 2**31 - 2**7, the largest confidence, become that.
+    """
+    mantissa, shift = bits & _FRACTION | _IMPLICIT, (bits >> 23) - _UNIT_EXPONENT
+    if shift < 0:  # a subnormal number has no implicit bit, but loses everything
+        return mantissa >> -shift << 8
+    return mantissa << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
+
+
+def alpha_bits(frame: can.Message) -> int:
+    """The binary32 bits of alpha in an estimate's frame, as they are; several stand for one word."""
+    return int.from_bytes(frame.data[3:7], "little")
+
+
+def float_of(bits: int) -> float:
+    """The number of binary32 ``bits``, 0 .. 0x7F7FFFFF; exact."""
+    value: float = struct.unpack("<f", struct.pack("<I", bits))[0]
     return value
 
 
-def bits_of(alpha: float) -> int:
-    """Binary32 bits nearest to a confidence. Raises OverflowError if none is near, at 2**128 and above."""
-    bits: int = struct.unpack("<I", struct.pack("<f", alpha))[0]
+def bits_of(value: float) -> int:
+    """The binary32 bits nearest to a number. Raises OverflowError if none is near, at 2**128 and above."""
+    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
     return bits
 
 

@@ -1,7 +1,7 @@
-"""What golden scenarios are made of: calls as the cross-check writes them, and runs.
+"""What golden scenarios are made of: calls as the cross-check writes them, crowds of messages, and runs.
 
-A *run* is a few numbers from which ``tests/targets/player.c`` and this module draw the same ticks and
-messages, so that a microcontroller's flash holds thousands of them.
+A *crowd* and a *run* are a few numbers from which ``tests/targets/player.c`` and this module make the same
+calls, so that a microcontroller's flash holds rounds of 127 messages and thousands of ticks.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from firmware_py.robot import Observation
 from host_tools.scenarios import Call, Setup, TableChoice
 
 TABLE = TableChoice("0.05", 30)
@@ -49,6 +48,30 @@ class Xorshift:
 
 
 @dataclass(frozen=True)
+class Crowd:
+    """Messages of senders whose ids follow each other, all with the same confidence.
+
+    Attributes:
+        sender: Id of the first one, 0 .. 255; ids are counted modulo 256.
+        count: How many there are, 0 .. 255.
+        x_hat: That of the first one, in units of 2**-23.
+        step: By how much each x_hat is above the one before, modulo 2**32.
+        alpha: As the firmware's word.
+    """
+
+    sender: int
+    count: int
+    x_hat: int
+    step: int
+    alpha: int
+
+    def calls(self) -> Iterator[Call]:
+        """The calls, as ``play_crowd`` in the C makes them."""
+        for i in range(self.count):
+            yield Call("receive", (self.sender + i & 0xFF, self.x_hat + i * self.step & MASK, self.alpha))
+
+
+@dataclass(frozen=True)
 class Run:
     """Ticks and messages drawn from a few numbers.
 
@@ -56,6 +79,7 @@ class Run:
         seed: Start of the generator, 1 .. 2**32 - 1.
         ticks: How many, up to 65535.
         black: Share of black observations in 256ths, 0 .. 255.
+        settled: Share of ticks that end a round in 256ths, 0 .. 255.
         messages: The most messages between two ticks, 0 .. 255.
         spread: Messages' x_hat lie up to 2**(31 - spread) from ``centre`` on either side, 0 .. 31. Those out
             of range are invalid messages.
@@ -65,6 +89,7 @@ class Run:
     seed: int
     ticks: int
     black: int
+    settled: int
     messages: int
     spread: int
     centre: int
@@ -81,21 +106,30 @@ class Run:
         who = source.draw()
         stranger = 128 if who & 31 == 0 else 0
         x_hat = self.centre + (source.draw() >> self.spread) - (1 << 31 >> self.spread)
-        alpha = source.draw()
-        anything = alpha & 7 == 0
-        alpha = source.draw() if anything else 0x33000000 + (alpha >> 3)
-        return Call("receive", (who >> 25 | stranger, x_hat & MASK, alpha))
+        return Call("receive", (who >> 25 | stranger, x_hat & MASK, _alpha(source)))
 
     def _tick(self, source: Xorshift) -> Iterator[Call]:
         bits = source.draw()
-        rare = bits >> 8 & 63
-        z = Observation.NONE + rare if rare < 2 else int(bits & 255 < self.black)
-        if bits >> 14 & 1:
+        rare, settles = bits >> 8 & 63, bits >> 14 & 255 < self.settled
+        z = 2 if rare == 1 else int(bits & 255 < self.black)  # 2 is an error
+        if rare != 0 and settles and bits >> 22 & 1:
             yield Call("step", (z,))
             return
-        yield Call("observe", (z,))
-        if bits >> 15 & 15:
+        if rare != 0:
+            yield Call("observe", (z,))
+        if settles:
             yield Call("settle")
+
+
+def _alpha(source: Xorshift) -> int:
+    """A confidence: mostly a canonical word of any magnitude, sometimes a small mantissa, or any bits."""
+    word = source.draw()
+    kind = word >> 5 & 7
+    if kind == 0:
+        return source.draw()
+    if kind == 1:
+        return word >> (word & 31)
+    return (word | 1 << 31) & ~0xE0
 
 
 @dataclass(frozen=True)
@@ -104,12 +138,12 @@ class GoldenScenario:
 
     name: str
     setup: Setup
-    items: tuple[Call | Run, ...]
+    items: tuple[Call | Crowd | Run, ...]
 
     def calls(self) -> Iterator[Call]:
-        """Every call, those of runs included."""
+        """Every call, those of crowds and runs included."""
         for item in self.items:
-            if isinstance(item, Run):
-                yield from item.calls()
-            else:
+            if isinstance(item, Call):
                 yield item
+            else:
+                yield from item.calls()

@@ -6,8 +6,7 @@
 
 The expected digests are those of ``MirrorRobot``. ``tests/targets/player.c`` plays the same scenarios on a
 target; ``docs/targets.md`` has the format of the file and what a digest covers. Scenarios are written as the
-cross-check writes them (``host_tools.scenarios``), and long ones as *runs*: a few numbers from which both
-players draw the same ticks and messages, so that a microcontroller's flash holds them all.
+cross-check writes them (``host_tools.scenarios``), and long ones as *crowds* and *runs* (``golden_runs``).
 """
 
 from __future__ import annotations
@@ -25,24 +24,17 @@ from firmware_py.mirror import MirrorRobot
 from firmware_py.robot import FirmwareError, Status
 from host_tools.errors import UsageError
 from host_tools.files import write_atomically
-from host_tools.golden_runs import MASK, GoldenScenario, Run
+from host_tools.golden_runs import MASK, Crowd, GoldenScenario, Run
 from host_tools.golden_scenarios import edge_scenarios, run_scenarios
 from host_tools.scenarios import IMAGE, REPLACING, Call, Setup, edited_image, perform
 
 MAGIC = 0x5647434D
 
-_DESCRIPTION = "Make and check the golden vectors, and tell what a target got wrong."
-_CODES = {"observe": 1, "step": 2, "settle": 3, "receive": 4, "add": 5, "restore": 6, "damage": 7}
-_LAYOUTS = {
-    "observe": "<B",
-    "step": "<B",
-    "settle": "<",
-    "receive": "<BII",
-    "add": "<BQQQQII",
-    "damage": "<BB",
-}
-_RUN_CODE = 8
-_RUN = struct.Struct("<BIHBBBI")
+_DESCRIPTION = "Make and check the golden vectors, and find what a target got wrong."
+_CODES = {"observe": 1, "step": 2, "settle": 3, "receive": 4, "restore": 5, "damage": 6}
+_LAYOUTS = {"observe": "<B", "step": "<B", "settle": "<", "receive": "<BII", "damage": "<BB"}
+_CROWD, _CROWD_CODE = struct.Struct("<BBBIII"), 7
+_RUN, _RUN_CODE = struct.Struct("<BIHBBBBI"), 8
 _FAILURE = re.compile(r"scenario (\d+) expected (\d+) found (\d+)")
 _CALL = re.compile(r"call \d+ status (\d+) x (\d+) x_bar (\d+) state (\d+)")
 
@@ -116,7 +108,9 @@ class Player:
         if robot is None:
             return 0
         digest = mix(mix(0, robot.x_raw), robot.x_bar_raw)
-        for word in IMAGE.unpack(robot.save()):
+        accuracy = robot.s.accuracy
+        shifts = accuracy.rare_shift << 8 | accuracy.g_shift
+        for word in (*IMAGE.unpack(robot.save()), accuracy.c, accuracy.common, accuracy.rare, shifts):
             digest = mix(digest, word)
         return digest
 
@@ -142,16 +136,16 @@ def encode(played: Sequence[GoldenScenario]) -> bytes:
 def _encode_scenario(scenario: GoldenScenario) -> bytes:
     setup = scenario.setup
     table = 0 if setup.table is None else 2 if setup.table.replaced else 1
-    periods = (setup.comms_period, setup.filter_period, setup.memory)
-    head = struct.pack(
-        "<IBBBIIII", digest(scenario), setup.filter, table, setup.robot_id, *periods, setup.b_hat
-    )
+    numbers = (setup.filter_period, setup.memory, setup.b_hat)
+    head = struct.pack("<IBBBIII", digest(scenario), setup.filter, table, setup.robot_id, *numbers)
     return head + b"".join(map(_encode_item, scenario.items)) + b"\0"
 
 
-def _encode_item(item: Call | Run) -> bytes:
+def _encode_item(item: Call | Crowd | Run) -> bytes:
     if isinstance(item, Run):
         return _RUN.pack(_RUN_CODE, *astuple(item))
+    if isinstance(item, Crowd):
+        return _CROWD.pack(_CROWD_CODE, *astuple(item))
     code = bytes([_CODES[item.name]])
     if item.name == "restore":
         return code + bytes([len(item.pairs)]) + b"".join(struct.pack("<BI", *pair) for pair in item.pairs)

@@ -74,7 +74,7 @@ def picture(swarm: Swarm) -> Group:
 
 
 def _cells(node: Node | RemoteNode) -> list[str]:
-    robot, counters = node.robot, node.robot.counters
+    robot, counters = node.robot, node.counters
     share = robot.n / robot.t if robot.t else 0.0
     return [
         f"{node.id}{'*' if node.is_flawed else ' '}",

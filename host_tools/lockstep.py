@@ -104,14 +104,17 @@ class Lockstep:
             if isinstance(heartbeat, Heartbeat):
                 waiting.discard(heartbeat.sender)
 
-    def observe(self, observations: Mapping[int, Observation]) -> None:
-        """Let each robot, by id, observe. Raises can.CanError if the bus does not take the commands."""
+    def observe(self, observations: Mapping[int, Observation | None]) -> None:
+        """Let each robot, by id, observe that, or nothing.
+
+        Raises can.CanError if the bus does not take the commands.
+        """
         if self._settings.node in observations:
             raise UsageError(
                 f"robot {self._settings.node} has the id of the simulator; give one of them another"
             )
         self._estimates.clear()
-        self._order({robot: Action(int(z)) for robot, z in observations.items()})
+        self._order({robot: Action.observing(z) for robot, z in observations.items()})
 
     def estimates(self, robots: Collection[int]) -> dict[int, Message]:
         """What each of ``robots`` broadcasts in this tick, by id; the first counts if it sends several.

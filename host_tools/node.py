@@ -16,10 +16,9 @@ from typing import Any
 import can
 from can.typechecking import CanFilters
 
-from firmware_py.robot import MAX_PERIOD, Observation, Robot, Status
+from firmware_py.robot import Counters, Observation, Robot, Status
 from host_tools.collisions import Collision, CollisionWatch
 from host_tools.errors import UsageError
-from host_tools.firmwares import port_of
 from host_tools.frames import (
     COMMANDS,
     EVERY_ROBOT,
@@ -41,6 +40,7 @@ from host_tools.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
+from host_tools.rounds import MAX_PERIOD, TickedRobot
 from host_tools.sidecar import Recorder
 
 ACCEPTANCE_MASK = 0x039F_FF80
@@ -152,32 +152,40 @@ class RobotNode:
     """A robot that speaks in frames. Every method returns the frames to send now, in order.
 
     Attributes:
-        robot: The firmware.
         settings: What the node is told.
         ticks: Control ticks begun: observations made.
         is_settled: Whether the last tick is over.
         traffic: What was sent and heard so far.
     """
 
-    def __init__(self, robot: Robot, settings: NodeSettings, recorder: Recorder | None = None) -> None:
+    def __init__(self, robot: TickedRobot, settings: NodeSettings, recorder: Recorder | None = None) -> None:
         """Make a node of a robot that has done nothing yet; ``recorder`` is told what happens to it."""
-        self.robot = robot
         self.settings = settings
         self.ticks = 0
         self.is_settled = True
         self.traffic = NodeTraffic()
+        self._ticked = robot
         self._recorder = recorder
-        self._port = port_of(robot)
         self._watch = CollisionWatch(settings.id)
         self.traffic.collisions = self._watch.found
         self._tick_of_command: int | None = None
+
+    @property
+    def robot(self) -> Robot:
+        """The firmware."""
+        return self._ticked.robot
+
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, in numbers that do not wrap."""
+        return self._ticked.counters
 
     def start(self) -> list[can.Message]:
         """Say that the node is there."""
         return [self._heartbeat()]
 
-    def observe(self, z: Observation) -> list[can.Message]:
-        """Begin a tick. One that is still open ends first, unanswered."""
+    def observe(self, z: Observation | None) -> list[can.Message]:
+        """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
         frames = []
         if not self.is_settled:
             self.traffic.unsettled += 1
@@ -186,7 +194,7 @@ class RobotNode:
             frames.append(self._heartbeat())
         if self._recorder is not None:
             self._recorder.observe(z)
-        if self.robot.observe(z) == Status.DUE:
+        if self._ticked.observe(z):
             frames.append(self._estimate())
         self.ticks += 1
         self.is_settled = False
@@ -199,7 +207,7 @@ class RobotNode:
         return [self._telemetry()] if is_due else []
 
     def _end(self) -> None:
-        self.robot.settle()
+        self._ticked.settle()
         if self._recorder is not None:
             self._recorder.settle()
         self.is_settled = True
@@ -231,7 +239,7 @@ class RobotNode:
         self._watch.hear(message)
         if self._recorder is not None:
             self._recorder.receive(message.sender, message.x_hat, message.alpha)
-        status = self._port.receive_raw(message.sender, message.x_hat, message.alpha)
+        status = self._ticked.port.receive_raw(message.sender, message.x_hat, message.alpha)
         self.traffic.received += 1
         self.traffic.refused += status != Status.OK
 
@@ -247,12 +255,13 @@ class RobotNode:
         if settles:
             return self.settle()
         self._tick_of_command = command.tick
-        return self.observe(Observation(command.action.value))
+        return self.observe(command.action.observation)
 
     def _estimate(self) -> can.Message:
         transfer = self.traffic.estimates_sent % _TRANSFERS
         self.traffic.estimates_sent += 1
-        message = Message(self.settings.id, self._port.x_hat_raw, self._port.alpha_raw, transfer)
+        port = self._ticked.port
+        message = Message(self.settings.id, port.x_hat_raw, port.alpha_raw, transfer)
         return encode(message, self.settings.subjects.estimates, self._now())
 
     def _heartbeat(self) -> can.Message:

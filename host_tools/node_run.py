@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from firmware_py.robot import FixedPointRobot, Observation, Robot
+from firmware_py.robot import FixedPointRobot, Observation
 from host_tools.clocks import RealTimeClock
 from host_tools.node import RobotNode
 from host_tools.observations import Source
@@ -178,11 +178,13 @@ class NodeRun:
         while not self._is_over():
             clock.begin(self.node.ticks)
             self.link.catch_up(self._take)
-            z = self._observation(source)
-            self._settle()
-            if z is None:
+            try:
+                z = self._observation(source)
+            except EOFError:
+                self._settle()
                 self.outcome.ending = "the observations ended"
                 return
+            self._settle()
             self._send(self.node.observe(z))
             self._watch()
         clock.begin(self.node.ticks)
@@ -190,13 +192,12 @@ class NodeRun:
         self._settle()
 
     def _observation(self, source: Source) -> Observation | None:
-        """The next one, waited for if need be; None if there are no more."""
-        try:
-            while (z := source.next(0)) is None:
+        """The next one, waited for if need be. Raises EOFError if there are no more."""
+        while True:
+            try:
+                return source.next(0)
+            except TimeoutError:
                 self._listen(_SLICE)
-        except EOFError:
-            return None
-        return z
 
     def _listen(self, seconds: float) -> None:
         """Wait for a frame and take it in, for so long at most."""
@@ -217,9 +218,10 @@ class NodeRun:
             self._send(self.node.settle())
 
 
-def state_of(robot: Robot) -> dict[str, Any]:
+def state_of(node: RobotNode) -> dict[str, Any]:
     """A robot's estimates and counters as plain values, for JSON; raw ones, too, where there are any."""
+    robot = node.robot
     state: dict[str, Any] = {name: getattr(robot, name) for name in _FLOATS}
     if isinstance(robot, FixedPointRobot):
         state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW}
-    return state | {"counters": asdict(robot.counters)}
+    return state | {"counters": asdict(node.counters)}

@@ -15,16 +15,16 @@ from host_tools.world import FullyConnected, World
 
 _BATCH = 1024
 _COLOURS = (Observation.WHITE, Observation.BLACK)
-_OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": Observation.NONE}
+_OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
 
 
 class Source(Protocol):
-    """What a robot sees, one observation a tick."""
+    """Where a robot's observations come from, tick by tick."""
 
     def next(self, seconds: float) -> Observation | None:
-        """The next observation; None if it has not come within ``seconds``.
+        """The observation of the next tick, None for a tick without one.
 
-        Raises EOFError if there will be no more.
+        Raises TimeoutError if it has not come within ``seconds``, EOFError if there will be no more.
         """
 
     def close(self) -> None:
@@ -77,13 +77,11 @@ class LineSource:
         self._number = 0
 
     def next(self, seconds: float) -> Observation | None:
-        """The next line's observation. Raises UsageError for a line that is none."""
+        """The next line's observation. Raises as ``Source``, and UsageError for a line that is none."""
         if not self._lines and not self._has_ended:
             self._read(seconds)
         if not self._lines:
-            if self._has_ended:
-                raise EOFError
-            return None
+            raise EOFError if self._has_ended else TimeoutError
         self._number += 1
         line = self._lines.popleft().strip()
         if line not in _OF_LINE:

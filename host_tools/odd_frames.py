@@ -31,7 +31,7 @@ def malformed(draw: Draw, subjects: Subjects, sender: int) -> list[can.Message]:
     """A frame for every way not to be an estimate, from ``sender`` as far as that can be told."""
     frames = []
     for spoil in _WAYS:
-        message = Message(sender, draw.randint(0, ONE), draw.randrange(0x7F80_0000), draw.randrange(32))
+        message = Message(sender, draw.randint(0, ONE), draw.randrange(1 << 32), draw.randrange(32))
         frame = encode(message, subjects.estimates)
         spoil(frame, draw)
         frames.append(frame)

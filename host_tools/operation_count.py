@@ -1,10 +1,10 @@
 """Counting the integer operations of every call: the claims that time is O(1) and memory O(q).
 
-The mirror's code runs on integers that count what is done with them, so the count is that of the very code
-whose bits are the firmware's. It is taken over t, over the messages m of a round and over the table's q,
-with both outcomes of every decision. Integers here have no fixed size; the widest one met is
-recorded too, so that an operation is a bounded number of instructions. So are the lines of code executed,
-for a loop need not touch such an integer, and the builtins used, for some of them are loops themselves.
+The mirror's code runs on integers that count their operations, so the count is that of the very code whose
+bits are the firmware's. It is taken over t, over the messages m of a round and over the table's q, with both
+outcomes of every decision. Integers here have no fixed size; the widest one met is recorded too, so that an
+operation is a bounded number of instructions. So are the lines of code executed, for a loop need not touch
+such an integer, and the builtins used, for some of them are loops themselves.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from functools import cache, partial
 from types import CodeType, FrameType
 from typing import Any
 
-from firmware_py.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
-from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import DEFAULT_MEMORY, MAX_ID, Config, Observation
-from firmware_py.table import MAX_Q, MIN_Q, Table
+from firmware_py.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
+from firmware_py.mirror import Closed, MirrorRobot
+from firmware_py.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Observation
+from firmware_py.table import EXTRA_WORDS, MAX_Q, MIN_Q, Table
 from host_tools.tables import generate, parse_omega
 
 KINDS = {
@@ -35,20 +35,21 @@ KINDS = {
     "compare": ("lt", "le", "gt", "ge", "eq", "ne", "bool"),
     "bit length": ("bit_length",),
 }
-"""What is counted, and the methods of ``int`` that it is."""
+"""Kinds of operations, and the methods of ``int`` that count as such."""
 
-BOUNDS = {"observe": 60, "receive": 40, "settle": 120, "step": 180, "x": 25}
-"""Most operations of a call. Written down, so that a change of the mirror's cost is a decision."""
+BOUNDS = {"observe": 70, "receive": 40, "settle": 110, "step": 180, "x": 15}
+"""Maximum operations of a call. Written down, so that a change of the mirror's cost is a decision."""
 WIDEST = 96
-"""Most bits of any intermediate integer."""
-LINE_BOUNDS = {"observe": 40, "receive": 35, "settle": 120, "step": 160, "x": 15}
-"""Most lines of Python that a call executes."""
-ELEMENTARY = frozenset({"int", "len", "max", "min", "super"})
+"""Maximum bits of any intermediate integer."""
+LINE_BOUNDS = {"observe": 40, "receive": 30, "settle": 90, "step": 130, "x": 8}
+"""Maximum lines of Python that a call executes."""
+ELEMENTARY = frozenset({"int", "len", "max", "min", "super", "ValueError"})
 """Builtins that calls may use: given a few numbers, they take as long whatever the numbers are."""
 
 AXES = ("t", "m", "q")
 
 _OWN, _HEARD, _FRESH = 127, 0, 126
+_ALPHA_ONE, _ANY_BITS = 0x80000001, 0xFFFFFFFF
 _TOO_MANY_LINES = 1000
 """A call is cut short there: a loop over t would not end."""
 
@@ -58,7 +59,7 @@ class _CutShortError(Exception):
 
 
 class Tally:
-    """What a call does.
+    """The work of a call.
 
     Attributes:
         counts: Operations by kind.
@@ -138,14 +139,15 @@ def _counted(plain: Callable[..., Any], kind: str, tally: Tally) -> Callable[...
 
 @dataclass(frozen=True)
 class Situation:
-    """A robot about to be asked something.
+    """A robot before a call.
 
     Attributes:
-        t, n: Observations, the next one included, and how many were black.
+        t, n: Observations, the next one included, and the black ones among them.
         b_hat: Assumed accuracy (raw).
-        m: Messages in its open round, which closes with the next settle and ends a filtering period, and in
-            the last closed round.
+        m: Messages in its open round, at whose end the filter runs, and in the last closed round.
+        alpha: Of these messages and its own, about.
         q: Of its table.
+        memory: Observations at which t and n are halved.
         agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
     """
 
@@ -153,12 +155,14 @@ class Situation:
     n: int = 400
     b_hat: int = 3 << 30
     m: int = 20
+    alpha: int = _ALPHA_ONE
     q: int = MAX_Q
+    memory: int = DEFAULT_MEMORY
     agrees: bool = False
 
 
 Axis = dict[int, tuple[int, int]]
-"""The least and the most operations of a call, by the value of t, m or q."""
+"""Minimum and maximum operations of a call, by the value of t, m or q."""
 
 
 @dataclass
@@ -166,10 +170,10 @@ class CallCount:
     """Operations of one call.
 
     Attributes:
-        least, most: Over everything that was tried.
-        kinds: What the most consist of.
+        least, most: Minimum and maximum over everything that was tried.
+        kinds: Of the operations of the maximum.
         widest: Bits of the widest result.
-        lines: Most lines of Python executed.
+        lines: Maximum lines of Python executed.
         loops: Builtins used that are not elementary, by name.
         axes: By t, by m and by q.
     """
@@ -216,7 +220,7 @@ def count_operations(
 
 
 def exceeded(counts: dict[str, CallCount]) -> list[str]:
-    """What is above its bound, a line each."""
+    """Counts above their bounds, a line each."""
     return [problem for name, count in counts.items() for problem in _exceeded(name, count)]
 
 
@@ -227,7 +231,7 @@ def _exceeded(name: str, count: CallCount) -> Iterator[str]:
     if count.lines > LINE_BOUNDS[name]:
         yield f"{name}: {count.lines} lines executed, bound {LINE_BOUNDS[name]}"
     if count.loops:
-        yield f"{name}: uses {', '.join(count.loops)}, whose time depends on what is given"
+        yield f"{name}: uses {', '.join(count.loops)}, whose time depends on its arguments"
 
 
 @dataclass(frozen=True)
@@ -243,11 +247,11 @@ class Storage:
     images: list[int]
 
     def problems(self) -> list[str]:
-        """What does not hold of: a table takes 16 + 4 q, a robot always the same."""
+        """Exceptions from the rule that a table takes 12 + 4 q bytes, and every robot the same."""
         wrong = [
             f"a table with q = {q} takes {size} bytes"
             for q, size in self.tables.items()
-            if size != 16 + 4 * q
+            if size != 4 * (EXTRA_WORDS + q)
         ]
         return wrong + ([f"robots take {self.images} bytes"] if len(self.images) != 1 else [])
 
@@ -262,14 +266,17 @@ def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> Storage:
 def _situations() -> Iterator[tuple[str, int, Situation]]:
     """An axis, a value of it, and a situation there."""
     powers = [1 << k for k in range(32)]
-    times = {t for power in powers for t in (power - 1, power, power + 1)} - {0} | {DEFAULT_MEMORY}
-    for t in sorted(times):
+    times = {t for power in powers for t in (power - 1, power, power + 1)}
+    for t in sorted(t for t in times if 1 <= t <= DEFAULT_MEMORY):
         for b_hat in (B_HAT_MIN, 1 << 30, 1 << 31, 4080218931, B_HAT_MAX):
             for n in sorted({0, 2 * t // 5, t // 2, t}):
                 yield "t", t, Situation(t=t, n=n, b_hat=b_hat)
+        if t >= MIN_MEMORY and t % 4 == 0:
+            yield "t", t, Situation(t=t, n=t // 2, memory=t)
     for m in range(MAX_ID + 1):
         for agrees in (False, True):
             yield "m", m, Situation(m=m, agrees=agrees)
+        yield "m", m, Situation(m=m, alpha=ALPHA_MAX)
     for q in range(MIN_Q, MAX_Q + 1):
         for m in (2, q, min(q + 1, MAX_ID)):
             yield "q", q, Situation(q=q, m=m)
@@ -281,18 +288,13 @@ Act = Callable[[MirrorRobot, type[int]], object]
 def _acts(axis: str) -> Iterator[tuple[str, Act]]:
     """The calls to count; ``receive`` has many kinds, which are tried along its own axis only."""
     yield "step", lambda robot, number: robot.step(Observation.BLACK)
-    yield "settle", _settle
+    yield "settle", lambda robot, number: robot.settle()
     yield "x", lambda robot, number: robot.x_raw
     for z in Observation:
         yield "observe", partial(_observe, z)
     for sender in (_FRESH, _HEARD, _OWN) if axis == "m" else (_FRESH,):
-        for alpha in (0, 0x33800000, 0x3F800000, 0x4F000000, 0x7F800000) if axis == "m" else (0x3F800000,):
+        for alpha in (0, 0xFF, 0x100, _ALPHA_ONE, ALPHA_MAX, _ANY_BITS) if axis == "m" else (_ALPHA_ONE,):
             yield "receive", partial(_receive, sender, alpha)
-
-
-def _settle(robot: MirrorRobot, number: type[int]) -> None:
-    robot.s.comms_left = number(0)
-    robot.settle()
 
 
 def _observe(z: Observation, robot: MirrorRobot, number: type[int]) -> None:
@@ -305,15 +307,16 @@ def _receive(sender: int, alpha: int, robot: MirrorRobot, number: type[int]) -> 
 
 def _robot(firmware: type[MirrorRobot], situation: Situation) -> MirrorRobot:
     """A robot in a situation, still of plain integers."""
-    robot = firmware(Config(_table(situation.q), filter_period=1), _OWN, situation.b_hat / 2**32)
+    robot = firmware(
+        Config(_table(situation.q), filter_period=1, memory=situation.memory), _OWN, situation.b_hat / 2**32
+    )
     s = robot.s
     s.t, s.n = situation.t - 1, min(situation.n, situation.t - 1)
     for sender in range(situation.m):
-        robot.receive_raw(sender, ONE // 3 + 1000 * sender, 0x3F800001 + sender)
-    s.x_hat = s.settled_x_hat = s.open.x // s.open.count if situation.agrees and s.open.count else ONE
-    s.alpha = s.settled_alpha = 0x3F800001
-    s.closed_alpha, s.closed_alpha_x_low = s.open.alpha, s.open.alpha_x_low
-    s.closed_alpha_x_high = s.open.alpha_x_high
+        robot.receive_raw(sender, ONE // 3 + 1000 * sender, situation.alpha ^ sender << 8)
+    s.x_hat = s.open.x // s.open.count if situation.agrees and s.open.count else ONE
+    s.alpha = situation.alpha
+    s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
     return robot
 
 

@@ -20,7 +20,7 @@ _LABELS = {"t": "observations t", "m": "messages in the round m", "q": "entries 
 
 
 def draw(counts: dict[str, CallCount]) -> Figure:
-    """Return a figure of three panels: lines are the most, shades reach down to the least."""
+    """Return a figure of three panels: lines are the maximum, shades reach down to the minimum."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(_LABELS), sharey=True)
@@ -33,7 +33,7 @@ def draw(counts: dict[str, CallCount]) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_xscale("log", base=2)
     panels[0].set_ylim(0, None)
-    panels[0].set_ylabel("integer operations a call")
+    panels[0].set_ylabel("integer operations per call")
     figure.legend(
         *panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=len(counts), frameon=False
     )

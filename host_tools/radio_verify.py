@@ -11,17 +11,17 @@ import random
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 
-from firmware_py.robot import Observation
 from host_tools.fault_kinds import Fault, parse_fault
 from host_tools.frames import (
     MAX_NODE,
     Message,
     Rejection,
     Telemetry,
+    alpha_bits,
     decode,
     decode_telemetry,
     float_of,
@@ -239,8 +239,7 @@ class Verification:
     def _tick(self, phase: Phase, result: PhaseResult) -> None:
         self._tick_number = self._neighbours.tick
         seen = self._neighbours.begin()
-        z = Observation.NONE if phase.is_blind else seen
-        self._lockstep.observe({self._id: z})
+        self._lockstep.observe({self._id: None if phase.is_blind else seen})
         if any(isinstance(decode(frame, self._subjects.estimates), Message) for frame in self._expected):
             self._lockstep.estimates({self._id})
         # Odd frames first: of a sender that is heard already a robot ignores good ones, too.
@@ -294,12 +293,12 @@ class Verification:
         self._said.clear()
         self._expected.clear()
         for kind, name in ((Message, "estimate"), (Telemetry, "telemetry")):
-            own = [each for each in said if isinstance(each, kind)]
-            models = [each for each in wanted if isinstance(each, kind)]
+            own = [each for each in said if isinstance(each.content, kind)]
+            models = [each for each in wanted if isinstance(each.content, kind)]
             if own != models:
                 raise _Differs(f"{name}: the controller sent {_texts(own)}, the model {_texts(models)}")
-        result.broadcasts += sum(isinstance(each, Message) for each in said)
-        result.answers += sum(isinstance(each, Telemetry) for each in said)
+        result.broadcasts += sum(isinstance(each.content, Message) for each in said)
+        result.answers += sum(isinstance(each.content, Telemetry) for each in said)
 
     def _malformed(self) -> _Differs | None:
         """What is wrong with a frame that the controller has sent since the last comparison."""
@@ -309,15 +308,15 @@ class Verification:
             return difference
         return None
 
-    def _meaning(self, frames: Sequence[can.Message]) -> Iterator[Message | Telemetry]:
+    def _meaning(self, frames: Sequence[can.Message]) -> Iterator[_Said]:
         """The estimates and telemetry among ``frames``; other kinds do not matter, malformed ones do."""
         for frame in frames:
             estimate = decode(frame, self._subjects.estimates)
             telemetry = decode_telemetry(frame, self._subjects.telemetry)
             if isinstance(estimate, Message):
-                yield estimate
+                yield _Said(estimate, alpha_bits(frame))
             elif isinstance(telemetry, Telemetry):
-                yield telemetry
+                yield _Said(telemetry)
             elif estimate is not Rejection.SUBJECT or telemetry is not Rejection.SUBJECT:
                 reason = estimate if estimate is not Rejection.SUBJECT else telemetry
                 raise _Differs(f"the controller sent a malformed frame ({reason.text}): {frame}")
@@ -327,17 +326,25 @@ _AFTERMATH = 0.1
 """Seconds to listen after the last answer."""
 
 
-def _texts(messages: Sequence[Message | Telemetry]) -> str:
+class _Said(NamedTuple):
+    """A frame's content with its alpha to the bit, which decoding may round."""
+
+    content: Message | Telemetry
+    alpha_bits: int = 0
+
+
+def _texts(messages: Sequence[_Said]) -> str:
     return " and ".join(map(_text, messages)) or "nothing"
 
 
-def _text(message: Message | Telemetry) -> str:
-    if isinstance(message, Message):
+def _text(said: _Said) -> str:
+    content, bits = said
+    if isinstance(content, Message):
         return (
-            f"x_hat {message.x_hat:#08x} ({message.x_hat / 2**23:.7f}), alpha {message.alpha:#010x} "
-            f"({float_of(message.alpha):.7g}), transfer {message.transfer_id}"
+            f"x_hat {content.x_hat:#08x} ({content.x_hat / 2**23:.7f}), alpha {bits:#010x} "
+            f"({float_of(bits):.7g}), transfer {content.transfer_id}"
         )
     return (
-        f"x {message.x:#08x} ({message.x / 2**23:.7f}), b_hat {message.b_hat:#08x} "
-        f"({message.b_hat / 2**24:.7f}), updates {message.updates}, transfer {message.transfer_id}"
+        f"x {content.x:#08x} ({content.x / 2**23:.7f}), b_hat {content.b_hat:#08x} "
+        f"({content.b_hat / 2**24:.7f}), updates {content.updates}, transfer {content.transfer_id}"
     )

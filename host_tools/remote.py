@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 import can
 
+from firmware_py.fixed_point import word_to_alpha
 from firmware_py.robot import Counters, Observation
 from host_tools.errors import UsageError
 from host_tools.fault_kinds import Kind
@@ -22,11 +23,11 @@ from host_tools.frames import (
     Telemetry,
     decode,
     decode_telemetry,
-    float_of,
 )
 from host_tools.lockstep import DRIVER_ID, Lockstep, LockstepSettings
 from host_tools.medium import Wiring
 from host_tools.node import Subjects
+from host_tools.rounds import RoundTimer
 from host_tools.sidecar import Recorder, RobotRecord
 from host_tools.swarm_node import Decoder
 from host_tools.swarm_settings import MAX_ROBOTS_AND_TOOLS, Settings
@@ -88,14 +89,14 @@ class RemoteRobot:
         self.alpha = 0.0
         self.counters = Counters()
 
-    def saw(self, z: Observation) -> None:
-        """It was told to observe this."""
-        self.t += z is not Observation.NONE
+    def saw(self, z: Observation | None) -> None:
+        """It was told to observe this, or nothing."""
+        self.t += z is not None
         self.n += z is Observation.BLACK
 
     def said(self, message: Message) -> None:
         """It has broadcast this."""
-        self.x_hat, self.alpha = message.x_hat / ONE, float_of(message.alpha)
+        self.x_hat, self.alpha = message.x_hat / ONE, word_to_alpha(message.alpha)
 
     def told(self, telemetry: Telemetry) -> None:
         """It has answered this."""
@@ -119,14 +120,23 @@ class RemoteNode:
         self.heard = 0
         self.reception = Reception()
         self.recorder = recorder
+        self._timer = RoundTimer(record.config.comms_period)
         self._decode = decoder
 
-    def observe(self, z: Observation) -> None:
-        """It is told to observe."""
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, as far as they are known here."""
+        return self.robot.counters
+
+    def observe(self, z: Observation | None) -> bool:
+        """It is told to begin a tick; returns whether it broadcasts in it."""
         self.robot.saw(z)
-        self.heard = 0
         if self.recorder is not None:
             self.recorder.observe(z)
+        is_due = self._timer.begin()
+        if is_due:
+            self.heard = 0
+        return is_due
 
     def hear(self, frame: can.Message) -> None:
         """It hears ``frame``."""
@@ -143,7 +153,8 @@ class RemoteNode:
         """What strangers say on its bus, it hears by itself."""
 
     def settle(self, telemetry: Telemetry) -> None:
-        """It has settled, and answered so."""
+        """It has ended the tick, and answered so."""
+        self._timer.end()
         self.robot.told(telemetry)
         if self.recorder is not None:
             self.recorder.settle()
@@ -161,13 +172,11 @@ class Driver:
         bus: can.BusABC,
         nodes: Sequence[RemoteNode],
         frames: FrameFormat,
-        comms_period: int,
         log: Callable[[can.Message], None] | None = None,
     ) -> None:
         """Prepare; ``log`` takes every frame that comes over ``bus``, which is left open at the end."""
         self.nodes = {node.id: node for node in nodes}
         self._frames = frames
-        self._comms_period = comms_period
         self._log = log
         self._check: Callable[[], None] = lambda: None
         self._held: list[can.Message] = []
@@ -189,9 +198,7 @@ class Driver:
         self._check = check
         self._lockstep.wait_until_up(self.nodes, timeout)
 
-    def observe(
-        self, observations: Mapping[int, Observation], tick: int
-    ) -> list[tuple[RemoteNode, can.Message]]:
+    def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[RemoteNode, can.Message]]:
         """Let robots observe, by id; returns the frames that they send in this tick, by rising id.
 
         Other frames than estimates go with those of the next tick, since nobody can tell when they come.
@@ -200,11 +207,9 @@ class Driver:
         self._estimates = {}
         sent, self._held = self._held, []
         self._lockstep.observe(observations)
-        for robot, z in observations.items():
-            self.nodes[robot].observe(z)
-        if (tick + 1) % self._comms_period == 0:
-            for robot, message in self._lockstep.estimates(observations).items():
-                self.nodes[robot].robot.said(message)
+        due = [robot for robot, z in observations.items() if self.nodes[robot].observe(z)]
+        for robot, message in self._lockstep.estimates(due).items():
+            self.nodes[robot].robot.said(message)
         return [(self.nodes[_sender(f)], f) for f in sent] + [
             (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
         ]

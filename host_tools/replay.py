@@ -10,9 +10,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from firmware_py.robot import Observation, Status
-from host_tools.firmwares import port_of
-from host_tools.frames import FrameFormat, Message, decode, float_of
+from host_tools.frames import Action, FrameFormat, Message, alpha_bits, binary32_of, decode, float_of
 from host_tools.sidecar import RESTART, SETTLE, Event, RobotRecord, SidecarReader, frame_as_text
 
 SEND_TIMEOUT = 2.0
@@ -26,17 +24,17 @@ class Broadcast(NamedTuple):
     """What a robot sent.
 
     Attributes:
-        observation: Number of the observation that it belongs to, from 1 at the robot's start.
+        tick: Number of the tick that it belongs to, from 1 at the robot's start.
         transfer_id: Number of the broadcast since then modulo 32.
         x_hat: Local estimate in units of 2**-23.
-        alpha: Local confidence as binary32 bits.
+        alpha_bits: Local confidence as the frame has it, in binary32 bits.
         is_false: Whether a fault put these values in the place of the firmware's.
     """
 
-    observation: int
+    tick: int
     transfer_id: int
     x_hat: int
-    alpha: int
+    alpha_bits: int
     is_false: bool = False
 
 
@@ -55,8 +53,7 @@ class Rerun:
 
     def _start(self) -> None:
         self._robot = self._record.make()
-        self._port = port_of(self._robot)
-        self._observations = 0
+        self._ticks = 0
         self._transfers = 0
 
     def do(self, events: Iterable[Event]) -> None:
@@ -69,23 +66,23 @@ class Rerun:
             elif event == SETTLE:
                 self._robot.settle()
             else:
-                self._observe(Observation(event))
+                self._observe(Action(event))
 
-    def _observe(self, z: Observation) -> None:
-        self._observations += 1
-        if self._robot.observe(z) == Status.DUE:
+    def _observe(self, action: Action) -> None:
+        self._ticks += 1
+        if self._robot.observe(action.observation):
             transfer = self._transfers % _TRANSFERS
             self._transfers += 1
-            said = self._port.x_hat_raw, self._port.alpha_raw
-            self.broadcasts.append(Broadcast(self._observations, transfer, *said))
+            said = self._robot.port.x_hat_raw, binary32_of(self._robot.port.alpha_raw)
+            self.broadcasts.append(Broadcast(self._ticks, transfer, *said))
 
     def _take(self, values: Sequence[int]) -> None:
         if len(values) == 3:
-            self._port.receive_raw(*values)
+            self._robot.port.receive_raw(*values)
         else:
-            x_hat, alpha = values
+            x_hat, bits = values
             last = self._last("falsified")
-            self.broadcasts.append(last._replace(x_hat=x_hat, alpha=alpha, is_false=True))
+            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
 
     def _suffer(self, event: str) -> None:
         if event == RESTART:
@@ -108,28 +105,31 @@ class Difference:
         frame: Its number in the log, from 1.
         timestamp: As the log has it, seconds.
         logged: What the log says.
+        alpha_bits: The same of alpha, in the binary32 bits of the frame.
         expected: What the robot sends at this place; None if it sends nothing more.
     """
 
     frame: int
     timestamp: float
     logged: Message
+    alpha_bits: int
     expected: Broadcast | None
 
     def __str__(self) -> str:
         logged, expected = self.logged, self.expected
         says = (
-            f"frame {self.frame} at {self.timestamp:.6f} s: robot {logged.sender} broadcast {_values(logged)}"
+            f"frame {self.frame} at {self.timestamp:.6f} s: robot {logged.sender} broadcast "
+            f"{_values(logged, self.alpha_bits)}"
         )
         if expected is None:
             return f"{says}, but makes no more broadcasts"
-        return f"{says}, but after observation {expected.observation} it makes {_values(expected)}"
+        return f"{says}, but in tick {expected.tick} it makes {_values(expected, expected.alpha_bits)}"
 
 
-def _values(said: Message | Broadcast) -> str:
+def _values(said: Message | Broadcast, bits: int) -> str:
     return (
-        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), "
-        f"alpha {said.alpha:#010x} ({float_of(said.alpha):.7g}), transfer {said.transfer_id}"
+        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {bits:#010x} ({float_of(bits):.7g}), "
+        f"transfer {said.transfer_id}"
     )
 
 
@@ -209,7 +209,8 @@ class _Comparison:
             return True
         broadcasts = self._robots[message.sender].broadcasts
         place = _place_of(message, broadcasts)
-        is_own = place is not None and _is_same(message, broadcasts[place])
+        said = message.x_hat, alpha_bits(frame)
+        is_own = place is not None and (broadcasts[place].x_hat, broadcasts[place].alpha_bits) == said
         # What strangers sent, too, is the robot's own only in its turn: among the next it is by chance.
         text = frame_as_text(frame)
         if self._foreign[text] and not (is_own and place == 0):
@@ -220,7 +221,7 @@ class _Comparison:
             self._pass(broadcasts, place)
             return True
         expected = broadcasts[place or 0] if broadcasts else None
-        self.verdict.difference = Difference(number, frame.timestamp, message, expected)
+        self.verdict.difference = Difference(number, frame.timestamp, message, said[1], expected)
         return False
 
     def _pass(self, broadcasts: deque[Broadcast], place: int) -> None:
@@ -238,10 +239,6 @@ def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
     """Where the broadcast with the message's number is among the next ones; 0 in a log without gaps."""
     ahead = range(min(len(broadcasts), _TRANSFERS))
     return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
-
-
-def _is_same(message: Message, broadcast: Broadcast) -> bool:
-    return (message.x_hat, message.alpha) == (broadcast.x_hat, broadcast.alpha)
 
 
 # --- Onto a bus ------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ from host_tools.scores import DELTA, Limits, score
 from host_tools.simulation import QUANTITIES, Measured
 from host_tools.versions import own_version
 
-FORMAT = 2
+FORMAT = 3
 _KEY = b"mcp-asdf"
 _LISTS = {
     "k": pa.int32(),
@@ -97,7 +97,7 @@ def read_table(path: Path) -> pa.Table:
         raise UsageError(f"cannot read {path}: {error}") from error
     known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
     if known.get("format") != FORMAT:
-        raise UsageError(f"{path} holds no results of this program; make some with mcp-asdf sweep")
+        raise UsageError(f"{path} holds no results in format {FORMAT}; make some with mcp-asdf sweep")
     return table
 
 

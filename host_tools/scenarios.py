@@ -2,12 +2,11 @@
 
 A line is a list of items separated by commas; an item is a word and its whole numbers, joined by colons::
 
-    table:0.05:30,robot:0:1:5:4294967294:7:3006477107,observe:1,receive:3:4194304:1065353216,settle
+    table:0.05:30,robot:0:5:2147483648:7:3006477107,observe:1,receive:3:4194304:2147483649,settle
 
-``table`` gives omega and q, then pairs of a word's index and what stands there instead (see ``TableChoice``);
-without it the robot has no table. ``robot`` gives filter, comms_period, filter_period, memory, id and b_hat.
-All that follows are calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as
-their C types allow.
+``table`` gives omega and q, then pairs of a word's index and its replacement (see ``TableChoice``); without
+it the robot has no table. ``robot`` gives filter, filter_period, memory, id and b_hat. All that follows are
+calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as their C types allow.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import cast
 
 from firmware_py.mirror import IMAGE_WORDS
 from firmware_py.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
-from firmware_py.table import HEADER_WORDS, Table, checksum
+from firmware_py.table import EXTRA_WORDS, Table, checksum
 from host_tools.errors import UsageError
 from host_tools.tables import check_q, generate, parse_omega
 
@@ -28,16 +27,15 @@ IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 
 _U8, _U32, _U64 = 2**8 - 1, 2**32 - 1, 2**64 - 1
 _LARGEST = {
-    "robot": (_U8, _U32, _U32, _U32, _U8, _U32),
-    "observe": (_U8,),
-    "step": (_U8,),
+    "robot": (_U8, _U32, _U32, _U8, _U32),
+    "observe": (_U32,),
+    "step": (_U32,),
     "settle": (),
     "receive": (_U8, _U32, _U32),
     "add": (_U8, _U64, _U64, _U64, _U64, _U32, _U32),
     "damage": (4 * IMAGE_WORDS - 1, _U8),
 }
 """The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
-
 
 REPLACING = ("restore", "damage")
 """Calls that put another robot in the place of the one that is there."""
@@ -48,13 +46,14 @@ class Call:
     """One call of a robot.
 
     Attributes:
-        name: What is done, with ``numbers``:
+        name: The method, with ``numbers``:
             observe, step: the observation.
             settle: none.
             receive: sender, x_hat, alpha.
-            add: ``add_round`` with the number of messages and the members of ``Sums`` in order.
+            add: ``add_round`` with the number of messages and the members of ``Sums`` in order; the firmwares
+                in Python have it, the C alone has not.
             restore: The robot is saved and goes on as the robot restored from its image, in which words were
-                replaced (pairs of index, 1 .. 32, and value) and the checksum made right again. If that is
+                replaced (pairs of index, 1 .. 29, and value) and the checksum made right again. If that is
                 refused it goes on as it was.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
@@ -77,10 +76,11 @@ class TableChoice:
     """A table to be generated, and what to do to it.
 
     Attributes:
-        omega, q: Which table.
-        replaced: Pairs of a word's index (see ``firmware_py.table``) and what stands there instead. Firmwares
-            get the words as they then are, but for the checksum, which is made right again unless it is
-            replaced itself. There are as many as word 1 claims; those behind the generated ones are 0.
+        omega, q: Of the table.
+        replaced: Pairs of a word's index (see ``firmware_py.table``) and its replacement. Firmwares get the
+            words as they then are, and behind them the checksum, which is right unless it is replaced itself.
+            There are as many words as the q in word 0 claims, and those behind the generated ones are 0: a
+            table cut short, as far as a firmware may read.
     """
 
     omega: str
@@ -89,9 +89,8 @@ class TableChoice:
 
     @property
     def length(self) -> int:
-        """How many words there are: 4 and q, that of word 1 as it is after the replacement."""
-        shape = dict(pairs_of(self.replaced)).get(1, self.q << 16)
-        return HEADER_WORDS + (shape >> 16 & 0xFF)
+        """The number of words: 3 and q, that of word 0 as it is after the replacement."""
+        return EXTRA_WORDS + (dict(pairs_of(self.replaced)).get(0, self.q) & 0xFF)
 
     def __str__(self) -> str:
         return ":".join(["table", self.omega, str(self.q), *map(str, self.replaced)])
@@ -103,7 +102,6 @@ class Setup:
 
     table: TableChoice | None
     filter: int
-    comms_period: int
     filter_period: int
     memory: int
     robot_id: int
@@ -119,7 +117,6 @@ class Setup:
         return Config(
             None if self.table is None else build_table(self.table),
             Filter(self.filter) if known else self.filter,  # type: ignore[arg-type]
-            self.comms_period,
             self.filter_period,
             self.memory,
         )
@@ -150,7 +147,7 @@ class RawTable(Table):
     """Words that stand in the place of a table, whatever they are.
 
     Attributes:
-        raw: The words. The other members are what a firmware reads from them if it takes them for a table.
+        raw: The words. The other members are read from them as a firmware that accepts them does.
     """
 
     raw: tuple[int, ...]
@@ -162,23 +159,24 @@ class RawTable(Table):
 
 @lru_cache(maxsize=64)
 def build_table(choice: TableChoice) -> Table:
-    """The table a scenario asks for, unchecked. O(q).
+    """The table that a scenario asks for, unchecked. O(q).
 
     Raises UsageError if omega or q is out of range; fails if the index of a replaced word is.
     """
     table = generate(parse_omega(choice.omega), choice.q)
     if not choice.replaced:
         return table
-    words = [*table.words(), *[0] * choice.length][: choice.length]
-    replaced = dict(pairs_of(choice.replaced))
+    last, replaced = choice.length - 1, dict(pairs_of(choice.replaced))
+    words = [*table.words()[:-1], *[0] * last][:last]
     for index, value in replaced.items():
-        words[index] = value
-    words[3] = replaced.get(3, checksum(words[:3] + words[HEADER_WORDS:]))
-    return RawTable(words[2], words[1] >> 8 & 0xFF, tuple(words[HEADER_WORDS:]), tuple(words))
+        if index < last:
+            words[index] = value
+    words.append(replaced.get(last, checksum(words)))
+    return RawTable(words[1], tuple(words[2:-1]), tuple(words))
 
 
 def parse_scenario(line: str) -> Scenario:
-    """Read a scenario's line. Raises UsageError naming the item that will not do."""
+    """Read a scenario's line. Raises UsageError naming the item that is wrong."""
     items = [item.split(":") for item in line.strip().split(",")]
     table = _table(items.pop(0)) if items[0][0] == "table" else None
     if not items or items[0][0] != "robot":
@@ -193,7 +191,7 @@ def _table(item: list[str]) -> TableChoice:
     omega, (q, *replaced) = str(parse_omega(item[1])), _integers(item, 2)
     choice = TableChoice(omega, check_q(q), tuple(replaced))
     if len(replaced) % 2:
-        raise UsageError(f"{choice} needs pairs of a word's index and what replaces it")
+        raise UsageError(f"{choice} needs pairs of a word's index and its replacement")
     if any(i >= choice.length or v > _U32 for i, v in pairs_of(choice.replaced)):
         raise UsageError(f"{choice} needs pairs of an index, 0 to {choice.length - 1}, and a 32-bit word")
     return choice
@@ -243,7 +241,7 @@ def edited_image(image: bytes, call: Call) -> bytes:
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
-    """Make any call of ``robot`` but ``restore`` and ``damage``, which make another robot."""
+    """Make any call of ``robot`` but those in REPLACING. ``add`` raises ValueError as ``add_round`` does."""
     numbers = call.numbers
     if call.name == "receive":
         return robot.receive_raw(*numbers)
@@ -253,4 +251,5 @@ def perform(robot: FixedPointRobot, call: Call) -> Status:
         return robot.step(cast(Observation, numbers[0]))
     if call.name == "settle":
         return robot.settle()
-    return robot.add_round(Sums(*numbers[1:]), numbers[0])
+    robot.add_round(Sums(*numbers[1:]), numbers[0])
+    return Status.OK

@@ -7,10 +7,12 @@ run (:class:`Header`). Every other line is either
   any order, for robots share no state. An event is
 
   ===================== ================================================================================
-  0, 1, 2, 3            it observed white, black, nothing; it settled (the numbers of frames.Action)
+  0, 1, 2               a tick began, in which it observed white, black, nothing
+  3                     the tick ended (all four are the numbers of ``frames.Action``)
   [sender, x_hat, alpha] it was given a message, which its firmware may have refused; raw integers as in
                         ``host_tools.frames.Message``
-  [x_hat, alpha]        its last broadcast went out with these false values (a fault)
+  [x_hat, alpha]        its last broadcast went out with these false values (a fault), alpha in the binary32
+                        bits of the frame
   "silent"              its last broadcast did not go out at all (a fault)
   "restart"             it started anew, as the header says
   ===================== ================================================================================
@@ -31,18 +33,21 @@ from typing import Any
 import can
 import numpy as np
 
-from firmware_py.robot import Config, Filter, Observation, Robot, check_periods
+from firmware_py.robot import Filter, Observation, check_settings
 from host_tools.errors import UsageError
 from host_tools.files import FileSet, explaining, refusal
 from host_tools.firmwares import load_firmware
-from host_tools.frames import FrameFormat
+from host_tools.frames import Action, FrameFormat
+from host_tools.rounds import TickConfig, TickedRobot
 from host_tools.tables import generate, omega_from_word
 from host_tools.versions import own_version
 
 FORMAT = "mcp-asdf events"
-VERSION = 1
+VERSION = 2
+"""1 had binary32 bits for alpha, and tables of another format."""
 SETTLE = 3
 SILENT, RESTART = "silent", "restart"
+_MAX_WORD = 2**32 - 1
 
 Event = int | str | list[int]
 """One event as the lines have it."""
@@ -67,22 +72,24 @@ class RobotRecord:
     id: int
     firmware: str
     b_hat: float
-    config: Config
+    config: TickConfig
 
-    def make(self) -> Robot:
+    def make(self) -> TickedRobot:
         """A robot that starts like this one.
 
         Raises UsageError if there is no such firmware here, FirmwareError if it refuses the config.
         """
-        check_periods(self.config)
-        return load_firmware(self.firmware)(self.config, self.id, self.b_hat)
+        config = self.config.in_rounds()
+        check_settings(config)  # names what is wrong, which the C cannot
+        robot = load_firmware(self.firmware)(config, self.id, self.b_hat)
+        return TickedRobot(robot, self.config.comms_period)
 
     def plain(self) -> dict[str, Any]:
         """The record as plain values, for JSON."""
         return {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat} | config_as_plain(self.config)
 
 
-def config_as_plain(config: Config) -> dict[str, Any]:
+def config_as_plain(config: TickConfig) -> dict[str, Any]:
     """A config as plain values: the table as its omega, q and checksum.
 
     Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
@@ -97,7 +104,7 @@ def config_as_plain(config: Config) -> dict[str, Any]:
         omega = omega_from_word(config.table.omega_word)
         if omega is None:
             raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
-        plain["table"] = {"omega": str(omega), "q": config.table.q, "checksum": config.table.words()[3]}
+        plain["table"] = {"omega": str(omega), "q": config.table.q, "checksum": config.table.words()[-1]}
     return plain
 
 
@@ -148,26 +155,26 @@ class Recorder:
         self._parts = [self._head]
         self._write = write
 
-    def observe(self, z: Observation) -> None:
-        """It observed ``z``."""
-        self._parts.append(str(int(z)))
+    def observe(self, z: Observation | None) -> None:
+        """It began a tick and observed ``z``, if anything."""
+        self._parts.append(str(Action.observing(z).value))
 
     def receive(self, sender: int, x_hat: int, alpha: int) -> None:
         """It was given a message of these raw values."""
         self._parts.append(f"[{sender},{x_hat},{alpha}]")
 
     def settle(self) -> None:
-        """It settled."""
+        """It ended the tick."""
         self._parts.append(str(SETTLE))
         self.flush()
 
     def silent(self) -> None:
-        """The broadcast of its last observation does not go out."""
+        """The broadcast of its last tick does not go out."""
         self._parts.append(f'"{SILENT}"')
 
-    def falsified(self, x_hat: int, alpha: int) -> None:
-        """The broadcast of its last observation goes out with these raw values instead of its own."""
-        self._parts.append(f"[{x_hat},{alpha}]")
+    def falsified(self, x_hat: int, alpha_bits: int) -> None:
+        """The broadcast of its last tick goes out with these values instead of its own."""
+        self._parts.append(f"[{x_hat},{alpha_bits}]")
 
     def restart(self) -> None:
         """It starts anew."""
@@ -314,7 +321,10 @@ class SidecarReader:
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'it does not say "format": "{FORMAT}"')
         if plain.get("version") != VERSION:
-            raise self.wrong(f"version {plain.get('version')} is not known here, only {VERSION}")
+            raise self.wrong(
+                f"the format is version {plain.get('version')}, and version {VERSION} is read here; replay "
+                "the log with the mcp-asdf that wrote it, or record the run again"
+            )
         try:
             robots = tuple(_robot_of(each) for each in plain["robots"])
             frames = FrameFormat(**plain["frames"])
@@ -334,16 +344,16 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
     if "table" in plain:
         stated = plain["table"]
         table = generate(Decimal(stated["omega"]), stated["q"])
-        if table.words()[3] != stated["checksum"]:
+        if table.words()[-1] != stated["checksum"]:
             raise UsageError(
                 f"the t-table of robot {plain['id']} has checksum {stated['checksum']}, "
-                f"the one made here {table.words()[3]}"
+                f"the one made here {table.words()[-1]}"
             )
     periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
     filters = {each.name.lower(): each for each in Filter}
     if plain["filter"] not in filters:
         raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(filters)}")
-    config = Config(table=table, filter=filters[plain["filter"]], **periods)
+    config = TickConfig(table=table, filter=filters[plain["filter"]], **periods)
     record = RobotRecord(plain["id"], plain["firmware"], plain["b_hat"], config)
     record.make()  # so that whatever the firmware refuses is said here
     return record
@@ -351,7 +361,7 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
 
 def _is_event(event: Any) -> bool:
     if isinstance(event, list):
-        return len(event) in (2, 3) and all(map(is_plain_int, event))
+        return len(event) in (2, 3) and all(map(is_plain_int, event)) and event[-1] <= _MAX_WORD
     return event in (SILENT, RESTART) if isinstance(event, str) else is_plain_int(event) and event <= SETTLE
 
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.fixed_point import ONE, UNITS_PER_ALPHA, b_hat_to_raw
+from firmware_py.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from firmware_py.reference import ReferenceRobot
-from firmware_py.robot import FixedPointRobot, Observation, Robot, Status
+from firmware_py.robot import FixedPointRobot, Observation, Robot
 from host_tools import float64
 from host_tools.errors import UsageError
 from host_tools.experiments import Experiment
@@ -44,7 +44,7 @@ class Measured:
         settled: K of each robot, shape (trials, N).
         errors: e of each robot, shape (trials, N).
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
-        tests: Hypothesis tests run by each robot, shape (trials, N); at most 65535, as ``updates``.
+        tests: Hypothesis tests run by each robot, shape (trials, N), modulo 65536, as ``updates``.
         updates: Re-estimates of b_hat by each robot, shape (trials, N).
         records: Values of QUANTITIES each ``thinning`` steps, from step 0 on, shape (quantities, trials,
             T // thinning + 1, N); no rows without recording.
@@ -125,9 +125,14 @@ def _records_of(experiment: Experiment, raw: RawOutcome, recorded: bool) -> NDAr
         for values, name in zip(records, QUANTITIES, strict=True):
             values[:, 0] = start.get(name, 0.0)
             whole = raw.records[name]
-            values[:, 1:] = whole.view(np.float32) if name == "alpha" else whole / units.get(name, 1)
+            values[:, 1:] = _confidences(whole) if name == "alpha" else whole / units.get(name, 1)
         records[-1, :, 0] = [b_hat_to_raw(experiment.b_hat(j)) / 2**32 for j in range(experiment.robots)]
     return records
+
+
+def _confidences(words: NDArray[np.uint32]) -> NDArray[np.float64]:
+    """The values of alpha words, exactly."""
+    return np.ldexp((words >> 8) / UNITS_PER_ALPHA, (words & SHIFT_MAX).astype(np.int32))
 
 
 def _run_float64(experiment: Experiment, trial: int) -> Measured:
@@ -139,7 +144,7 @@ def _run_float64(experiment: Experiment, trial: int) -> Measured:
 def run_by_message(experiment: Experiment, trial: int, thinning: int = 0) -> Measured:
     """One trial in Python, robot by robot and message by message, as a swarm would."""
     robots = _make_robots(experiment)
-    exchange = _Exchange(robots, late=experiment.latency > 0)
+    exchange = _Exchange(robots, experiment.comms_period, late=experiment.latency > 0)
     x, b_hat, records = [_all(robots, "x")], [], [_snapshot(robots)] if thinning else []
     for step, (seen, pairs) in enumerate(_steps(experiment, trial), start=1):
         exchange.tick(seen, pairs)
@@ -179,9 +184,9 @@ Pairs = Sequence[Sequence[int]]
 """Robots and whom they hear."""
 
 
-def _steps(experiment: Experiment, trial: int) -> Iterator[tuple[Sequence[Observation], Pairs]]:
-    """What each robot observes in every step, and who hears whom."""
-    world, none = TrialWorld(experiment, trial), [Observation.NONE] * experiment.robots
+def _steps(experiment: Experiment, trial: int) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
+    """The observation of each robot in every step, None where it makes none, and the pairs in range."""
+    world, none = TrialWorld(experiment, trial), [None] * experiment.robots
     for first in range(0, experiment.steps, _STEPS_AT_ONCE):
         scene = world.advance(min(_STEPS_AT_ONCE, experiment.steps - first))
         for black, observes, hears in zip(scene.black.tolist(), scene.observes, scene.hears, strict=True):
@@ -199,25 +204,31 @@ def _make_robots(experiment: Experiment) -> list[Robot]:
 
 
 class _Exchange:
-    """Steps of all robots together: all observe, hear their pairs' messages, and settle.
+    """Steps of all robots together: all observe, hear their pairs' messages, and close their rounds.
 
-    Messages that are ``late`` reach whoever hears the sender in the step after the one that they were said
-    in: until a robot observes again its values are those it said.
+    Robots broadcast in every ``comms_period``-th step. Messages that are ``late`` reach the robots that hear
+    their sender in the step after the one that they were said in: until a robot observes again its values are
+    those it said.
     """
 
-    def __init__(self, robots: Sequence[Robot], late: bool) -> None:
-        self._robots, self._late = robots, late
-        self._was_due = False
+    def __init__(self, robots: Sequence[Robot], comms_period: int, late: bool) -> None:
+        self._robots, self._period, self._late = robots, comms_period, late
+        self._steps_taken = 0
         self._deliver = self._send_raw if isinstance(robots[0], FixedPointRobot) else self._send
 
-    def tick(self, seen: Sequence[Observation], pairs: Pairs) -> None:
+    def tick(self, seen: Sequence[Observation | None], pairs: Pairs) -> None:
         """One step."""
-        if self._late and self._was_due:
+        if self._late and self._steps_taken > 0 and self._steps_taken % self._period == 0:
             self._deliver(pairs)
         for robot, observation in zip(self._robots, seen, strict=True):
-            # Periods are equal, so all are due at once.
-            self._was_due = robot.observe(observation) == Status.DUE
-        if self._was_due and not self._late:
+            if observation is not None:
+                robot.observe(observation)
+        self._steps_taken += 1
+        if self._steps_taken % self._period == 0:
+            self._close_rounds(pairs)
+
+    def _close_rounds(self, pairs: Pairs) -> None:
+        if not self._late:
             self._deliver(pairs)
         for robot in self._robots:
             robot.settle()

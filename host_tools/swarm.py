@@ -80,14 +80,14 @@ class Swarm:
     def _connect(self, wiring: Wiring, log: Taker | None) -> tuple[Medium, list[Driver]]:
         """What carries frames, and what drives remote robots."""
         check_remote(self.settings, wiring)
-        frames, period = self.settings.frames, self.settings.comms_period
+        frames = self.settings.frames
         away = [node for node in self.nodes if isinstance(node, RemoteNode)]
         if not wiring.is_shared:
             channels = ChannelPerRobot(self.nodes, self._air, wiring, self.clock, log)
-            return channels, [Driver(channels.ends[n.id].bus, [n], frames, period, log) for n in away]
+            return channels, [Driver(channels.ends[n.id].bus, [n], frames, log) for n in away]
         if away:
             remote = Remote(self.nodes, self._air, wiring)
-            return remote, [Driver(remote.end, away, frames, period, log)]
+            return remote, [Driver(remote.end, away, frames, log)]
         return SharedBus(self.nodes, self._air, wiring, self.clock, log), []
 
     def __enter__(self) -> Swarm:
@@ -115,9 +115,9 @@ class Swarm:
         self.clock.begin(self.ticks)
         seen = [_COLOURS[colour] for colour in self.world.observe()[0].tolist()]
         alive = [node for node in self.nodes if isinstance(node, Node) and self._survives(node)]
-        due = [node for node in alive if node.observe(seen[node.id])]
-        frames: list[tuple[Node | RemoteNode, can.Message]]
-        frames = [*self._frames(alive, due), *self._commanded(seen)]
+        frames: list[tuple[Node | RemoteNode, can.Message]] = [*self._reports(alive)]
+        frames += self._broadcasts([node for node in alive if node.observe(seen[node.id])])
+        frames += self._commanded(seen)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
         sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
         self._medium.carry(self.ticks)
@@ -131,7 +131,7 @@ class Swarm:
     def _commanded(self, seen: list[Observation]) -> Iterator[tuple[RemoteNode, can.Message]]:
         """Let remote robots observe; yields what they send."""
         for driver in self._drivers:
-            for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}, self.ticks):
+            for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
                 is_estimate = isinstance(decode(frame, self.settings.frames), Message)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
@@ -146,8 +146,8 @@ class Swarm:
             node.die(fault.rejoin == "new")
         return node.is_alive
 
-    def _frames(self, alive: list[Node], due: list[Node]) -> Iterator[tuple[Node, can.Message]]:
-        """What robots send in this tick, in order; estimates after heartbeats, which are not waited for."""
+    def _reports(self, alive: list[Node]) -> Iterator[tuple[Node, can.Message]]:
+        """Heartbeats, then telemetry of the state before this tick."""
         now = self._now
         period = self.settings.telemetry_period
         if self.ticks % self.settings.ticks_per_second == 0:
@@ -156,8 +156,11 @@ class Swarm:
         if period and self.ticks % period == 0:
             self.traffic.telemetry_sent += len(alive)
             yield from ((node, node.telemetry_frame(now)) for node in alive)
+
+    def _broadcasts(self, due: list[Node]) -> Iterator[tuple[Node, can.Message]]:
+        """The estimates of this tick; they follow the other frames, which no robot waits for."""
         self.traffic.sent += len(due)
-        yield from ((node, node.broadcast(now)) for node in due)
+        yield from ((node, node.broadcast(self._now)) for node in due)
 
     def _send(self, node: Node | RemoteNode, frame: can.Message, is_own: bool = True) -> list[Sent]:
         """Let a robot send what the faults leave of a frame, its own or one that it babbles."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import can
 
-from firmware_py.robot import Observation, Robot, Status
-from host_tools.firmwares import port_of
+from firmware_py.robot import Counters, Observation, Robot, Status
 from host_tools.frames import (
     FrameFormat,
     Heartbeat,
@@ -49,7 +48,6 @@ class Node:
 
     Attributes:
         id: Robot id and node id.
-        robot: The firmware; another one after a crash.
         is_flawed: Whether the robot started with a flawed assumed accuracy.
         is_alive: Whether it has not crashed.
         heard: Neighbours whose message was accepted since the last broadcast.
@@ -74,11 +72,20 @@ class Node:
         self._loses_state = False
         self.start()
 
+    @property
+    def robot(self) -> Robot:
+        """The firmware; another one after a crash."""
+        return self._ticked.robot
+
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, in numbers that do not wrap."""
+        return self._ticked.counters
+
     def start(self) -> None:
         """Begin anew, as after a reset that loses all."""
-        self.robot: Robot = self._record.make()
+        self._ticked = self._record.make()
         self.heard = 0
-        self._port = port_of(self.robot)
         self._beats = 0
         self._reports = 0
         self._rounds = 0
@@ -96,18 +103,18 @@ class Node:
             if self.recorder is not None:
                 self.recorder.restart()
 
-    def observe(self, z: Observation) -> bool:
-        """Begin a tick; returns whether a broadcast is due."""
+    def observe(self, z: Observation | None) -> bool:
+        """Begin a tick, with an observation or without; returns whether a broadcast is due."""
         if self.recorder is not None:
             self.recorder.observe(z)
-        is_due = self.robot.observe(z) == Status.DUE
+        is_due = self._ticked.observe(z)
         if is_due:
             self.heard = 0
         return is_due
 
     def settle(self) -> None:
         """End the tick."""
-        self.robot.settle()
+        self._ticked.settle()
         if self.recorder is not None:
             self.recorder.settle()
 
@@ -126,7 +133,7 @@ class Node:
         """The robot's estimate."""
         self._rounds += 1
         transfer = (self._rounds - 1) % _TRANSFERS
-        message = Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer)
+        message = Message(self.id, self._ticked.port.x_hat_raw, self._ticked.port.alpha_raw, transfer)
         return encode(message, self._frames, now)
 
     def hear(self, frame: can.Message) -> None:
@@ -136,7 +143,7 @@ class Node:
             return
         if self.recorder is not None:
             self.recorder.receive(message.sender, message.x_hat, message.alpha)
-        status = self._port.receive_raw(message.sender, message.x_hat, message.alpha)
+        status = self._ticked.port.receive_raw(message.sender, message.x_hat, message.alpha)
         self.reception.delivered += 1
         if status == Status.OK:
             self.heard += 1

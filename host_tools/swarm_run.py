@@ -119,7 +119,7 @@ def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
 
 def _results(swarm: Swarm, history: History) -> dict[str, Any]:
     x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
-    counters = [node.robot.counters for node in swarm.nodes]
+    counters = [node.counters for node in swarm.nodes]
     has_remote = any(isinstance(node, RemoteNode) for node in swarm.nodes)
     tick = 1 / swarm.settings.ticks_per_second
     return {
@@ -173,7 +173,7 @@ def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, 
 
 def _robot_figures(node: Node | RemoteNode) -> dict[str, Any]:
     """What one robot heard and made of it."""
-    reception, counters = node.reception, node.robot.counters
+    reception, counters = node.reception, node.counters
     return {
         "id": node.id,
         "delivered": reception.delivered,

@@ -11,9 +11,7 @@ from firmware_py.robot import (
     B_HAT_MARGIN,
     DEFAULT_FILTER_PERIOD,
     DEFAULT_MEMORY,
-    MAX_PERIOD,
     MIN_MEMORY,
-    Config,
     Filter,
 )
 from host_tools.arena import Arena, ArenaSettings, Tiles, square_side
@@ -21,6 +19,7 @@ from host_tools.clocks import ClockKind
 from host_tools.errors import UsageError
 from host_tools.fault_kinds import Fault
 from host_tools.frames import TELEMETRY, FrameFormat
+from host_tools.rounds import MAX_PERIOD, TickConfig
 from host_tools.sidecar import RobotRecord
 from host_tools.tables import generate
 from host_tools.topology import FullyConnected, Graph, Topology
@@ -59,7 +58,7 @@ class Settings:
         comms_period: Ticks between broadcasts, 1 or more.
         filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period``.
         omega: Type II error probability, above 0 and at most 0.9; only where robots filter.
-        memory: Observations at which t and n are halved, even, 64 .. 2**32 - 2.
+        memory: Observations at which t and n are halved, a multiple of 4, 64 .. 2**31.
         seed: Of everything random, 0 or more.
         firmware: Name of the robots' firmware, see ``host_tools.firmwares``.
         frames: Where messages are on the bus.
@@ -106,8 +105,8 @@ class Settings:
                 f"filter-period is {self.filter_period}; it must be a multiple of comms-period, "
                 f"{self.comms_period}"
             )
-        if self.memory % 2:
-            raise UsageError(f"memory is {self.memory}; it must be even")
+        if self.memory % 4:
+            raise UsageError(f"memory is {self.memory}; it must be a multiple of 4")
         if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
             raise UsageError(
                 f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"
@@ -211,8 +210,8 @@ def robot_records(settings: Settings) -> list[RobotRecord]:
     return records
 
 
-def _config(settings: Settings, filters: bool) -> Config:
-    return Config(
+def _config(settings: Settings, filters: bool) -> TickConfig:
+    return TickConfig(
         table=generate(settings.omega, max(2, settings.robots - 1)) if filters else None,
         filter=Filter.ADAPTIVE if filters else Filter.OFF,
         comms_period=settings.comms_period,

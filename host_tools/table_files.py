@@ -16,7 +16,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from firmware_py.table import FORMAT_VERSION, HEADER_WORDS, Table
+from firmware_py.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
 from host_tools.errors import UsageError
 from host_tools.files import FileSet
 from host_tools.tables import (
@@ -25,6 +25,7 @@ from host_tools.tables import (
     Difference,
     check_q,
     first_difference,
+    first_different_entry,
     generate,
     parse_omega,
     worst_threshold_error,
@@ -62,11 +63,11 @@ def describe(omega: Decimal, q: int) -> dict[str, Any]:
         "generator": "mcp-asdf table",
         "generator_version": GENERATOR_VERSION,
         "bytes": 4 * len(words),
-        "bytes_formula": "16 + 4 q",
+        "bytes_formula": "12 + 4 q",
         "worst_threshold_error": {"rounding": error.rounding, "beyond_q": error.beyond_q},
-        "checksum": words[HEADER_WORDS - 1],
+        "checksum": words[-1],
         "sha256": hashlib.sha256(struct.pack(f"<{len(words)}I", *words)).hexdigest(),
-        "fraction_bits": table.fraction_bits,
+        "fraction_bits": FRACTION_BITS,
         "entries": list(table.entries),
     }
 
@@ -80,11 +81,11 @@ _C_FILE = """\
 /* A t-table for MCP-ASDF: thresholds of the hypothesis test. Generated; to change it, make another.
  *
  *   omega               {omega} (type II error probability)
- *   q                   {q} (most messages in a round that have an entry of their own)
+ *   q                   {q} (maximum number of messages in a round that has an entry of its own)
  *   degrees of freedom  m - 1, for m messages
  *   entries             k_m = (t_{{m-1,(1-omega)/2}} / sqrt(m) + 1)^2 m / (m - 1) for m = 2 .. q, to nearest;
  *                       one more for all m > q: k at m = q + 1 with the normal quantile in place of t
- *   format              version {format_version}: 4 header words, then entries in units of 2^-{fraction_bits}
+ *   format              version {format_version}: magic and q, omega, entries (2^-{fraction_bits}), checksum
  *   size                {bytes} bytes = {bytes_formula}
  *   threshold error     relative, at most {rounding} for m <= q ({beyond_q})
  *   generator version   {generator_version}
@@ -93,7 +94,7 @@ _C_FILE = """\
  * check with  mcp-asdf table --check {stem}.c
  * use with    extern const uint32_t {symbol}[{words}];
  */
-#include "mcp_asdf.h"
+#include "mcp_asdf_arithmetic.h"
 
 extern const uint32_t {symbol}[{words}];
 
@@ -105,7 +106,7 @@ const uint32_t {symbol}[{words}] MCP_ASDF_ROM = {{
 
 
 def c_text(omega: Decimal, q: int) -> str:
-    """Return the C99 source: one constant array, which needs ``mcp_asdf.h`` and nothing else."""
+    """Return the C99 source: one constant array, which needs ``mcp_asdf_arithmetic.h`` and nothing else."""
     facts = describe(omega, q)
     error = facts["worst_threshold_error"]
     beyond = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"
@@ -114,7 +115,7 @@ def c_text(omega: Decimal, q: int) -> str:
         | {
             "omega": f"{omega:f}",
             "stem": stem(omega, q),
-            "words": HEADER_WORDS + q,
+            "words": EXTRA_WORDS + q,
             "rounding": f"{error['rounding']:.2e}",
             "beyond_q": beyond if q < MAX_MESSAGES else f"there are never more than {MAX_MESSAGES} messages",
             "body": _c_body(generate(omega, q)),
@@ -123,10 +124,10 @@ def c_text(omega: Decimal, q: int) -> str:
 
 
 def _c_body(table: Table) -> str:
-    meanings = ["magic", "version, q, F", "omega * 2^32", "checksum"]
-    values = [entry / 2**table.fraction_bits for entry in table.entries]
+    values = [entry / 2**FRACTION_BITS for entry in table.entries]
+    meanings = ["magic, q", "omega * 2^32"]
     meanings += [f"m = {m}: {value:.9f}" for m, value in enumerate(values[:-1], start=2)]
-    meanings += [f"m > {table.q}: {values[-1]:.9f}"]
+    meanings += [f"m > {table.q}: {values[-1]:.9f}", "checksum"]
     lines = zip(table.words(), meanings, strict=True)
     return "\n".join(f"    0x{word:08X}U, /* {meaning} */" for word, meaning in lines)
 
@@ -154,7 +155,7 @@ class Finding:
 
     Attributes:
         place: The file, and where in it if it is an image.
-        omega, q: Which table it claims to be; None if that cannot be told.
+        omega, q: The table that it claims to be; None if it is unknown.
         problem: What is wrong; None if nothing is.
         difference: The word that differs, if that is what is wrong.
     """
@@ -184,10 +185,10 @@ def check_file(path: Path) -> Finding:
     read, render = readers[path.suffix]
     text = _read_text(path)
     omega, q, entries = read(path, text)
-    header = generate(omega, q).words()[:HEADER_WORDS]
-    finding = compare(str(path), omega, (*header, *entries), q)
-    problem = finding.problem or _first_changed_line(text, render(omega, q))
-    return Finding(str(path), omega, q, problem, finding.difference)
+    expected = generate(omega, q)
+    difference = first_different_entry((*expected.words()[:2], *entries), expected)
+    problem = str(difference) if difference else _first_changed_line(text, render(omega, q))
+    return Finding(str(path), omega, q, problem, difference)
 
 
 def _read_text(path: Path) -> str:
@@ -214,13 +215,13 @@ def _read_json(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
 
 
 def _read_c(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
-    """Read omega and q from the array's name, and the entries behind its header words."""
+    """Read omega and q from the array's name, and the entries between two words and the checksum."""
     match = _SYMBOL.search(text)
     if match is None:
         raise UsageError(f"{path} defines no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     places, q, body = match.groups()
     words = [int(word, 16) for word in _C_WORD.findall(_COMMENT.sub("", body))]
-    return (*_claim(path, f"0.{places}", int(q)), words[HEADER_WORDS:])
+    return (*_claim(path, f"0.{places}", int(q)), words[2:-1])
 
 
 def _claim(path: Path, omega: str, q: int) -> tuple[Decimal, int]:

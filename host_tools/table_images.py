@@ -15,14 +15,14 @@ from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
 
-from firmware_py.table import FORMAT_VERSION, HEADER_WORDS, MAGIC, MAX_Q, MIN_Q
+from firmware_py.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
 from host_tools.errors import UsageError
 from host_tools.table_files import Finding, compare
 from host_tools.tables import omega_from_word
 
 _BYTE_ORDERS = {"<": "little-endian", ">": "big-endian"}
 _DAMAGE = (ELFError, IntelHexError, UnicodeDecodeError, OverflowError, zlib.error)
-"""What the two libraries let out when a file is damaged."""
+"""Exceptions of the two libraries when a file is damaged."""
 _HEX_SUFFIXES = {".hex", ".ihex", ".ihx"}
 _HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
 _TEXT_BYTES = b"\t\r\n" + bytes(range(0x20, 0x7F))
@@ -40,12 +40,13 @@ class _Chunk:
 def verify_image(path: Path) -> list[Finding]:
     """Find every table in the image ``path`` and compare it with the one made anew.
 
-    Returns one finding a table, never none: an image without a table is a finding with a problem.
-    ELF is told by its first bytes, Intel HEX by its first record or the suffix (.hex, .ihex, .ihx); what
-    is neither counts as plain binary, unless the bytes of an image cannot lie there as they are: in lines
-    of text, such as S-records, and in UF2. A table is the magic word, in either byte order and at any
-    alignment, followed by a sane word 1: the magic word alone also stands in the firmware's code, which
-    compares with it. Raises UsageError if the file cannot be read or is in another format.
+    Returns one finding per table, and at least one: an image without a table is a finding with a problem.
+    ELF is recognised by its first bytes, Intel HEX by its first record or the suffix (.hex, .ihex, .ihx);
+    other files count as plain binary, unless the bytes of an image cannot lie there as they are: in lines
+    of text, such as S-records, and in UF2. A table is the magic and a possible q, in either byte order and
+    at any alignment, with either the right checksum or, for a damaged one, at least half of its entries in
+    the range of such entries: the magic alone also stands in the firmware's code, and in texts such as
+    "ITCM". Raises UsageError if the file cannot be read or is in another format.
     """
     findings = [_finding(path, chunk, *hit) for chunk in _chunks(path) for hit in _hits(chunk.data)]
     return findings or [Finding(str(path), problem="no t-table found; is one linked in, and used?")]
@@ -76,7 +77,7 @@ def _chunks_of(data: bytes, path: Path) -> list[_Chunk]:
 
 
 def _foreign_format(data: bytes) -> str | None:
-    """What ``data`` is, if it is no image: a table, were there one, would not be found in it."""
+    """A name for ``data`` if it is no image: a table, were there one, would not be found in it."""
     if data.startswith(b"UF2\n"):
         return "in UF2"
     is_text = b"\n" in data and not data.translate(None, _TEXT_BYTES)
@@ -102,16 +103,20 @@ def _hex_chunks(data: bytes) -> list[_Chunk]:
     return [_Chunk("", start, image.tobinstr(start, end - 1)) for start, end in image.segments()]
 
 
-def _hits(data: bytes) -> Iterator[tuple[int, str, int]]:
-    """Offset, byte order and q of every table."""
+def _hits(data: bytes) -> Iterator[tuple[str, int, tuple[int, ...]]]:
+    """Byte order, offset and words of every table; fewer words than it should have at the end of the data."""
     for order in _BYTE_ORDERS:
-        magic = struct.pack(order + "I", MAGIC)
-        offset = data.find(magic)
-        while offset >= 0:
-            q = _q_of(_words(data[offset : offset + 4 * HEADER_WORDS], order))
-            if q is not None:
-                yield offset, order, q
-            offset = data.find(magic, offset + 1)
+        magic = struct.pack(order + "I", MAGIC).strip(b"\0")
+        before = 1 if order == "<" else 0  # bytes of word 0 in front of the magic: q
+        found = data.find(magic, before)
+        while found >= 0:
+            start = found - before
+            words = _words(data[start : start + 4 * (EXTRA_WORDS + MAX_Q)], order)
+            q = words[0] & 0xFF if words else 0
+            words = words[: EXTRA_WORDS + q]
+            if MIN_Q <= q <= MAX_Q and _is_table(words, q):
+                yield order, start, words
+            found = data.find(magic, found + 1)
 
 
 def _words(data: bytes, order: str) -> tuple[int, ...]:
@@ -119,20 +124,23 @@ def _words(data: bytes, order: str) -> tuple[int, ...]:
     return struct.unpack(f"{order}{count}I", data[: 4 * count])
 
 
-def _q_of(header: tuple[int, ...]) -> int | None:
-    """Return q if word 1 is one that a table can have."""
-    if len(header) < HEADER_WORDS:
-        return None
-    version, q, fraction_bits, low = header[1].to_bytes(4, "big")
-    sane = version == FORMAT_VERSION and MIN_Q <= q <= MAX_Q and 1 <= fraction_bits <= 31 and low == 0
-    return q if sane else None
+def _is_table(words: tuple[int, ...], q: int) -> bool:
+    if len(words) == EXTRA_WORDS + q and checksum(words[:-1]) == words[-1]:
+        return True
+    possible = sum(_possible(word, m) for m, word in enumerate(words[2 : q + 2], start=2))
+    return 2 * possible >= q
 
 
-def _finding(path: Path, chunk: _Chunk, offset: int, order: str, q: int) -> Finding:
-    words = _words(chunk.data[offset : offset + 4 * (HEADER_WORDS + q)], order)
+def _possible(entry: int, m: int) -> bool:
+    """Whether k_m can be this for some omega: it is above 1 and below 1 + 64 / (m - 1)."""
+    excess = entry - (1 << FRACTION_BITS)
+    return excess > 0 and excess * (m - 1) < 64 << FRACTION_BITS
+
+
+def _finding(path: Path, chunk: _Chunk, order: str, offset: int, words: tuple[int, ...]) -> Finding:
     where = f"{chunk.name}+{offset:#x}" if chunk.name else f"{chunk.address + offset:#x}"
-    place = f"{path}: {where} ({_BYTE_ORDERS[order]})"
-    omega = omega_from_word(words[2])
+    place, q = f"{path}: {where} ({_BYTE_ORDERS[order]})", words[0] & 0xFF
+    omega = omega_from_word(words[1])
     if omega is None:
-        return Finding(place, q=q, problem=f"word 2 (omega) is {words[2]:#010x}, which no omega gives")
+        return Finding(place, q=q, problem=f"word 1 (omega) is {words[1]:#010x}, which no omega gives")
     return compare(place, omega, words, q)

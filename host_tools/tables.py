@@ -2,7 +2,7 @@
 
 With ``k_m = (t_{m-1,(1-omega)/2} / sqrt(m) + 1)**2 * m / (m - 1)`` the test needs no root and no
 division. Omega is a decimal with at most 9 places, so that the word that the table stores
-(omega in units of 2**-32, a finer grid) tells it exactly, and a table found in an image can be
+(omega in units of 2**-32, a finer grid) identifies it exactly, and a table found in an image can be
 compared with the one that it claims to be.
 """
 
@@ -17,20 +17,20 @@ from itertools import zip_longest
 from mpmath import mp, mpf  # type: ignore[import-untyped]
 
 from firmware_py.robot import MAX_ID
-from firmware_py.table import HEADER_WORDS, MAX_Q, MIN_Q, Table
+from firmware_py.table import FRACTION_BITS, MAX_Q, MIN_Q, Table
 from host_tools.errors import UsageError
 
-GENERATOR_VERSION = 1
+GENERATOR_VERSION = 2
 """Changes whenever the bytes of a generated file change."""
 
 MAX_OMEGA = Decimal("0.9")
 OMEGA_PLACES = 9
 MAX_MESSAGES = MAX_ID
-"""Most messages a round can hold, whatever q is."""
+"""Maximum number of messages in a round, whatever q is."""
 
 _DIGITS = (40, 80, 160, 320, 640)
 _GUARD_DIGITS = 20
-"""Digits lost at most to scaling by 2**31 and to the quantile's own error."""
+"""Maximum number of digits lost to scaling by 2**26 and to the quantile's own error."""
 
 
 def parse_omega(text: str) -> Decimal:
@@ -69,7 +69,7 @@ def check_q(q: int) -> int:
 def generate(omega: Decimal, q: int) -> Table:
     """Return the table for ``omega`` (see ``parse_omega``) and ``q`` in 2 .. 127.
 
-    Every entry is the multiple of 2**-F nearest to k_m: where the value lies too close to the middle
+    Every entry is the multiple of 2**-26 nearest to k_m: where the value lies too close to the middle
     between two for the digits computed, it is computed again with twice as many. Takes about 0.1 s.
     Raises UsageError if ``omega`` or ``q`` is out of range.
     """
@@ -78,18 +78,12 @@ def generate(omega: Decimal, q: int) -> Table:
         thresholds = true_thresholds(omega, digits)
         with mp.workdps(digits):
             exact = [*thresholds.of_m[: q - 1], _threshold(thresholds.normal_score, q + 1)]
-            fraction_bits = _fraction_bits(exact[0])
-            scaled = [mp.ldexp(k, fraction_bits) for k in exact]
+            scaled = [mp.ldexp(k, FRACTION_BITS) for k in exact]
             entries = tuple(int(mp.nint(value)) for value in scaled)
             if _is_safe(scaled, mpf(10) ** (_GUARD_DIGITS - digits)):
                 break
     # What 640 digits do not separate from a tie is one, and both neighbours are nearest.
-    return Table(omega_word(omega), fraction_bits, entries)
-
-
-def _fraction_bits(largest: mpf) -> int:
-    """Return the most fraction bits with which ``largest`` > 2, rounded, still fits 32 bits."""
-    return max(bits for bits in range(1, 31) if mp.nint(mp.ldexp(largest, bits)) < 2**32)
+    return Table(omega_word(omega), entries)
 
 
 def _is_safe(scaled: Iterable[mpf], margin: mpf) -> bool:
@@ -171,7 +165,7 @@ def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
     """Compare every threshold that ``table`` can give (m = 2 .. 127) with the true one."""
     with mp.workdps(_DIGITS[0]):
         errors = [
-            abs(mp.sqrt(mp.ldexp(table.entry(m), -table.fraction_bits) / true) - 1)
+            abs(mp.sqrt(mp.ldexp(table.entry(m), -FRACTION_BITS) / true) - 1)
             for m, true in enumerate(true_thresholds(omega).of_m, start=2)
         ]
         own = table.q - 1
@@ -188,24 +182,14 @@ class Difference:
 
     Attributes:
         word: Index of the word.
-        q: Of the expected table.
+        where: The word's meaning.
         found, expected: The word's value; None where there is no such word.
     """
 
     word: int
-    q: int
+    where: str
     found: int | None
     expected: int | None
-
-    @property
-    def where(self) -> str:
-        """The word's meaning, in words."""
-        entry = self.word - HEADER_WORDS
-        if entry < 0:
-            return ("the magic word", "word 1 (version, q, F)", "word 2 (omega)", "the checksum")[self.word]
-        if entry >= self.q:
-            return f"entry {entry} (there should be {self.q} only)"
-        return f"entry {entry} (m > {self.q})" if entry == self.q - 1 else f"entry {entry} (m = {entry + 2})"
 
     def __str__(self) -> str:
         return f"{self.where}: found {_show(self.found)}, expected {_show(self.expected)}"
@@ -215,11 +199,27 @@ def _show(word: int | None) -> str:
     return "nothing" if word is None else f"{word} ({word:#010x})"
 
 
-def first_difference(found: Sequence[int], expected: Table) -> Difference | None:
-    """Compare words with a table's; a checksum that differs is told only if nothing else does."""
-    pairs = list(enumerate(zip_longest(found, expected.words())))
-    pairs.append(pairs.pop(HEADER_WORDS - 1))
-    for word, (left, right) in pairs:
+def first_different_entry(found: Sequence[int], expected: Table) -> Difference | None:
+    """Compare words without a checksum with a table's, which has one at its end."""
+    for word, (left, right) in enumerate(zip_longest(found, expected.words()[:-1])):
         if left != right:
-            return Difference(word, expected.q, left, right)
+            return Difference(word, _meaning(word, expected.q), left, right)
     return None
+
+
+def _meaning(word: int, q: int) -> str:
+    if word < 2:
+        return ("word 0 (magic, q)", "word 1 (omega)")[word]
+    if word > q + 1:
+        return f"entry {word - 2} (there should be {q} only)"
+    return f"entry {word - 2} (m > {q})" if word == q + 1 else f"entry {word - 2} (m = {word})"
+
+
+def first_difference(found: Sequence[int], expected: Table) -> Difference | None:
+    """Compare words with a table's; a different checksum is reported only if nothing else differs."""
+    *body, checksum = expected.words()
+    difference = first_different_entry(found[: len(body)], expected)
+    stated = found[len(body)] if len(found) > len(body) else None
+    if difference is None and stated != checksum:
+        return Difference(len(body), "the checksum", stated, checksum)
+    return difference

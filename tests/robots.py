@@ -1,4 +1,4 @@
-"""What the tests of the robots share: which there are, how to make them, and images of our choice."""
+"""Shared by the tests of robots: which there are, how to make them, and images of our choice."""
 
 from __future__ import annotations
 
@@ -25,21 +25,23 @@ of_fixed_point = pytest.mark.parametrize("kind", FIXED_POINT, ids=lambda kind: k
 
 OWN_ID = 5
 ONE, HALF = 1 << 23, 1 << 22
-ALPHA_ONE = 0x3F800000
+ALPHA_ONE = 0x80000001
+"""1.0: a mantissa of 2^23 and a shift by 1, in units of 2^-24."""
+ALPHA_LEAST, ALPHA_MOST = 0x00000100, 0xFFFFFF1F
+"""One unit of 2^-24, and 2^31 - 2^7."""
 PLAIN = Config(filter=Filter.OFF)
 """No filter, so no table."""
 
-TABLE = Table(omega_word=214748365, fraction_bits=28, entries=(9 << 28, 4 << 28, 2 << 28, (1 << 28) + 1))
+TABLE = Table(omega_word=214748365, entries=(9 << 26, 4 << 26, 2 << 26, (1 << 26) + 1))
 """q = 4, entries 9, 4, 2 and just above 1 for every larger m: easy to tell from each other."""
 
 LAYOUT = {
-    **dict.fromkeys(("magic", "t", "n", "b_hat", "x_hat", "alpha", "settled_x_hat", "settled_alpha"), 32),
+    **dict.fromkeys(("magic", "b_hat", "t", "n", "x_hat", "alpha", "filter_left"), 32),
     **dict.fromkeys(("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high"), 64),
     **dict.fromkeys(("open_alpha", "open_alpha_x_low", "open_alpha_x_high", "open_x_squared"), 64),
     **dict.fromkeys(("open_x", "open_count", "heard_0", "heard_1", "heard_2", "heard_3"), 32),
-    **dict.fromkeys(("comms_left", "filter_left"), 32),
     **dict.fromkeys(("accepted", "repeated", "rejected", "tests", "updates"), 16),
-    **dict.fromkeys(("silent", "id"), 8),
+    **dict.fromkeys(("updated", "id"), 8),
 }
 """Fields of an image and their bits in order, little-endian; a checksum follows (docs/design.md)."""
 
@@ -70,14 +72,22 @@ def rewritten(image: bytes, **fields: int) -> bytes:
 
 
 def robot_at(kind: FixedPointType, config: Config = PLAIN, **fields: int) -> FixedPoint:
-    """A robot in a state of our choice: a new one's image with other fields, restored."""
+    """A robot in a state of our choice: a new one's image with other fields, restored. With observations it
+    is one whose b_hat has just been re-estimated: x_hat and alpha may be anything until the next."""
     fresh = kind(config, fields.pop("id", OWN_ID), 0.75)
+    fields.setdefault("updated", int(fields.get("t", 0) > 0))
     return kind.restore(config, rewritten(fresh.save(), **fields))
 
 
 def new(kind: AnyType, config: Config = PLAIN, b_hat: float = 0.75) -> Robot:
     """A robot without a past."""
     return kind(config, OWN_ID, b_hat)
+
+
+def hear(robot: Robot, *estimates: float, alpha: float = 1.0) -> None:
+    """Messages of these estimates, all of one confidence."""
+    for sender, x_hat in enumerate(estimates, OWN_ID + 1):
+        robot.receive(sender, x_hat, alpha)
 
 
 def receive_all(robot: FixedPoint, messages: Iterable[tuple[int, int, int]]) -> None:
@@ -87,6 +97,6 @@ def receive_all(robot: FixedPoint, messages: Iterable[tuple[int, int, int]]) -> 
 
 
 def watch(robot: Robot, black: int, white: int) -> None:
-    """Whole ticks, first all black ones."""
+    """Observations, first all black ones; no round ends."""
     for z in [Observation.BLACK] * black + [Observation.WHITE] * white:
-        robot.step(z)
+        robot.observe(z)

@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
+from firmware_py.robot import FixedPointRobot
+from host_tools import simulation
+from host_tools.engine import native
 from host_tools.experiments import Experiment
 from host_tools.simulation import run_trials
 
 
 def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:
-    """Two trials by the C engine have every result and record of those run message by message in Python."""
-    own = run_trials(experiment, 1, 2, thinning=7)
-    other = run_trials(replace(experiment, firmware="mirror"), 1, 2, thinning=7)
+    """Two trials by the C engine have every result and record of those run message by message in Python, and
+    leave the robots in the same states."""
+    mirrored = replace(experiment, firmware="mirror")
+    own, other = run_trials(experiment, 1, 2, thinning=7), run_trials(mirrored, 1, 2, thinning=7)
     for name in ("settled", "errors", "b_hat", "tests", "updates", "records"):
         assert np.array_equal(getattr(own, name), getattr(other, name)), name
+    assert native.run(experiment, 1, 1).images() == images_by_message(mirrored, 1)
+
+
+def images_by_message(experiment: Experiment, trial: int) -> list[bytes]:
+    """The robots' states at the end of a trial that is run message by message."""
+    robots = simulation._make_robots(experiment)
+    exchange = simulation._Exchange(robots, experiment.comms_period, late=experiment.latency > 0)
+    for seen, pairs in simulation._steps(experiment, trial):
+        exchange.tick(seen, pairs)
+    return [cast(FixedPointRobot, robot).save() for robot in robots]

@@ -8,8 +8,9 @@ from copy import copy
 
 import can
 
-from firmware_py.robot import Config, Filter
+from firmware_py.robot import Filter
 from host_tools.node import NodeSettings, RobotNode
+from host_tools.rounds import TickConfig
 from host_tools.sidecar import RobotRecord
 from host_tools.tables import generate, parse_omega
 
@@ -62,7 +63,7 @@ class Wire(can.BusABC):
 
 def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotRecord:
     """How a robot starts; by default it filters every 10 ticks."""
-    settings = Config(TABLE, **({"filter_period": 10} | config))  # type: ignore[arg-type]
+    settings = TickConfig(TABLE, **({"filter_period": 10} | config))  # type: ignore[arg-type]
     return RobotRecord(robot, firmware, b_hat, settings)
 
 

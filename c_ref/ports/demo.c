@@ -2,6 +2,7 @@
  * it thinks, and settles what it has heard from them. docs/porting.md goes through it. */
 #include "demo.h"
 
+#include "mcp_asdf_image.h"
 #include "port.h"
 #include "radio.h"
 
@@ -14,7 +15,7 @@
 #define B_HAT UINT32_C(0xF3333333) /* we believe that the sensor is right 95 times out of 100 */
 #define TICKS_PER_SECOND 10
 
-extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
 static const mcp_asdf_frame_format_t estimates = MCP_ASDF_FORMAT_ESTIMATE,
                                      reports = MCP_ASDF_FORMAT_TELEMETRY;
@@ -65,9 +66,11 @@ static void report(void)
 static void tick(void)
 {
     static uint8_t ticks;
-    if (mcp_asdf_observe(&robot, board_tile()) == MCP_ASDF_DUE) {
-        broadcast();
+    mcp_asdf_observation_t tile;
+    if (board_sees(&tile)) {
+        mcp_asdf_observe(&robot, tile);
     }
+    broadcast();
     listen();
     mcp_asdf_settle(&robot);
     if (++ticks == TICKS_PER_SECOND) {

@@ -11,7 +11,7 @@ void board_start(void);
 /* Whether a control tick, a tenth of a second, has begun since the last call. Does not wait. */
 bool board_tick(void);
 
-/* What the ground sensor sees now; MCP_ASDF_NONE if it cannot tell. */
-mcp_asdf_observation_t board_tile(void);
+/* Look at the floor: whether the ground sensor can tell the colour of the tile, which then is in *tile. */
+bool board_sees(mcp_asdf_observation_t *tile);
 
 #endif

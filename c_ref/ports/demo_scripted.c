@@ -1,11 +1,13 @@
 /* The robot of demo.c with floor, clock and ether in a script that comes over the serial line: a byte 0, 1 or
- * 2 is a tick with the observation of that number; a byte 2 + n is followed by n bytes that the radio
+ * 2 is a tick on a white tile, a black one or none; a byte 2 + n is followed by n bytes that the radio
  * receives at once. Time stands still until the script goes on. */
 #include "demo.h"
 #include "port.h"
 #include "radio.h"
 
-static mcp_asdf_observation_t tile;
+#define NO_TILE 2
+
+static uint8_t now; /* MCP_ASDF_WHITE, MCP_ASDF_BLACK or NO_TILE */
 
 static uint8_t next_byte(void)
 {
@@ -21,14 +23,18 @@ void board_start(void) { port_put('?'); } /* what came before is lost on some ma
 bool board_tick(void)
 {
     const uint8_t byte = next_byte();
-    if (byte <= MCP_ASDF_NONE) {
-        tile = (mcp_asdf_observation_t)byte;
+    if (byte <= NO_TILE) {
+        now = byte;
         return true;
     }
-    for (uint8_t left = byte - MCP_ASDF_NONE; left > 0; --left) {
+    for (uint8_t left = byte - NO_TILE; left > 0; --left) {
         radio_hear(next_byte());
     }
     return false;
 }
 
-mcp_asdf_observation_t board_tile(void) { return tile; }
+bool board_sees(mcp_asdf_observation_t *tile)
+{
+    *tile = now == MCP_ASDF_BLACK ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
+    return now != NO_TILE;
+}

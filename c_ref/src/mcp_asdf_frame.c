@@ -3,8 +3,13 @@
 
 #define FRAME_BYTES 8U
 #define ONE (UINT32_C(1) << 23) /* 1.0 as x_hat and x */
-#define INFINITE_ALPHA                                                                                       \
-    UINT32_C(0x7F800000) /* infinity, then NaN, then every sign bit: nothing legal from here */
+/* Of a binary32 number: from here on infinity, then NaN, then all with the sign bit set. */
+#define BINARY32_INFINITE UINT32_C(0x7F800000)
+#define BINARY32_FRACTION UINT32_C(0x007FFFFF)
+#define BINARY32_IMPLICIT UINT32_C(0x00800000)
+#define BINARY32_UNIT 126U /* biased exponent of numbers whose last bit is worth 2^-24 */
+#define ALPHA_SHIFT_MAX 31U
+#define ALPHA_MAX UINT32_C(0xFFFFFF1F)      /* the largest confidence as a word, 2^31 - 2^7 */
 #define IDENTIFIER_ONES (UINT32_C(3) << 21) /* sent as 1, ignored */
 #define SERVICE (UINT32_C(1) << 25)
 #define ANONYMOUS (UINT32_C(1) << 24)
@@ -104,46 +109,74 @@ static uint8_t transfer_id_of(const mcp_asdf_frame_t *frame)
     return (uint8_t)(frame->data[7] & TRANSFER_BITS);
 }
 
-/* ---- Estimate --------------------------------------------------------------------------------------- */
+/* ---- Confidence: the core's word and binary32 ------------------------------------------------------- */
 
-static status_t check_estimate(uint32_t x_hat, uint32_t alpha)
+/* Exact for every word. */
+static uint32_t binary32_of(uint32_t alpha)
 {
-    if (x_hat > ONE) {
-        return MCP_ASDF_FRAME_ERR_X_HAT;
+    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT + (alpha & ALPHA_SHIFT_MAX);
+    if (mantissa == 0) {
+        return 0;
     }
-    return alpha < INFINITE_ALPHA ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_ALPHA;
+    while (mantissa < BINARY32_IMPLICIT) { /* at most 23 turns, so the exponent stays above 102 */
+        mantissa <<= 1;
+        --exponent;
+    }
+    return exponent << 23 | (mantissa & BINARY32_FRACTION);
 }
+
+/* The word of the largest confidence not above a binary32 number >= 0; exact for what binary32_of() returned.
+ */
+static uint32_t word_of(uint32_t binary32)
+{
+    const uint32_t exponent = binary32 >> 23;
+    const uint32_t mantissa = (binary32 & BINARY32_FRACTION) | BINARY32_IMPLICIT;
+    if (exponent < BINARY32_UNIT) { /* subnormal numbers lose everything, too */
+        const uint32_t lost = BINARY32_UNIT - exponent;
+        return lost < 24 ? mantissa >> lost << 8 : 0;
+    }
+    const uint32_t shift = exponent - BINARY32_UNIT;
+    return shift <= ALPHA_SHIFT_MAX ? mantissa << 8 | shift : ALPHA_MAX;
+}
+
+/* ---- Estimate --------------------------------------------------------------------------------------- */
 
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message)
 {
-    status_t status = check_format(format, message->node);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_estimate(message->x_hat, message->alpha);
+    const status_t status = check_format(format, message->node);
+    if (status != MCP_ASDF_FRAME_OK) {
+        return status;
     }
-    if (status == MCP_ASDF_FRAME_OK) {
-        write_24(&frame->data[0], message->x_hat);
-        write_32(&frame->data[3], message->alpha);
-        seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    if (message->x_hat > ONE) {
+        return MCP_ASDF_FRAME_ERR_X_HAT;
     }
-    return status;
+    write_24(&frame->data[0], message->x_hat);
+    write_32(&frame->data[3], binary32_of(message->alpha));
+    seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    return MCP_ASDF_FRAME_OK;
 }
 
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame)
 {
-    status_t status = open_envelope(frame, subject);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_estimate(read_24(&frame->data[0]), read_32(&frame->data[3]));
+    const status_t status = open_envelope(frame, subject);
+    if (status != MCP_ASDF_FRAME_OK) {
+        return status;
     }
-    if (status == MCP_ASDF_FRAME_OK) {
-        message->node = node_of(frame);
-        message->transfer_id = transfer_id_of(frame);
-        message->x_hat = read_24(&frame->data[0]);
-        message->alpha = read_32(&frame->data[3]);
+    const uint32_t x_hat = read_24(&frame->data[0]), alpha = read_32(&frame->data[3]);
+    if (x_hat > ONE) {
+        return MCP_ASDF_FRAME_ERR_X_HAT;
     }
-    return status;
+    if (alpha >= BINARY32_INFINITE) {
+        return MCP_ASDF_FRAME_ERR_ALPHA;
+    }
+    message->node = node_of(frame);
+    message->transfer_id = transfer_id_of(frame);
+    message->x_hat = x_hat;
+    message->alpha = word_of(alpha);
+    return MCP_ASDF_FRAME_OK;
 }
 
 /* ---- Heartbeat -------------------------------------------------------------------------------------- */

@@ -9,7 +9,7 @@
  *   telemetry   x, b_hat and the number of updates, for watchers (optional)
  *   command     a simulator's order to observe or to settle, for lockstep (optional)
  *
- * When a broadcast is due, a robot sends
+ * When its broadcast timer expires, a robot sends
  *
  *     const mcp_asdf_estimate_t own = {id, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
  *     if (mcp_asdf_encode_estimate(&frame, &format, &own) == MCP_ASDF_FRAME_OK)
@@ -109,7 +109,9 @@ typedef struct {
 
 /* A robot's broadcast.
  *   x_hat   local estimate, unit 2^-23, 0 .. 2^23
- *   alpha   local confidence, binary32 bits, 0 .. 0x7F7FFFFF */
+ *   alpha   local confidence, a word as in mcp_asdf.h. The frame carries it as a binary32 number, exactly; a
+ *           number off the grid of 2^-24 is rounded down to it, and one above the largest confidence,
+ *           2^31 - 2^7, becomes that */
 typedef struct {
     uint8_t node;
     uint8_t transfer_id;
@@ -185,7 +187,7 @@ typedef struct {
 /* Make the frame of a message. All four fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and as
  * listed. The heartbeat's subject is fixed. */
 
-/* Fails if x_hat or alpha is out of range (ERR_X_HAT, ERR_ALPHA). */
+/* Fails if x_hat is out of range (ERR_X_HAT); every alpha is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message);

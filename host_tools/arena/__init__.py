@@ -1,6 +1,6 @@
 """A moving world: robots diffuse through a walled arena, see its floor and hear whoever is near.
 
-The C in ``arena.c`` does the work; docs/arena.md states its model and the sources. An ``Arena`` is the
+The C files beside this one do the work; docs/arena.md states their model and its sources. An ``Arena`` is the
 ``Topology`` of its robots and says what colour is under each; how well they see it is the business of their
 sensors, and when a message arrives that of what carries it.
 """

@@ -27,7 +27,7 @@ examples:
   mcp-asdf crosscheck                               # about ten seconds
   mcp-asdf crosscheck --steps 100000000 --seed 7    # hours; Ctrl-C reports what was done
   mcp-asdf crosscheck --plot operations.png         # operations against t, m and q
-  mcp-asdf crosscheck --replay robot:2:1:1:64:0:2147483648,step:1
+  mcp-asdf crosscheck --replay robot:2:1:64:0:2147483648,step:1
 Random and adversarial scenarios run through the C and through its mirror in Python. Any differing bit of
 state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
 exit code: 0 all is well, 1 a check failed, 2 bad usage, 130 interrupted (what was done is reported)"""
@@ -89,7 +89,7 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 
 
 def _agreement(status: str, calls: int) -> str:
-    """What to say of a scenario in which nothing is wrong."""
+    """The report of a scenario in which nothing is wrong."""
     if status != Status.OK.name:
         return f"native and mirror both refuse to make this robot ({status}); no call was made"
     return f"native and mirror agree in every bit over {calls} calls"
@@ -118,7 +118,7 @@ def _check_all(
 
 
 def _explain(scenario: Scenario) -> Failure:
-    """The least that shows what is wrong with a scenario; all of it if the search is interrupted."""
+    """The shortest scenario that shows the failure; all of it if the search is interrupted."""
     check = _check_with(Audit())
     try:
         scenario = shrink(scenario, check)
@@ -133,10 +133,10 @@ def _failure(scenario: Scenario, finding: Finding | None) -> Failure:
 
 
 def _plotter(path: Path | None) -> Callable[[dict[str, CallCount]], None]:
-    """What draws the counts into ``path``. Raises UsageError, before the run, if that cannot be done."""
+    """A function that draws the counts into ``path``. Raises UsageError, before the run, for a bad path."""
     if path is None:
         return lambda counts: None
-    # matplotlib takes a second to load; only who wants a picture shall wait for it.
+    # matplotlib takes a second to load, and is needed for a picture only.
     from host_tools.operation_plot import draw  # noqa: PLC0415
     from host_tools.plot_files import check_plot_path, save_figure  # noqa: PLC0415
 

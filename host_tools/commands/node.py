@@ -211,7 +211,7 @@ def _line(node: RobotNode) -> str:
     robot, traffic = node.robot, node.traffic
     return (
         f"robot {node.settings.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
-        f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {robot.counters.updates}   "
+        f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
         f"sent {traffic.estimates_sent}   heard {traffic.received}"
     )
 
@@ -233,7 +233,7 @@ def _report(
         "results": {
             "ticks": run.node.ticks,
             **vars(run.outcome),
-            "robot": state_of(run.node.robot),
+            "robot": state_of(run.node),
             "frames": run.node.traffic.figures(),
             "bus_failures": run.link.failures,
         },
@@ -264,7 +264,7 @@ def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
     table.add_column()
     table.add_row("run", f"{run.node.ticks} ticks as robot {run.node.settings.id}; {run.outcome.ending}")
     table.add_row("estimate", f"x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}")
-    counters = robot.counters
+    counters = run.node.counters
     table.add_row("filter", f"b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates")
     table.add_row(
         "frames",

@@ -202,7 +202,7 @@ def _verify(
         with logging_to(args.log, header) as outputs:
             verification = _judge(args, settings, choice, console, outputs)
             verdict = verification.verdict
-            report |= {"verdict": verdict.plain(), "model": state_of(verification.model.robot)}
+            report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
             ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
         if args.report is not None:
             write_report(args.report, report)

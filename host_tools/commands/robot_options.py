@@ -5,15 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 
-from firmware_py.robot import DEFAULT_MEMORY, MAX_ID, Config, Filter, FirmwareError
+from firmware_py.robot import DEFAULT_MEMORY, MAX_ID, Filter, FirmwareError
 from host_tools.errors import UsageError
 from host_tools.firmwares import FIRMWARES
 from host_tools.frames import FrameFormat
 from host_tools.node import Subjects
+from host_tools.rounds import TickConfig
 from host_tools.sidecar import RobotRecord, config_as_plain
 from host_tools.tables import generate, parse_omega
 
-_DEFAULTS = Config()
+_DEFAULTS = TickConfig()
 _OMEGA = "0.05"
 _SUBJECTS = Subjects()
 
@@ -51,7 +52,7 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
         type=int,
         metavar="M",
         default=DEFAULT_MEMORY,
-        help="observations at which t and n are halved, even, at least 64 (default %(default)s)",
+        help="observations at which t and n are halved, a multiple of 4, at least 64 (default %(default)s)",
     )
     group.add_argument(
         "--omega",
@@ -81,7 +82,7 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     if not has_table and (omega, args.neighbours) != (parse_omega(_OMEGA), MAX_ID):
         raise UsageError(f"filter is {args.filter}, without a t-table: leave out --omega and --neighbours")
     table = generate(omega, args.neighbours) if has_table else None
-    config = Config(table, filter_, args.comms_period, args.filter_period, args.memory)
+    config = TickConfig(table, filter_, args.comms_period, args.filter_period, args.memory)
     record = RobotRecord(args.id, args.firmware, args.b_hat, config)
     try:
         record.make()

@@ -97,7 +97,7 @@ def _add_robots(parser: argparse.ArgumentParser) -> None:
     _add(group, "comms-period", int, "TICKS", "ticks between broadcasts")
     _add(group, "filter-period", int, "TICKS", "nominal filtering period tau, a multiple of --comms-period")
     _add(group, "omega", str, "W", "type II error probability, above 0, at most 0.9; not with --filter off")
-    _add(group, "memory", int, "M", "observations at which t and n are halved, even, at least 64")
+    _add(group, "memory", int, "M", "observations at which t and n are halved, a multiple of 4, at least 64")
     group.add_argument(
         "--firmware",
         choices=list(FIRMWARES),

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--neighbours",
         metavar="Q",
         type=int,
-        help=f"q, most neighbours with an exact threshold, 2 to 127 (default {_NEIGHBOURS})",
+        help=f"q, maximum number of neighbours with an exact threshold, 2 to 127 (default {_NEIGHBOURS})",
     )
 
 

@@ -18,19 +18,31 @@ mcp_asdf_status_t engine_check(const mcp_asdf_experiment_t *experiment)
         experiment->steps > INT32_MAX - 1 || experiment->observation_period < 1) {
         return MCP_ASDF_ERR_CONFIG;
     }
+    if (experiment->comms_period < 1) {
+        return MCP_ASDF_ERR_CONFIG;
+    }
     const mcp_asdf_config_t *const first = experiment->configs[0];
     for (uint32_t j = 1; j < experiment->robots; ++j) {
         const mcp_asdf_config_t *const config = experiment->configs[j];
-        if (config->comms_period != first->comms_period || config->filter_period != first->filter_period ||
-            config->memory != first->memory) {
+        if (config->filter_period != first->filter_period || config->memory != first->memory) {
             return MCP_ASDF_ERR_CONFIG;
         }
     }
     return MCP_ASDF_OK;
 }
 
+static void add(mcp_asdf_open_t *all, const mcp_asdf_open_t *one)
+{
+    all->alpha += one->alpha;
+    all->alpha_x_low += one->alpha_x_low;
+    all->alpha_x_high += one->alpha_x_high;
+    all->x_squared += one->x_squared;
+    all->x += one->x;
+    all->count += one->count;
+}
+
 /* Sums of all messages but one: exact, so equal to adding the others. */
-static mcp_asdf_sums_t without(mcp_asdf_sums_t all, const mcp_asdf_sums_t *one)
+static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
 {
     all.alpha -= one->alpha;
     all.alpha_x_low -= one->alpha_x_low;
@@ -41,40 +53,39 @@ static mcp_asdf_sums_t without(mcp_asdf_sums_t all, const mcp_asdf_sums_t *one)
     return all;
 }
 
-static void add(mcp_asdf_sums_t *all, const mcp_asdf_sums_t *one)
+/* The sums of a robot's message alone: the round of a neighbour that hears nothing else. */
+static mcp_asdf_open_t message_of(const mcp_asdf_t *robot)
 {
-    all->alpha += one->alpha;
-    all->alpha_x_low += one->alpha_x_low;
-    all->alpha_x_high += one->alpha_x_high;
-    all->x_squared += one->x_squared;
-    all->x += one->x;
-    all->count += one->count;
+    const uint8_t id = mcp_asdf_id(robot);
+    mcp_asdf_t neighbour = {.id = id ^ 1};
+    (void)mcp_asdf_receive(&neighbour, id, mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
+    return neighbour.open;
 }
 
-/* Every robot hears every other. */
+/* Every robot hears every other: the open rounds, still empty, become what receiving message by message makes
+ * of them. The senders are not marked, since the rounds close at once. */
 static void exchange(mcp_asdf_t *robots, uint32_t count)
 {
-    mcp_asdf_sums_t own[MCP_ASDF_ENGINE_MAX_ROBOTS], all = {0};
+    mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_ROBOTS], all = {0};
     for (uint32_t j = 0; j < count; ++j) {
-        own[j] = (mcp_asdf_sums_t){0};
-        (void)mcp_asdf_sums_add(&own[j], mcp_asdf_x_hat(&robots[j]), mcp_asdf_alpha(&robots[j]));
+        own[j] = message_of(&robots[j]);
         add(&all, &own[j]);
     }
     for (uint32_t j = 0; j < count; ++j) {
-        const mcp_asdf_sums_t others = without(all, &own[j]);
-        (void)mcp_asdf_add_round(&robots[j], &others, (uint8_t)(count - 1));
+        robots[j].open = without(all, &own[j]);
+        robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
     }
 }
 
-void engine_tick(mcp_asdf_t *robots, uint32_t count, const uint8_t *observations)
+void engine_tick(mcp_asdf_t *robots, uint32_t count, const uint8_t *observations, bool closes)
 {
-    bool due = false;
     for (uint32_t j = 0; j < count; ++j) {
-        due = mcp_asdf_observe(&robots[j], (mcp_asdf_observation_t)observations[j]) == MCP_ASDF_DUE;
+        (void)mcp_asdf_observe(&robots[j], (mcp_asdf_observation_t)observations[j]);
     }
-    if (due) {
-        exchange(robots, count);
+    if (!closes) {
+        return;
     }
+    exchange(robots, count);
     for (uint32_t j = 0; j < count; ++j) {
         (void)mcp_asdf_settle(&robots[j]);
     }
@@ -99,11 +110,12 @@ static void keep_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial
 
 void engine_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
-    const uint32_t count = experiment->robots, period = experiment->configs[0]->filter_period;
+    const uint32_t count = experiment->robots;
+    const uint64_t period = engine_filter_ticks(experiment);
     keep_x(experiment, trial, step);
     if (step % period == 0) {
         for (uint32_t j = 0; j < count; ++j) {
-            trial->b_hat[(step / period - 1) * (size_t)count + j] = mcp_asdf_b_hat(&trial->robots[j]);
+            trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
         }
     }
     if (trial->records != 0 && step % experiment->thinning == 0) {
@@ -152,8 +164,8 @@ static mcp_asdf_status_t run_trial(const mcp_asdf_experiment_t *experiment, uint
         if (step % 4 == 0) {
             observe_block(experiment, index, step / 4, observations);
         }
-        engine_tick(trial->robots, experiment->robots,
-                    observations + (size_t)(step % 4) * experiment->robots);
+        engine_tick(trial->robots, experiment->robots, observations + (size_t)(step % 4) * experiment->robots,
+                    engine_closes(experiment, step));
         engine_keep(experiment, trial, step + 1);
     }
     return MCP_ASDF_OK;

@@ -22,7 +22,9 @@
  *   first_trial   number of the first of `trials` trials
  *   robots        N, 1 .. 128
  *   steps         T, 1 .. 2^31 - 2
- *   configs       [N] settings by robot, all with the same comms_period, filter_period and memory
+ *   configs       [N] settings by robot, all with the same filter_period, in rounds, and memory
+ *   comms_period  steps between broadcasts, the first in step `comms_period`; 1 or more. Every robot
+ *                 broadcasts and closes its round in the same steps
  *   b_hat         [N] assumed accuracies at the start, as mcp_asdf_init() takes them
  *   black         probability that a robot observes black, unit 2^-31, 0 .. MCP_ASDF_ENGINE_CERTAIN;
  *                 black[i trial_stride + k step_stride + j robot_stride] is that of the i-th of these
@@ -39,6 +41,7 @@ typedef struct {
     uint32_t robots;
     uint32_t steps;
     const mcp_asdf_config_t *const *configs;
+    uint32_t comms_period;
     const uint32_t *b_hat;
     const uint32_t *black;
     size_t trial_stride;
@@ -67,7 +70,7 @@ typedef struct {
  *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 in a fully
  *             connected swarm if comms_period is 1, as all robots then have the same x to the bit, otherwise
  *             N
- *   b_hat     [trials][T / filter_period][N] assumed accuracies after each filter step
+ *   b_hat     [trials][T / (filter_period comms_period)][N] assumed accuracies after each filter step
  *   records   [trials][T / thinning][N]; not used if thinning is 0 */
 typedef struct {
     mcp_asdf_t *robots;
@@ -82,9 +85,8 @@ typedef struct {
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment,
                                       const mcp_asdf_outcome_t *outcome);
 
-/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, nothing recorded, counts that stay within
- * MCP_ASDF_ENGINE_LANES_MAX_COUNT and, in a fully connected swarm, the same probability for every robot and
- * trial. */
+/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, nothing recorded and, in a fully connected
+ * swarm, the same probability for every robot and trial. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
 /* The same outcome to the bit, faster: between filter steps several trials are computed side by side, or
@@ -92,8 +94,6 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
  * Fails as mcp_asdf_engine_run() does. Needs mcp_asdf_engine_has_lanes(). */
 mcp_asdf_status_t mcp_asdf_engine_run_lanes(const mcp_asdf_experiment_t *experiment,
                                             const mcp_asdf_outcome_t *outcome);
-
-#define MCP_ASDF_ENGINE_LANES_MAX_COUNT (UINT32_C(1) << 18)
 
 /* Four random words: Philox4x32-10 (Salmon et al., SC'11) of a counter and a key. */
 void mcp_asdf_engine_philox(const uint32_t counter[4], const uint32_t key[2], uint32_t words[4]);

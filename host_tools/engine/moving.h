@@ -4,7 +4,7 @@
 
 #include "trial.h"
 
-/* A trial under way. `words` are the draws of four steps by robot. */
+/* A trial under way. `words` are the draws of four steps by robot, and a few more. */
 typedef struct {
     const mcp_asdf_experiment_t *experiment;
     uint32_t index;
@@ -23,18 +23,13 @@ static inline bool moving_observes(const moving_t *moving, uint32_t k)
     return (k + 1) % moving->experiment->observation_period == 0;
 }
 
-/* What robot j's sensor says of the floor in step k: 1 for black. Needs the words of the step. */
-static inline uint32_t moving_sees_black(const moving_t *moving, uint32_t k, uint32_t j)
-{
-    const mcp_asdf_experiment_t *const e = moving->experiment;
-    const uint32_t limit =
-        e->black[moving->index * e->trial_stride + k * e->step_stride + j * e->robot_stride];
-    return moving->words[k % 4][j] >> 1 <
-           (moving->arena.black[j] != 0 ? limit : MCP_ASDF_ENGINE_CERTAIN - limit);
-}
+/* Draw the words of steps 4 block .. 4 block + 3. */
+void moving_draw(moving_t *moving, uint32_t block);
 
-/* The firmware's part of step k (from 0), in an arena that has moved and with words that are drawn; `said` is
- * whether all broadcast in the step before. Returns whether they do in this one. */
-bool moving_tick(moving_t *moving, uint32_t k, bool said);
+/* What each robot's sensor says of the floor in step k: 1 for black. Needs the words of the step. */
+void moving_see(const moving_t *moving, uint32_t k, uint32_t *restrict black);
+
+/* The firmware's part of step k (from 0), in an arena that has moved and with words that are drawn. */
+void moving_tick(moving_t *moving, uint32_t k);
 
 #endif

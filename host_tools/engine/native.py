@@ -44,7 +44,7 @@ class RawOutcome:
         x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have
             the same for sure.
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
-        counters: Tests and updates of each robot, shape (trials, N) each; they stop at 65535.
+        counters: Tests and updates of each robot, shape (trials, N) each, modulo 65536.
         records: Values of every robot each ``thinning`` steps, shape (trials, T // thinning, N), of dtype
             RECORD.
         robots: The C structs, for ``images``.
@@ -105,6 +105,7 @@ class _Call:
             "robots": experiment.robots,
             "steps": experiment.steps,
             "thinning": thinning,
+            "comms_period": experiment.comms_period,
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
             **self._robots(experiment),
@@ -160,7 +161,7 @@ def _config(config: Any) -> tuple[Any, Any]:
         table = ffi.new("uint32_t[]", list(config.table.words()))
     pointer = ffi.new(
         "mcp_asdf_config_t *",
-        (table, config.comms_period, config.filter_period, config.memory, int(config.filter)),
+        (table, config.filter_period, config.memory, int(config.filter)),
     )
     return pointer, table
 

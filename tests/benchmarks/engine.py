@@ -1,24 +1,28 @@
 """How fast the engine is beside float64 in Python, plain double C and the physics simulator, in one run.
 
-``python tests/benchmarks/engine.py [--json]``, with the compiler that ``CC`` names (default ``cc``).
-Robot-steps in a second of processor time of one core, fully connected (N = 10) and in the moving world
-(N = 20, D = 1, messages a step late), 40 000 steps, filter on. Each is measured a few times and the best
-counts. The physics simulator's figure, with its logging removed, is that of
-tests/data/motion_statistics.json.
+``python tests/benchmarks/engine.py [--json] [--check] [--march x86-64-v3]``, with the compiler that ``CC``
+names (default ``cc``). Robot-steps in a second of processor time of one core, fully connected (N = 10) and in
+the moving world (N = 20, D = 1, messages a step late), 40 000 steps, filter on. All are measured in turn, ten
+times over, and the best of each counts. The physics simulator's figure, with its logging removed, is that of
+tests/data/motion_statistics.json. With ``--march`` the engine is the one of these sources, built for that
+architecture alone, and not the installed one; ``--check`` exits with 1 where a floor is missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 from host_tools.engine import native
 from host_tools.experiments import Experiment, Topology
@@ -26,89 +30,175 @@ from host_tools.moving import make_arena
 from host_tools.simulation import run_by_message, run_trials
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
+ARENA, ENGINE, CORE = ROOT / "host_tools/arena", ROOT / "host_tools/engine", ROOT / "c_ref/src"
 MOTION = ROOT / "tests/data/motion_statistics.json"
 FULL = Experiment(trials=1)
 MOVING = Experiment(topology=Topology.DYNAMIC, robots=20, flawed=6, latency=1, trials=1)
 TRIALS, FEW_TRIALS = 96, 4
-REPEATS = 3
+REPEATS = 10
+COMPILER = os.environ.get("CC", "cc")
+
+PYTHON, DOUBLE, SIMULATOR = "float64 in Python", "plain double C", "physics simulator"
+CALLS, LANES = "firmware, call by call", "firmware in lanes"
+YARDSTICKS = (PYTHON, DOUBLE, SIMULATOR)
+FLOORS = {
+    "fully connected": {(LANES, DOUBLE): 0.7, (LANES, CALLS): 4.0},
+    "moving": {(LANES, DOUBLE): 0.7, (LANES, CALLS): 1.25},
+}
+"""Least ratio of two rates, with vectors of 64 bytes."""
+SHORT_VECTORS_FLOOR = 0.4
+"""Of fully connected lanes beside plain double C, with vectors of 32 bytes."""
+
+Measurement = Callable[[], float]
 
 
-def rate(experiment: Experiment, trials: int, work: Callable[[], object]) -> float:
-    """Robot-steps of a second of processor time, the best of REPEATS."""
-    best = float("inf")
-    for _ in range(REPEATS):
+def rate_of(experiment: Experiment, trials: int, work: Callable[[], object]) -> Measurement:
+    """Robot-steps of a second of processor time."""
+
+    def measure() -> float:
         start = time.process_time()
         work()
-        best = min(best, time.process_time() - start)
-    return experiment.robots * experiment.steps * trials / best
+        return experiment.robots * experiment.steps * trials / (time.process_time() - start)
+
+    return measure
 
 
-def plain_double(source: str, trials: int) -> float:
+def best_of(measurements: dict[str, Measurement]) -> dict[str, float]:
+    """The best of REPEATS runs of each, one after the other in every round."""
+    best = dict.fromkeys(measurements, 0.0)
+    for _ in range(REPEATS):
+        for name, measure in measurements.items():
+            best[name] = max(best[name], measure())
+    return best
+
+
+def compile_arena(folder: Path, *options: str) -> list[Path]:
+    """The arena's objects, compiled as CMakeLists.txt has it."""
+    sources = sorted(ARENA.glob("*.c"))
+    subprocess.run([COMPILER, "-std=c99", "-O3", *options, "-c", *sources], cwd=folder, check=True)
+    return sorted(folder.glob("*.o"))
+
+
+def plain_double(folder: Path, source: str, trials: int) -> Measurement:
     """The rate of a C program beside this file, compiled as the engine is."""
-    arena = ROOT / "host_tools/arena"
-    with tempfile.TemporaryDirectory() as folder:
-        program, arena_object = Path(folder, "plain_double"), Path(folder, "arena.o")
-        compiler = os.environ.get("CC", "cc")
-        subprocess.run([compiler, "-std=c99", "-O3", "-c", arena / "arena.c", "-o", arena_object], check=True)
-        options = ("-O3", f"-I{arena}", HERE / source, arena_object, "-o", program, "-lm")
-        subprocess.run([compiler, *options], check=True)
-        outputs = [
-            subprocess.run([program, str(trials)], check=True, capture_output=True).stdout
-            for _ in range(REPEATS)
-        ]
-    return max(float(output.split()[0]) for output in outputs)
+    program = folder / Path(source).stem
+    arena = compile_arena(folder)
+    subprocess.run([COMPILER, "-O3", f"-I{ARENA}", HERE / source, *arena, "-o", program, "-lm"], check=True)
+    command = [str(program), str(trials)]
+    return lambda: float(subprocess.run(command, check=True, capture_output=True).stdout.split()[0])
 
 
-def fully_connected() -> dict[str, float]:
+def build_engine(folder: Path, architecture: str) -> ModuleType:
+    """The engine of these sources for one architecture."""
+    glue, module = folder / "_engine.c", folder / "_engine.so"
+    headers = [CORE / "mcp_asdf.h", CORE / "mcp_asdf_image.h", ARENA / "arena.h", ENGINE / "engine.h"]
+    generator = ROOT / "firmware_py/build_native.py"
+    subprocess.run([sys.executable, generator, "host_tools._engine", glue, *headers], check=True)
+    arena = compile_arena(folder, "-fPIC", f"-march={architecture}")
+    paths = (CORE, ARENA, ENGINE, Path(sysconfig.get_path("include")))
+    options = (
+        "-O3",
+        "-fPIC",
+        "-shared",
+        "-DLANES_ONE_TARGET",
+        "-fno-trapping-math",
+        f"-march={architecture}",
+    )
+    sources = (glue, *sorted(ENGINE.glob("*.c")), CORE / "mcp_asdf_image.c")
+    includes = (f"-I{path}" for path in paths)
+    subprocess.run([COMPILER, *options, *includes, *sources, *arena, "-o", module, "-lm"], check=True)
+    spec = importlib.util.spec_from_file_location("host_tools._engine", module)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+def fully_connected(folder: Path) -> dict[str, float]:
     """Rates by name, robot-steps a second."""
     short = replace(FULL, steps=400, filter_period=100, firmware="reference")
-    return {
-        "float64 in Python": rate(short, 1, lambda: run_by_message(short, 0)),
-        "plain double C": plain_double("plain_double.c", TRIALS),
-        "firmware, call by call": rate(FULL, 16, lambda: native.run(FULL, 0, 16, lanes=False)),
-        "firmware in lanes": rate(FULL, TRIALS, lambda: native.run(FULL, 0, TRIALS)),
-        "firmware in lanes, with K and e": rate(FULL, TRIALS, lambda: run_trials(FULL, 0, TRIALS)),
-    }
+    return best_of(
+        {
+            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0)),
+            DOUBLE: plain_double(folder, "plain_double.c", TRIALS),
+            CALLS: rate_of(FULL, 16, lambda: native.run(FULL, 0, 16, lanes=False)),
+            LANES: rate_of(FULL, TRIALS, lambda: native.run(FULL, 0, TRIALS, lanes=True)),
+            f"{LANES}, with K and e": rate_of(FULL, TRIALS, lambda: run_trials(FULL, 0, TRIALS)),
+        }
+    )
 
 
-def moving() -> dict[str, float]:
+def moving(folder: Path) -> dict[str, float]:
     """The same in the moving world."""
     short = replace(MOVING, steps=400, filter_period=100, firmware="reference")
     trials = FEW_TRIALS
-    return {
-        "float64 in Python": rate(short, 1, lambda: run_by_message(short, 0)),
-        "physics simulator": float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"]),
-        "plain double C": plain_double("plain_double_moving.c", trials),
-        "motion alone": rate(MOVING, 1, lambda: make_arena(MOVING, 0).step(MOVING.steps)),
-        "firmware, call by call": rate(MOVING, trials, lambda: native.run(MOVING, 0, trials, lanes=False)),
-        "firmware in lanes": rate(MOVING, trials, lambda: native.run(MOVING, 0, trials)),
-        "firmware in lanes, with K and e": rate(MOVING, trials, lambda: run_trials(MOVING, 0, trials)),
-    }
+    simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"])
+    return best_of(
+        {
+            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0)),
+            SIMULATOR: lambda: simulator,
+            DOUBLE: plain_double(folder, "plain_double_moving.c", trials),
+            "motion alone": rate_of(MOVING, 1, lambda: make_arena(MOVING, 0).step(MOVING.steps)),
+            CALLS: rate_of(MOVING, trials, lambda: native.run(MOVING, 0, trials, lanes=False)),
+            LANES: rate_of(MOVING, trials, lambda: native.run(MOVING, 0, trials, lanes=True)),
+            f"{LANES}, with K and e": rate_of(MOVING, trials, lambda: run_trials(MOVING, 0, trials)),
+        }
+    )
 
 
 def show(title: str, rates: dict[str, float]) -> None:
     """Print rates with their ratios to each yardstick."""
-    yardsticks = [
-        name for name in ("float64 in Python", "plain double C", "physics simulator") if name in rates
-    ]
+    yardsticks = [name for name in YARDSTICKS if name in rates]
     print(f"{title:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))
     for name, value in rates.items():
         ratios = "".join(f"{value / rates[yardstick]:20.3g}" for yardstick in yardsticks)
         print(f"{name:32}{value:14.3g}{ratios}")
 
 
+def missed(rates: dict[str, dict[str, float]], short_vectors: bool) -> list[str]:
+    """The floors that were missed, in words."""
+    found = []
+    for world, floors in FLOORS.items():
+        for (name, other), floor in floors.items():
+            is_lower = short_vectors and (world, other) == ("fully connected", DOUBLE)
+            least, ratio = (
+                SHORT_VECTORS_FLOOR if is_lower else floor,
+                rates[world][name] / rates[world][other],
+            )
+            if ratio < least:
+                found.append(f"{world}: {name} is {ratio:.3g} of {other}; the floor is {least}")
+    return found
+
+
+def has_long_vectors() -> bool:
+    """Whether this processor has vectors of 64 bytes."""
+    return " avx512vl " in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " ")
+
+
 def main() -> int:
     """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Measure the engine's speed against yardsticks.")
     parser.add_argument("--json", action="store_true", help="print the rates as JSON")
+    parser.add_argument("--check", action="store_true", help="exit with 1 where a floor is missed")
+    parser.add_argument("--march", help="build the engine for this architecture, such as x86-64-v3")
     args = parser.parse_args()
-    rates = {"fully connected": fully_connected(), "moving": moving()}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if args.march:
+            engine_folder = folder / "engine"
+            engine_folder.mkdir()
+            vars(native)["_engine"] = build_engine(engine_folder, args.march)
+        rates = {"fully connected": fully_connected(folder), "moving": moving(folder)}
     if args.json:
         print(json.dumps(rates, indent=2))
-        return 0
-    for title, values in rates.items():
-        show(title, values)
-    return 0
+    else:
+        for title, values in rates.items():
+            show(title, values)
+    complaints = missed(rates, args.march == "x86-64-v3" or not has_long_vectors()) if args.check else []
+    for complaint in complaints:
+        print(complaint, file=sys.stderr)
+    return 1 if complaints else 0
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from functools import cache
 
 from support import HEADER
 
+from firmware_py.fixed_point import alpha_to_word
 from firmware_py.mirror import MirrorRobot
 from firmware_py.robot import Config, Observation
 from host_tools.tables import generate, parse_omega
@@ -16,7 +17,7 @@ CONSUMER = """
 
 #include <stdio.h>
 
-extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 int main(void)
 {
@@ -26,8 +27,8 @@ int main(void)
         return 1;
     }
     for (int tick = 0; tick < 2000; ++tick) {
-        mcp_asdf_receive(&robot, 2, MCP_ASDF_ONE / 10 * 9, 0x42000000);
-        mcp_asdf_receive(&robot, 3, MCP_ASDF_ONE / 9 * 8, 0x42000000);
+        mcp_asdf_receive(&robot, 2, MCP_ASDF_ONE / 10 * 9, 0x80000006);
+        mcp_asdf_receive(&robot, 3, MCP_ASDF_ONE / 9 * 8, 0x80000006);
         mcp_asdf_step(&robot, tick % 3 == 0 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
     }
     printf("%lu %lu\\n", (unsigned long)mcp_asdf_x(&robot), (unsigned long)mcp_asdf_b_hat(&robot));
@@ -35,14 +36,17 @@ int main(void)
 }
 """
 
+ALPHA = alpha_to_word(32.0)
+"""The word 0x80000006 of the program."""
+
 
 @cache
 def answer() -> str:
     """What the program prints, by the mirror; the run passes through an update of b_hat."""
     robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), 1, 0.75)
     for tick in range(2000):
-        robot.receive_raw(2, 2**23 // 10 * 9, 0x42000000)
-        robot.receive_raw(3, 2**23 // 9 * 8, 0x42000000)
+        robot.receive_raw(2, 2**23 // 10 * 9, ALPHA)
+        robot.receive_raw(3, 2**23 // 9 * 8, ALPHA)
         robot.step(Observation(tick % 3 == 0))
     assert robot.counters.updates == 1
     return f"{robot.x_raw} {robot.b_hat_raw}\n"

@@ -1,12 +1,28 @@
-/* White box: what depends on b_hat alone, and confidences on their grid. */
+/* White box: what depends on b_hat alone, and confidences as words. */
 #include "white_box.h"
 
-#define ALPHA_LARGEST_UNITS ((UINT64_C(1) << 55) - (UINT64_C(1) << 31))
+static const uint64_t one_32 = UINT64_C(1) << 32; /* 1.0 as Q32 */
+
+/* ---- set_b_hat ---- */
+
+static mcp_asdf_accuracy_t accuracy_of(uint32_t b_hat)
+{
+    mcp_asdf_t robot;
+    memset(&robot, 0xA5, sizeof robot);
+    set_b_hat(&robot, b_hat);
+    return robot.accuracy;
+}
+
+/* (numerator / denominator)^2 as Q30, from a quotient with the bits that docs/design.md gives it. */
+static uint64_t plain_square(uint64_t numerator, uint64_t denominator)
+{
+    const uint64_t quotient = (((numerator >> 1) << 24) / (denominator >> 1)) << 7;
+    return quotient * quotient >> 32;
+}
 
 static struct {
     uint32_t least, most;
-} g_shifts = {255, 0}, g_squared_shifts = {255, 0}, edge_shifts = {255, 0}, lefts = {255, 0},
-  rights = {255, 0};
+} g_shifts = {255, 0}, rare_shifts = {255, 0};
 
 #define EXTEND(range, value)                                                                                 \
     do {                                                                                                     \
@@ -14,199 +30,156 @@ static struct {
         (range).most = (value) > (range).most ? (value) : (range).most;                                      \
     } while (0)
 
-/* inverse_g, g_squared and the normal form of every mantissa, for a c that says something. */
+/* Every member for a c that says something, under b_hat = c and b_hat = 1 - c. */
 static void check_accuracy(uint32_t c)
 {
-    const mcp_asdf_accuracy_t a = accuracy_of(c);
-    const uint64_t g = (UINT64_C(1) << 32) - 2 * (uint64_t)c;
-    const uint64_t mantissa = g << a.g_shift;
-    GIVEN(c, a.edge_shift, a.odds_right);
-    CHECK(a.c == c && a.inverted == 1);
-    CHECK_EQUAL(mantissa >> 31, 1);
-    CHECK_EQUAL(a.inverse_g, (UINT64_C(1) << 62) / mantissa + 1);
-    CHECK(a.g_squared >> 31 == 1 && a.edge >> 31 == 1 && a.odds >> 31 == 1);
-    CHECK(a.odds_left == 0 || a.odds_right == 0);
+    const mcp_asdf_accuracy_t a = accuracy_of(c), mirrored = accuracy_of(0 - c);
+    const uint64_t g = one_32 - 2 * (uint64_t)c;
+    const uint32_t g_shift = plain_zeros((uint32_t)g), c_shift = plain_zeros(c);
+    GIVEN(c, a.common, a.rare);
+    CHECK(a.b_hat == c && mirrored.b_hat == one_32 - c);
+    CHECK(a.c == c && mirrored.c == c);
+    CHECK(a.g_shift == g_shift && mirrored.g_shift == g_shift);
+    CHECK(a.rare_shift == 2 * c_shift && mirrored.rare_shift == a.rare_shift);
+    CHECK_EQUAL(a.common, plain_square(g << g_shift, one_32 - c));
+    CHECK_EQUAL(a.rare, plain_square(g << g_shift, (uint64_t)c << c_shift));
+    CHECK(mirrored.common == a.common && mirrored.rare == a.rare);
+    CHECK(a.common >= UINT32_C(1) << 28 && a.rare >= UINT32_C(1) << 28);
     EXTEND(g_shifts, a.g_shift);
-    EXTEND(g_squared_shifts, a.g_squared_shift);
-    EXTEND(edge_shifts, a.edge_shift);
-    EXTEND(lefts, a.odds_left);
-    EXTEND(rights, a.odds_right);
-}
-
-/* g^2 = g_squared 2^(-32 - g_squared_shift), at most two units of g_squared too small */
-static void check_g_squared(uint32_t c)
-{
-    const mcp_asdf_accuracy_t a = accuracy_of(c);
-    const uint64_t g = (UINT64_C(1) << 32) - 2 * (uint64_t)c;
-    const uint64_t unit = g * g >> (32 - a.g_squared_shift); /* floor(g^2 / unit of g_squared) */
-    GIVEN(c, unit, a.g_squared);
-    CHECK(a.g_squared <= unit && unit - a.g_squared <= 1);
+    EXTEND(rare_shifts, a.rare_shift);
 }
 
 static void check_around(uint32_t c)
 {
-    for (uint32_t i = 0; i <= 4; ++i) {
-        const uint32_t near = c - 2 + i;
-        if (near >= MCP_ASDF_B_HAT_MIN && near <= C_MAX) {
+    for (uint32_t near = c - 2; near != c + 3; ++near) {
+        if (near >= C_MIN && near <= C_MAX) {
             check_accuracy(near);
-            check_g_squared(near);
         }
     }
 }
 
-/* "[0, 11]", "0 .. 23", "0 .. 22", "[-31, 8]": the header's ranges of the shifts, all of them reached */
-static void shifts_cover_their_ranges(void)
+/* "0 .. 11", "2 .. 38": the header's ranges of the shifts, all of them reached and none passed */
+static void members_follow_from_b_hat(void)
 {
     for (uint32_t bit = 12; bit < 31; ++bit) {
         const uint32_t power = UINT32_C(1) << bit;
         check_around(power);
         check_around(power + (power >> 1));
-        check_around((uint32_t)(power * UINT64_C(6074000999) >> 32)); /* sqrt(2) */
-        check_around((UINT32_C(1) << 31) - power);                    /* where g is a power of two */
+        check_around(ONE_HALF - power); /* where g is a power of two */
     }
     check_around(C_MAX);
-    for (int i = 0; i < 200000; ++i) {
-        check_around(check_random_word() & TOTAL_MAX);
+    for (int i = 0; i < 20000; ++i) {
+        check_around(random_below(C_MAX + 1));
     }
     CHECK(g_shifts.least == 0 && g_shifts.most == 11);
-    CHECK(g_squared_shifts.least == 0 && g_squared_shifts.most == 23);
-    CHECK(edge_shifts.least == 0 && edge_shifts.most == 22);
-    CHECK(lefts.least == 0 && lefts.most == 8);
-    CHECK(rights.least == 0 && rights.most == 31);
+    CHECK(rare_shifts.least == 2 && rare_shifts.most == 38);
 }
 
-/* |2 b_hat - 1| < 2^-12 says nothing, = 2^-12 does; then c = 2^32 - 1 puts every part at the end */
+/* |2 b_hat - 1| < 2^-12 says nothing, = 2^-12 does; then c = 2^32 - 1 puts every part at the end of the scale
+ */
 static void uninformative_exactly_below_the_limit(void)
 {
-    const uint32_t half = UINT32_C(1) << 31, distance = INFORMATIVE_G >> 1;
-    CHECK_EQUAL(accuracy_of(half - distance).g_shift, 11);
-    CHECK_EQUAL(accuracy_of(half + distance).g_shift, 11);
-    for (uint32_t i = 0; i < 5; ++i) {
-        const uint32_t near[] = {half - distance + 1, half - 1, half, half + 1, half + distance - 1};
-        CHECK_EQUAL(accuracy_of(near[i]).g_shift, MCP_ASDF_UNINFORMATIVE);
-        CHECK_EQUAL(accuracy_of(near[i]).c, UINT32_MAX);
+    const uint32_t distance = INFORMATIVE >> 1;
+    CHECK_EQUAL(accuracy_of(ONE_HALF - distance).c, ONE_HALF - distance);
+    CHECK_EQUAL(accuracy_of(ONE_HALF + distance).c, ONE_HALF - distance);
+    for (uint32_t i = 0; i < distance; i = 2 * i + 1) {
+        GIVEN(i, 0, 0);
+        CHECK_EQUAL(accuracy_of(ONE_HALF - i).c, UINT32_MAX);
+        CHECK_EQUAL(accuracy_of(ONE_HALF + i).c, UINT32_MAX);
     }
-    CHECK(multiply_high(TOTAL_MIN, UINT32_MAX) >= TOTAL_MIN / 2);
-    CHECK(multiply_high(TOTAL_MAX, UINT32_MAX) >= TOTAL_MAX / 2);
+    CHECK_EQUAL(accuracy_of(ONE_HALF - distance + 1).c, UINT32_MAX);
+    CHECK_EQUAL(accuracy_of(ONE_HALF + distance - 1).c, UINT32_MAX);
 }
 
-/* b_hat and 1 - b_hat differ in `inverted` only */
-static void inverted_accuracies_are_alike(void)
-{
-    for (int i = 0; i < 20000; ++i) {
-        const uint32_t b_hat = MCP_ASDF_B_HAT_MIN + check_random_word() % (TOTAL_MAX - MCP_ASDF_B_HAT_MIN);
-        const mcp_asdf_accuracy_t low = accuracy_of(b_hat);
-        mcp_asdf_t robot = robot_at(1, 0, 0 - b_hat);
-        GIVEN(b_hat, 0, 0);
-        CHECK(low.inverted == 1 && robot.accuracy.inverted == 0);
-        CHECK(accuracy_current(&robot));
-        robot.accuracy.inverted = 1;
-        robot.b_hat = b_hat;
-        CHECK(accuracy_current(&robot));
-    }
-}
-
-/* "mantissa, [2^31, 2^32)", "shift, [0, 3]", "24 or 25 bits" at the ends of both operands */
-static void square_of_ratio_is_normal(void)
+/* "[2^28, 2^32)", "from a quotient of 24 or 25 bits": at the ends of both operands */
+static void square_of_ratio_is_in_range(void)
 {
     static const uint32_t operands[] = {0x80000000, 0x80000001, 0xB504F333,
                                         0xB504F334, 0xFFFFFFFE, 0xFFFFFFFF};
     for (size_t i = 0; i < COUNT(operands); ++i) {
         for (size_t j = 0; j < COUNT(operands); ++j) {
-            uint32_t shift = 0;
-            const uint32_t mantissa = square_of_ratio(operands[i], operands[j], &shift);
-            GIVEN(operands[i], operands[j], mantissa);
             const uint64_t quotient = ((uint64_t)(operands[i] >> 1) << 24) / (operands[j] >> 1);
+            const uint32_t square = square_of_ratio(operands[i], operands[j]);
+            GIVEN(operands[i], operands[j], square);
             CHECK(quotient >> 23 != 0 && quotient >> 25 == 0);
-            CHECK(mantissa >> 31 == 1 && shift <= 3);
+            CHECK_EQUAL(square, plain_square(operands[i], operands[j]));
+            CHECK(square >= UINT32_C(1) << 28);
         }
     }
 }
 
-/* Units of alpha's bits, by the definition of binary32. */
+/* ---- Words of alpha ---- */
+
+/* mantissa 2^exponent units, rounded down to a whole one, at most the largest confidence; bit by bit. */
+static uint64_t plain_units(uint64_t mantissa, int32_t exponent)
+{
+    for (; exponent < 0; ++exponent) {
+        mantissa >>= 1;
+    }
+    for (; exponent > 0 && mantissa <= ALPHA_MAX_UNITS; --exponent) {
+        mantissa <<= 1;
+    }
+    return mantissa > ALPHA_MAX_UNITS ? ALPHA_MAX_UNITS : mantissa;
+}
+
 static uint64_t units_of(uint32_t alpha)
 {
-    const uint64_t mantissa = (alpha & 0x7FFFFF) + (UINT32_C(1) << 23);
-    const int32_t shift = (int32_t)(alpha >> 23) - 127 - 23 + 24;
-    if (alpha >> 23 == 0 || shift < -23) {
-        return 0; /* below 2^-24 */
-    }
-    return shift > 31 ? ALPHA_LARGEST_UNITS : shift < 0 ? mantissa >> -shift : mantissa << shift;
+    const word_pair_t found = units(alpha);
+    return (uint64_t)found.high << 32 | found.low;
 }
 
-/* The largest number on the grid not above mantissa 2^exponent units. */
-static uint64_t grid_below(uint64_t mantissa, int32_t exponent)
-{
-    if (exponent > 31) {
-        return ALPHA_LARGEST_UNITS; /* mantissa >= 2^22 makes at least 2^54: see alpha_bits_at_the_cap */
-    }
-    uint64_t units = exponent < 0 ? mantissa >> -exponent : mantissa << exponent;
-    uint32_t lost = 0;
-    while (units >> lost >= UINT64_C(1) << 24) {
-        ++lost;
-    }
-    units = units >> lost << lost;
-    return units > ALPHA_LARGEST_UNITS ? ALPHA_LARGEST_UNITS : units;
-}
+static const uint32_t mantissas[] = {0x800000, 0x800001, 0x955555, 0xBFFFFF, 0xC00000, 0xFFFFFE, 0xFFFFFF};
 
-/* "mantissa in [2^22, 2^25), exponent >= -22", "bits worth less than a unit go; exponent >= -23" */
-static void alpha_bits_over_its_range(void)
+/* "mantissa in [2^23, 2^24)", "at most 21: what is below a unit goes" */
+static void alpha_word_over_its_range(void)
 {
-    static const uint32_t mantissas[] = {0x400000, 0x400001,  0x7FFFFF,  0x800000,  0x800001,
-                                         0xFFFFFF, 0x1000000, 0x1000001, 0x1FFFFFF, 0x1555555};
-    for (int32_t exponent = -22; exponent <= 31; ++exponent) {
+    for (int32_t exponent = -31; exponent <= 80; ++exponent) {
         for (size_t i = 0; i < COUNT(mantissas); ++i) {
-            const uint32_t bits = alpha_bits(mantissas[i], exponent);
-            GIVEN(mantissas[i], exponent, bits);
-            CHECK_EQUAL(units_of(bits), grid_below(mantissas[i], exponent));
-            CHECK(estimate_possible(0, bits));
+            const uint32_t word = alpha_word(mantissas[i], exponent);
+            GIVEN(mantissas[i], exponent, word);
+            CHECK_EQUAL(units_of(word), plain_units(mantissas[i], exponent));
+            CHECK_EQUAL(word & 0xE0, 0);
+            CHECK((word & 31) == 0 || word >> 31 == 1); /* one number, one word */
         }
     }
 }
 
-/* "alpha = 24 bits shifted left by at most this": 2^55 - 2^31 units is the last that is kept as it is */
-static void alpha_bits_at_the_cap(void)
+/* "a word: mantissa times 2^shift units of 2^-24", the largest of which is 2^31 - 2^7 */
+static void alpha_word_at_the_cap(void)
 {
-    CHECK_EQUAL(alpha_bits(0xFFFFFF, 31), MCP_ASDF_ALPHA_MAX);
-    CHECK_EQUAL(alpha_bits(0xFFFFFE, 31), MCP_ASDF_ALPHA_MAX - 1);
-    CHECK_EQUAL(alpha_bits(0x1FFFFFF, 30), MCP_ASDF_ALPHA_MAX);
-    CHECK_EQUAL(alpha_bits(0x7FFFFF, 32), MCP_ASDF_ALPHA_MAX - 1);
-    CHECK_EQUAL(alpha_bits(0x400000, 32), alpha_bits(0x800000, 31));
-    CHECK_EQUAL(alpha_bits(0x800000, 32), MCP_ASDF_ALPHA_MAX);
-    CHECK_EQUAL(alpha_bits(0x1000000, 31), MCP_ASDF_ALPHA_MAX);
-    CHECK_EQUAL(alpha_bits(0x400000, 33), MCP_ASDF_ALPHA_MAX);
-    CHECK_EQUAL(alpha_bits(0x1FFFFFF, 100), MCP_ASDF_ALPHA_MAX);
+    CHECK_EQUAL(units_of(ALPHA_MAX), ALPHA_MAX_UNITS);
+    CHECK_EQUAL(alpha_word(0xFFFFFF, 31), ALPHA_MAX);
+    CHECK_EQUAL(alpha_word(0xFFFFFE, 31), ALPHA_MAX - 0x100);
+    CHECK_EQUAL(alpha_word(0x800000, 31), UINT32_C(0x8000001F));
+    CHECK_EQUAL(alpha_word(0x800000, 32), ALPHA_MAX);
+    CHECK_EQUAL(alpha_word(0xFFFFFF, 30), ALPHA_MAX - 1);
 }
 
-/* "high 2^32 + low units, high < 2^23", "cut to it", "subnormal numbers lose everything": every exponent */
-static void units_of_every_exponent(void)
+/* "bits 7..5 are ignored", "every word is valid: 0 .. 2^31 - 2^7", "below 2^55": every shift */
+static void units_of_every_word(void)
 {
-    static const uint32_t fractions[] = {0, 1, 0x2AAAAA, 0x400000, 0x7FFFFE, 0x7FFFFF};
-    for (uint32_t exponent = 0; exponent < 255; ++exponent) {
-        for (size_t i = 0; i < COUNT(fractions); ++i) {
-            const uint32_t alpha = exponent << 23 | fractions[i];
-            mcp_asdf_sums_t sums = {0, 0, 0, 0, 0, 0};
-            const bool entered = mcp_asdf_sums_add(&sums, MCP_ASDF_ONE, alpha);
-            GIVEN(alpha, sums.alpha, units_of(alpha));
-            CHECK_EQUAL(sums.alpha, units_of(alpha));
-            CHECK_EQUAL(entered, units_of(alpha) != 0);
-            CHECK_EQUAL(sums.count, entered);
-            CHECK_EQUAL(sums.alpha_x_low, (sums.alpha & UINT32_MAX) << 23);
-            CHECK_EQUAL(sums.alpha_x_high, sums.alpha >> 32 << 23);
-            CHECK(sums.alpha <= ALPHA_LARGEST_UNITS && sums.alpha >> 32 < UINT32_C(1) << 23);
-            CHECK_EQUAL(on_grid(alpha), exponent >= 126 && exponent <= 157);
+    static const uint32_t values[] = {0, 1, 2, 0x7FFFFF, 0x800000, 0xAAAAAA, 0xFFFFFE, 0xFFFFFF};
+    for (uint32_t low = 0; low < 256; ++low) {
+        for (size_t i = 0; i < COUNT(values); ++i) {
+            GIVEN(values[i], low, 0);
+            CHECK_EQUAL(units_of(values[i] << 8 | low), (uint64_t)values[i] << low % 32);
+            CHECK(units_of(values[i] << 8 | low) <= ALPHA_MAX_UNITS);
         }
+    }
+    for (int i = 0; i < 50000; ++i) {
+        const uint32_t word = (uint32_t)check_random();
+        GIVEN(word, 0, 0);
+        CHECK_EQUAL(units_of(word), (uint64_t)(word >> 8) << (word & 31));
     }
 }
 
 int main(void)
 {
-    shifts_cover_their_ranges();
+    members_follow_from_b_hat();
     uninformative_exactly_below_the_limit();
-    inverted_accuracies_are_alike();
-    square_of_ratio_is_normal();
-    alpha_bits_over_its_range();
-    alpha_bits_at_the_cap();
-    units_of_every_exponent();
+    square_of_ratio_is_in_range();
+    alpha_word_over_its_range();
+    alpha_word_at_the_cap();
+    units_of_every_word();
     return check_report();
 }

@@ -24,7 +24,8 @@ from c_ref.consumer import CONSUMER, answer, version_of_header
 from support import PATH, ROOT, TABLE, require, run
 
 PACKAGE = ROOT / "c_ref"
-SOURCES = {"src/mcp_asdf.c", "src/mcp_asdf.h", "src/mcp_asdf_frame.c", "src/mcp_asdf_frame.h"}
+PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
+SOURCES = {f"src/{name}.{kind}" for name in PARTS for kind in "ch"} | {"src/mcp_asdf_arithmetic.h"}
 WARNINGS = "-Wall -Wextra -Werror"
 
 
@@ -104,7 +105,7 @@ def test_an_arduino_uno_runs_it(tmp_path: Path) -> None:
     require("simavr", "simavr")
     image = arduino_image(tmp_path)
     built = {path.name for path in (tmp_path / "built/libraries/mcp_asdf").glob("*.o")}
-    assert built == {"mcp_asdf.c.o", "mcp_asdf_frame.c.o"}
+    assert built == {f"{name}.c.o" for name in PARTS}
     simulator = ("simavr", "-m", "atmega328p", "-f", "16000000", image)
     shown = subprocess.run(simulator, capture_output=True, text=True, check=False, timeout=60).stderr
     assert re.findall(r"(\d+ \d+)\.", shown) == [answer().strip()]
@@ -237,6 +238,9 @@ target_link_libraries(consumer PRIVATE module)
 """
 
 
+OPTIONS = [name.upper() for name in PARTS]
+
+
 def zephyr_build() -> dict[str, str]:
     """The module's description of its build: a folder with a CMakeLists.txt, and a Kconfig file."""
     described = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))
@@ -260,24 +264,23 @@ def configured(folder: Path, chosen: str) -> dict[str, str]:
 
 
 def test_zephyr_builds_nothing_unless_told_to(tmp_path: Path) -> None:
-    assert configured(tmp_path, "") == {"MCP_ASDF": "n", "MCP_ASDF_FRAME": "n"}
+    assert configured(tmp_path, "") == dict.fromkeys(OPTIONS, "n")
     module = (PACKAGE / zephyr_build()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
     (tmp_path / "without_zephyr.cmake").write_text(module)  # calls nothing of it, then
     run(require("cmake"), "-P", tmp_path / "without_zephyr.cmake")
 
 
-@pytest.mark.parametrize("frame", ["y", "n"])
-def test_zephyr_builds_what_its_options_say(frame: str, tmp_path: Path) -> None:
-    options = configured(tmp_path, f"CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_FRAME={frame}\n")
+@pytest.mark.parametrize("left_out", [(), ("mcp_asdf_frame",), ("mcp_asdf_image",), PARTS[1:]])
+def test_zephyr_builds_what_its_options_say(left_out: tuple[str, ...], tmp_path: Path) -> None:
+    wanted = "".join(f"CONFIG_{name.upper()}={'n' if name in left_out else 'y'}\n" for name in PARTS)
+    options = configured(tmp_path, wanted)
     settings = "".join(f"set(CONFIG_{name} {value})\n" for name, value in options.items() if value == "y")
     module = PACKAGE / zephyr_build()["cmake"]
     consumer = build_consumer(tmp_path, ZEPHYR_PROJECT + settings + ZEPHYR_CONSUMER.format(module))
     assert run(consumer) == answer()
     members = set(run("ar", "t", next(consumer.parent.rglob("libmodule.a"))).split())
-    assert members == {"mcp_asdf.c.o", "mcp_asdf_frame.c.o"} - (
-        {"mcp_asdf_frame.c.o"} if frame == "n" else set()
-    )
+    assert members == {f"{name}.c.o" for name in PARTS if name not in left_out}
 
 
-def test_zephyr_s_frames_come_with_the_core(tmp_path: Path) -> None:
-    assert configured(tmp_path, "CONFIG_MCP_ASDF=y\n") == {"MCP_ASDF": "y", "MCP_ASDF_FRAME": "y"}
+def test_zephyr_s_optional_parts_come_with_the_core(tmp_path: Path) -> None:
+    assert configured(tmp_path, "CONFIG_MCP_ASDF=y\n") == dict.fromkeys(OPTIONS, "y")

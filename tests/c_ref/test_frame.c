@@ -6,7 +6,9 @@
 
 #include <string.h>
 
-#define LARGEST_ALPHA UINT32_C(0x7F7FFFFF)
+#define ALPHA_ONE UINT32_C(0x80000001)
+#define LARGEST_ALPHA UINT32_C(0xFFFFFF1F) /* 2^31 - 2^7 */
+#define INFINITE UINT32_C(0x7F800000)      /* as binary32 */
 
 static const mcp_asdf_frame_format_t estimates = MCP_ASDF_FORMAT_ESTIMATE;
 static const mcp_asdf_frame_format_t telemetry_format = MCP_ASDF_FORMAT_TELEMETRY;
@@ -61,7 +63,7 @@ static bool same_frame(const mcp_asdf_frame_t *a, const mcp_asdf_frame_t *b)
 static void examples_estimate_and_heartbeat(void)
 {
     mcp_asdf_frame_t frame, expected = legal(0);
-    const mcp_asdf_estimate_t estimate = {42, 5, UINT32_C(1) << 22, UINT32_C(0x3F800000)};
+    const mcp_asdf_estimate_t estimate = {42, 5, UINT32_C(1) << 22, ALPHA_ONE};
     mcp_asdf_estimate_t heard;
     CHECK_EQUAL(mcp_asdf_encode_estimate(&frame, &estimates, &estimate), MCP_ASDF_FRAME_OK);
     CHECK(same_frame(&frame, &expected));
@@ -215,8 +217,8 @@ static void set_number(uint8_t *bytes, uint32_t value, int count)
 
 static void ends_of_wide_ranges(void)
 {
-    static const uint32_t alphas[] = {0,          1,          0x7FFFFF,   0x800000,   LARGEST_ALPHA,
-                                      0x7F800000, 0x7F800001, 0x7FC00000, 0x7FFFFFFF, 0x80000000,
+    static const uint32_t alphas[] = {0,          1,          0x7FFFFF,   0x800000,   INFINITE - 1,
+                                      INFINITE,   0x7F800001, 0x7FC00000, 0x7FFFFFFF, 0x80000000,
                                       0xBF800000, 0xFFFFFFFF};
     static const uint32_t fractions[] = {0,        1,        15,       16,       17,       0x7FFFFF, 0x800000,
                                          0x800001, 0xFFFFEF, 0xFFFFF0, 0xFFFFF1, 0xFFFFFF, 0x400000};
@@ -238,7 +240,7 @@ static void ends_of_wide_ranges(void)
 
 static void anything(void)
 {
-    for (int i = 0; i < 200000; ++i) {
+    for (int i = 0; i < 100000; ++i) {
         const uint64_t bits = check_random(), data = check_random();
         mcp_asdf_frame_t frame = legal((int)(bits & 3));
         if (bits >> 2 & 1)
@@ -253,10 +255,126 @@ static void anything(void)
     }
 }
 
+/* ---- Confidences: the core's word in memory, binary32 in the frame ---- */
+
+/* The number that a word is, of at most 24 significant bits: exact in binary32. */
+static float value_of(uint32_t word)
+{
+    return (float)(word >> 8) * (float)(UINT32_C(1) << (word & 31)) / 16777216.0F;
+}
+
+static uint32_t bits_of(float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+/* The same number as a word with the smallest shift and no bits to ignore. */
+static uint32_t plain_word(uint32_t word)
+{
+    uint32_t mantissa = word >> 8, shift = word & 31;
+    for (; shift > 0 && mantissa < UINT32_C(1) << 23; --shift) {
+        mantissa <<= 1;
+    }
+    return mantissa == 0 ? 0 : mantissa << 8 | shift;
+}
+
+/* The binary32 number in the frame is the word's, and comes back as the same number. */
+static void check_word(uint32_t word)
+{
+    const mcp_asdf_estimate_t sent = {42, 5, 1, word};
+    mcp_asdf_estimate_t heard = {0, 0, 0, 0};
+    mcp_asdf_frame_t frame;
+    GIVEN(word, 0, 0);
+    CHECK_EQUAL(mcp_asdf_encode_estimate(&frame, &estimates, &sent), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(number(frame.data + 3, 4), bits_of(value_of(word)));
+    CHECK_EQUAL(mcp_asdf_decode_estimate(&heard, 3000, &frame), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(heard.alpha, plain_word(word));
+}
+
+/* Every shift, with all short mantissas, those around each power of two, and random ones; ignored bits. */
+static void words_go_through_exactly(void)
+{
+    for (uint32_t shift = 0; shift < 32; ++shift) {
+        for (uint32_t mantissa = 0; mantissa < 600; ++mantissa) {
+            check_word(mantissa << 8 | shift);
+            check_word((0xFFFFFF - mantissa) << 8 | shift);
+            check_word((uint32_t)check_random() << 8 | shift | (mantissa & 7) << 5);
+        }
+        for (uint32_t bit = 1; bit < 24; ++bit) {
+            const uint32_t power = UINT32_C(1) << bit;
+            check_word(power << 8 | shift);
+            check_word((power - 1) << 8 | shift);
+            check_word((power + 1) << 8 | shift | 0xE0);
+        }
+    }
+}
+
+/* The largest confidence not above the number: a multiple of 2^-24, at most 2^31 - 2^7. */
+static void check_binary32(uint32_t bits)
+{
+    mcp_asdf_frame_t frame = legal(0);
+    mcp_asdf_estimate_t heard = {0, 0, 0, 0};
+    float alpha;
+    memcpy(&alpha, &bits, sizeof alpha);
+    const double units = (double)alpha * 16777216.0, most = 16777215.0 * 2147483648.0;
+    const uint64_t whole = units >= most ? UINT64_C(0xFFFFFF) << 31 : (uint64_t)units; /* rounded down */
+    set_number(frame.data + 3, bits, 4);
+    GIVEN(bits, 0, 0);
+    CHECK_EQUAL(mcp_asdf_decode_estimate(&heard, 3000, &frame), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL((uint64_t)(heard.alpha >> 8) << (heard.alpha & 31), whole);
+    CHECK_EQUAL(heard.alpha, plain_word(heard.alpha));
+}
+
+/* Every exponent of a finite number, with the ends of its fractions, all single bits and random ones. */
+static void every_exponent_of_binary32(void)
+{
+    for (uint32_t exponent = 0; exponent < 255; ++exponent) {
+        for (uint32_t bit = 0; bit < 24; ++bit) {
+            const uint32_t power = UINT32_C(1) << bit, ones = power - 1;
+            check_binary32(exponent << 23 | (power & 0x7FFFFF));
+            check_binary32(exponent << 23 | ones);
+            check_binary32(exponent << 23 | (0x7FFFFF ^ ones));
+        }
+        for (int i = 0; i < 200; ++i) {
+            check_binary32(exponent << 23 | ((uint32_t)check_random() & 0x7FFFFF));
+        }
+    }
+}
+
+static uint32_t alpha_after(uint32_t bits)
+{
+    mcp_asdf_frame_t frame = legal(0);
+    mcp_asdf_estimate_t heard = {0, 0, 0, UINT32_MAX};
+    set_number(frame.data + 3, bits, 4);
+    CHECK_EQUAL(mcp_asdf_decode_estimate(&heard, 3000, &frame), MCP_ASDF_FRAME_OK);
+    return heard.alpha;
+}
+
+/* Worked out by hand: the least confidence, what is below it or between two, the largest and what is above.
+ */
+static void binary32_at_the_ends(void)
+{
+    CHECK_EQUAL(alpha_after(0), 0);
+    CHECK_EQUAL(alpha_after(1), 0);          /* subnormal */
+    CHECK_EQUAL(alpha_after(0x337FFFFF), 0); /* just below 2^-24 */
+    CHECK_EQUAL(alpha_after(0x33800000), 0x100);
+    CHECK_EQUAL(alpha_after(0x33FFFFFF), 0x100);      /* just below 2^-23 */
+    CHECK_EQUAL(alpha_after(0x3EFFFFFF), 0x7FFFFF00); /* just below 1/2, of which the last bit goes */
+    CHECK_EQUAL(alpha_after(0x3F000000), 0x80000000);
+    CHECK_EQUAL(alpha_after(0x3F800000), ALPHA_ONE);
+    CHECK_EQUAL(alpha_after(0x4EFFFFFF), LARGEST_ALPHA);
+    CHECK_EQUAL(alpha_after(0x4F000000), LARGEST_ALPHA); /* 2^31 */
+    CHECK_EQUAL(alpha_after(INFINITE - 1), LARGEST_ALPHA);
+}
+
+/* ---- Any message ---- */
+
 /* What an encoder takes is what the decoder takes, and comes back; what it refuses leaves the frame alone. */
 static void estimates_of_any_numbers(void)
 {
-    for (int i = 0; i < 200000; ++i) {
+    for (int i = 0; i < 100000; ++i) {
         const uint64_t bits = check_random();
         const mcp_asdf_estimate_t message = {(uint8_t)(bits & 0x9F), (uint8_t)(bits >> 8),
                                              (uint32_t)(bits >> 16 & 0x1FFFFFF) % 0x800010,
@@ -268,8 +386,8 @@ static void estimates_of_any_numbers(void)
         memset(&frame, 0x5A, sizeof frame);
         before = frame;
         GIVEN(message.x_hat, message.alpha, bits);
-        const bool is_legal = message.node < 128 && format.subject < 6144 && format.priority < 8 &&
-                              message.x_hat <= 8388608 && message.alpha <= LARGEST_ALPHA;
+        const bool is_legal =
+            message.node < 128 && format.subject < 6144 && format.priority < 8 && message.x_hat <= 8388608;
         CHECK_EQUAL(mcp_asdf_encode_estimate(&frame, &format, &message) == MCP_ASDF_FRAME_OK, is_legal);
         if (!is_legal) {
             CHECK(same_frame(&frame, &before));
@@ -278,7 +396,8 @@ static void estimates_of_any_numbers(void)
         CHECK_EQUAL(frame.id >> 26, format.priority);
         CHECK_EQUAL(frame.id & MCP_ASDF_FRAME_MASK, MCP_ASDF_FRAME_FILTER(format.subject));
         CHECK_EQUAL(mcp_asdf_decode_estimate(&heard, format.subject, &frame), MCP_ASDF_FRAME_OK);
-        CHECK(heard.node == message.node && heard.x_hat == message.x_hat && heard.alpha == message.alpha);
+        CHECK(heard.node == message.node && heard.x_hat == message.x_hat);
+        CHECK_EQUAL(heard.alpha, plain_word(message.alpha));
         CHECK_EQUAL(heard.transfer_id, message.transfer_id % 32);
     }
 }
@@ -313,8 +432,7 @@ static void what_encoders_refuse(void)
 {
     const mcp_asdf_frame_format_t subject = {6144, 7}, priority = {6143, 8};
     const mcp_asdf_estimate_t good = {127, 0, UINT32_C(1) << 23, LARGEST_ALPHA}, node = {128, 0, 0, 0};
-    const mcp_asdf_estimate_t x_hat = {0, 0, (UINT32_C(1) << 23) + 1, 0},
-                              alpha = {0, 0, 0, LARGEST_ALPHA + 1};
+    const mcp_asdf_estimate_t x_hat = {0, 0, (UINT32_C(1) << 23) + 1, 0};
     const mcp_asdf_heartbeat_t health = {0, 0, 4, 0, 0, 0}, mode = {0, 0, 0, 4, 0, 0},
                                beat = {127, 0, 3, 3, 255, 0};
     const mcp_asdf_heartbeat_t beat_node = {128, 0, 0, 0, 0, 0};
@@ -323,7 +441,6 @@ static void what_encoders_refuse(void)
     REFUSED(mcp_asdf_encode_estimate(&frame, &priority, &good), MCP_ASDF_FRAME_ERR_FORMAT);
     REFUSED(mcp_asdf_encode_estimate(&frame, &estimates, &node), MCP_ASDF_FRAME_ERR_NODE);
     REFUSED(mcp_asdf_encode_estimate(&frame, &estimates, &x_hat), MCP_ASDF_FRAME_ERR_X_HAT);
-    REFUSED(mcp_asdf_encode_estimate(&frame, &estimates, &alpha), MCP_ASDF_FRAME_ERR_ALPHA);
     REFUSED(mcp_asdf_encode_heartbeat(&frame, 7, &beat_node), MCP_ASDF_FRAME_ERR_NODE);
     REFUSED(mcp_asdf_encode_heartbeat(&frame, 8, &beat), MCP_ASDF_FRAME_ERR_FORMAT);
     REFUSED(mcp_asdf_encode_heartbeat(&frame, 7, &health), MCP_ASDF_FRAME_ERR_HEALTH);
@@ -354,7 +471,7 @@ static void what_encoders_refuse_of_the_optional_kinds(void)
 /* "exactly those whose identifier decode accepts" */
 static void the_acceptance_filter_passes_what_decode_accepts(void)
 {
-    for (int i = 0; i < 200000; ++i) {
+    for (int i = 0; i < 100000; ++i) {
         mcp_asdf_frame_t frame = legal(0);
         frame.id =
             i & 1 ? frame.id ^ UINT32_C(1) << check_random() % 29 : (uint32_t)(check_random() & 0x1FFFFFFF);
@@ -381,6 +498,9 @@ int main(void)
     every_byte();
     ends_of_wide_ranges();
     anything();
+    words_go_through_exactly();
+    every_exponent_of_binary32();
+    binary32_at_the_ends();
     estimates_of_any_numbers();
     heartbeats_of_every_health_and_mode();
     what_encoders_refuse();

@@ -104,7 +104,9 @@ def test_the_root_builds_tests_unless_told_not_to(tmp_path: Path) -> None:
 # --- Copied ----------------------------------------------------------------------------------------------
 
 
-FRAME = CORE.with_name("mcp_asdf_frame.c")
+ARITHMETIC = CORE.with_name("mcp_asdf_arithmetic.h")
+IMAGE, FRAME = CORE.with_name("mcp_asdf_image.c"), CORE.with_name("mcp_asdf_frame.c")
+FOLDER = sorted(CORE.parent.iterdir())
 CODEC = """
 #include "mcp_asdf_frame.h"
 
@@ -113,7 +115,7 @@ CODEC = """
 int main(void)
 {
     const mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE;
-    const mcp_asdf_estimate_t sent = {42, 5, 2796202, 0x42000000};
+    const mcp_asdf_estimate_t sent = {42, 5, 2796202, 0x80000006};
     mcp_asdf_estimate_t heard;
     mcp_asdf_frame_t frame;
     if (mcp_asdf_encode_estimate(&frame, &format, &sent) != MCP_ASDF_FRAME_OK ||
@@ -136,36 +138,66 @@ def compiled(compiler: str, standard: str, project: Path, *names: str) -> Path:
     return project / "consumer"
 
 
+ALONE = {"mcp_asdf.c", "mcp_asdf.h", "mcp_asdf_arithmetic.h", "main.c", "t_table_omega05_q30.c"}
+
+
 @every_compiler
 @every_standard
-def test_two_files_and_a_table_are_all_it_takes(
+def test_one_source_and_a_table_are_all_it_takes(
     standard: str, compiler: str, project: Path, expected: str
 ) -> None:
-    shutil.copy(CORE, project)
-    shutil.copy(HEADER, project)
+    for path in (CORE, HEADER, ARITHMETIC):
+        shutil.copy(path, project)
     names = {path.name for path in project.iterdir()}
-    assert names == {"main.c", "mcp_asdf.c", "mcp_asdf.h", "t_table_omega05_q30.c"}
+    assert names == ALONE
     assert run(compiled(compiler, standard, project, *(n for n in names if n[-1] == "c"))) == expected
 
 
+SAVING = """
+    mcp_asdf_t copy;
+    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    mcp_asdf_save(&robot, image);
+    if (mcp_asdf_restore(&copy, &config, image) != MCP_ASDF_OK || !mcp_asdf_invariants_hold(&copy)) {
+        return 1;
+    }
+    robot = copy;
+    printf("""
+
+
 @every_compiler
 @every_standard
-def test_two_files_more_are_all_that_frames_take(standard: str, compiler: str, tmp_path: Path) -> None:
+def test_the_folder_and_a_table_are_all_it_takes(
+    standard: str, compiler: str, project: Path, expected: str
+) -> None:
+    """All that lies in the folder, in a program that uses the optional part, too."""
+    for path in FOLDER:
+        shutil.copy(path, project)
+    saving = CONSUMER.replace('#include "mcp_asdf.h"', '#include "mcp_asdf_image.h"')
+    (project / "main.c").write_text(saving.replace("    printf(", SAVING))
+    assert {path.name for path in FOLDER} | ALONE == {path.name for path in project.iterdir()}
+    names = [path.name for path in project.iterdir() if path.suffix == ".c"]
+    assert run(compiled(compiler, standard, project, *names)) == expected
+
+
+@every_compiler
+@every_standard
+def test_two_files_are_all_that_frames_take(standard: str, compiler: str, tmp_path: Path) -> None:
     """The codec stands on its own, too."""
     (tmp_path / "main.c").write_text(CODEC)
     for path in (FRAME, FRAME.with_suffix(".h")):
         shutil.copy(path, tmp_path)
-    sent = Message(42, 2796202, 0x42000000, 5)
+    sent = Message(42, 2796202, 0x80000006, 5)
     identifier = encode(sent, FrameFormat()).arbitration_id
     said = run(compiled(compiler, standard, tmp_path, "main.c", FRAME.name))
     assert said == f"{identifier:x} {sent.x_hat}\n"
 
 
-def test_the_header_suits_c_plus_plus(project: Path, expected: str) -> None:
+def test_the_headers_suit_c_plus_plus(project: Path, expected: str) -> None:
     """A C++ program with the C objects; its own copy of the table's declaration has C linkage."""
     compiler = require("c++", "g++")
-    source = CONSUMER.replace('#include "mcp_asdf.h"', 'extern "C" {\n#include "mcp_asdf.h"', 1)
-    source = source.replace("q30[34];", "q30[34];\n}", 1).replace("#include <stdio.h>", "")
+    optional = '#include "mcp_asdf_image.h"\n#include "mcp_asdf_frame.h"\n#include "mcp_asdf.h"\n'
+    source = CONSUMER.replace('#include "mcp_asdf.h"', optional + 'extern "C" {', 1)
+    source = source.replace("q30[33];", "q30[33];\n}", 1).replace("#include <stdio.h>", "")
     (project / "main.cpp").write_text("#include <stdio.h>\n" + source)
     flags = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror", f"-I{HEADER.parent}")
     run("cc", "-c", f"-I{HEADER.parent}", CORE, TABLE, cwd=project)
@@ -190,9 +222,12 @@ FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
 
 @pytest.mark.parametrize("optimisation", ["-O0", "-O2", "-Os"])
 @pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("source", [CORE, FRAME], ids=lambda path: path.stem)
+@pytest.mark.parametrize("source", [CORE, IMAGE, FRAME], ids=lambda path: path.stem)
 def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str, tmp_path: Path) -> None:
-    """No warning on any target, no 64-bit division, no float, no library, no data that can change."""
+    """No warning on any target, no 64-bit division, no float, no library, no data that can change.
+
+    Of the three parts only the image needs another: it makes robots with the functions of the core.
+    """
     (compiler, *flags), packages = TARGETS[target][0].split(), TARGETS[target][1]
     require(compiler, packages)
     freestanding = ("-std=c99", "-pedantic-errors", "-ffreestanding", optimisation, *WARNINGS)
@@ -201,7 +236,7 @@ def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str
     symbols = [line.split()[-2:] for line in run(f"{tool}nm", "core.o", cwd=tmp_path).splitlines()]
     undefined = {name for kind, name in symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
     foreign = {name for name in undefined if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)}
-    assert not foreign
+    assert foreign == ({"mcp_asdf_init", "mcp_asdf_observe"} if source == IMAGE else set())
     assert not [name for name in undefined if LONG_DIVISION.search(name) or FLOAT.search(name)]
     assert not [name for kind, name in symbols if kind in "bBdDcC"]
 
@@ -256,7 +291,8 @@ def test_a_project_s_own_names_for_folders_do_not_matter(tmp_path: Path) -> None
 def test_what_is_installed(prefix: Path) -> None:
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
     config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
-    assert files == {"libmcp_asdf.a", "mcp_asdf.h", "mcp_asdf_frame.h", "mcp_asdf.pc"} | config
+    headers = {path.name for path in FOLDER if path.suffix == ".h"}
+    assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | headers | config
 
 
 # --- One version -----------------------------------------------------------------------------------------

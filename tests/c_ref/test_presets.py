@@ -1,12 +1,14 @@
-"""The C tests pass under every preset of CMakePresets.json."""
+"""The C tests pass under every preset of CMakePresets.json; the sanitizer's exceptions are all needed."""
 
 from __future__ import annotations
 
 import json
+import re
 import subprocess
+from pathlib import Path
 
 import pytest
-from support import ROOT, require, run
+from support import CORE, ROOT, TABLE, require, run
 
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 NAMES = [preset["name"] for preset in PRESETS["workflowPresets"]]
@@ -42,3 +44,56 @@ def test_c_tests_pass(preset: str) -> None:
 def test_every_preset_is_run() -> None:
     configured = {p["name"] for p in PRESETS["configurePresets"] if not p.get("hidden")}
     assert configured == set(NAMES) >= {"gcc", "clang", "sanitizers", "32-bit", "big-endian"}
+
+
+# --- Wrapping on purpose ---------------------------------------------------------------------------------
+
+WRAPPING = ROOT / "c_ref/cmake/intended_wrapping.txt"
+KINDS = {
+    "unsigned integer overflow": "unsigned-integer-overflow",
+    "left shift": "unsigned-shift-base",
+    "implicit conversion": "implicit-signed-integer-truncation",
+}
+"""What the sanitizer reports, and the section of the list in which it is allowed."""
+REPORT = re.compile(rf"(\S*/c_ref/src/\S*?):(\d+):\d+: runtime error: ({'|'.join(KINDS)}|.*)")
+DEFINITION = re.compile(r"\b(?!if\b|for\b|while\b|switch\b)(\w+)\([^(){};]*\)\s*\{")
+VARIANTS = (("2", "1", "0", "0"), ("3", "0", "1", "0"))
+"""Choices under which every function that wraps on purpose is compiled."""
+CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+
+
+def function_at(path: Path, line: int) -> str:
+    """The name of the C function that the line is part of."""
+    above = "".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:line])
+    return str(DEFINITION.findall(above)[-1])
+
+
+def wraps(program: Path) -> set[tuple[str, str]]:
+    """Sections and functions of all reports of the sanitizer in one run."""
+    done = subprocess.run([program], capture_output=True, text=True, check=True)
+    return {
+        (KINDS[kind], function_at(Path(path), int(line)))
+        for path, line, kind in REPORT.findall(done.stdout + done.stderr)
+    }
+
+
+def test_the_list_of_intended_wrapping_is_exact(tmp_path: Path) -> None:
+    """Without the list, the sanitizer reports each function on it, and no other one."""
+    skip_without_tools("sanitizers")
+    tests = ROOT / "tests/c_ref"
+    flags = ("-std=c99", "-O1", "-fsanitize=integer", "-fsanitize-recover=all", f"-I{CORE.parent}")
+    image = CORE.with_name("mcp_asdf_image.c")
+    run("clang", *flags, tests / "test_api.c", CORE, image, TABLE, "-o", tmp_path / "test_api")
+    for variant in VARIANTS:
+        chosen = [f"-DTEST_{name}={value}" for name, value in zip(CHOICES, variant, strict=True)]
+        for name in ("words", "estimate", "rounds", "state"):
+            program = tmp_path / f"{name}_{''.join(variant)}"
+            run("clang", *flags, *chosen, tests / f"test_{name}.c", "-o", program)
+    found = set().union(*(wraps(program) for program in tmp_path.iterdir()))
+    section, listed = "", []
+    for line in WRAPPING.read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            section = line.strip("[]")
+        elif line.startswith("fun:"):
+            listed.append((section, line.removeprefix("fun:")))
+    assert sorted(found) == sorted(listed)

@@ -1,22 +1,24 @@
-/* White box: a member that is changed behind the robot's back is noticed where docs/invariants.md says so,
- * and an image that was damaged is refused. */
+/* White box: a member that is changed behind the robot's back is noticed where docs/invariants.md promises
+ * it, and an image that was damaged, or is of no robot, is refused. */
 #include "white_box.h"
 
-static mcp_asdf_config_t config = {0, 2, 6, 1000, MCP_ASDF_OFF};
+#include "mcp_asdf_image.c"
+
+#define WORDS (MCP_ASDF_IMAGE_SIZE / 4)
+
+static const mcp_asdf_config_t config = {0, 6, 1000, MCP_ASDF_OFF};
 
 /* A robot in the middle of things: observations, a closed round, an open round with a silent message. */
 static mcp_asdf_t busy_robot(void)
 {
-    mcp_asdf_t robot;
-    memset(&robot, 0x5A, sizeof robot);
-    CHECK_EQUAL(mcp_asdf_init(&robot, &config, 40, 0xC0000000), MCP_ASDF_OK);
+    mcp_asdf_t robot = robot_with(&config, 40, 0xC1000000);
     for (uint32_t tick = 0; tick < 38; ++tick) {
         for (uint8_t sender = 0; sender < 5; ++sender) {
-            (void)mcp_asdf_receive(&robot, sender, 0x200000 + sender, sender == 2 ? 0 : 0x42000000);
+            (void)mcp_asdf_receive(&robot, sender, 0x200000 + sender, sender == 2 ? 0 : 0x8123450A);
         }
         (void)mcp_asdf_step(&robot, tick % 3 == 0 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
     }
-    (void)mcp_asdf_receive(&robot, 7, 0x200000, 0x42000000);
+    (void)mcp_asdf_receive(&robot, 7, 0x200000, 0x8000000A);
     (void)mcp_asdf_receive(&robot, 126, 0x300000, 0);
     CHECK(mcp_asdf_invariants_hold(&robot));
     return robot;
@@ -37,213 +39,379 @@ static mcp_asdf_t busy_robot(void)
         CHECK(mcp_asdf_invariants_hold(&robot));                                                             \
     } while (0)
 
-/* I1, I2, I3 */
+/* The same once b_hat was updated, which leaves x_hat and alpha as they were formed under the old one. */
+#define BREAKS_UPDATED(change) BREAKS((robot.updated = 1, change))
+#define KEEPS_UPDATED(change) KEEPS((robot.updated = 1, change))
+
 static void identity_counts_and_accuracy_have_ranges(void)
 {
+    KEEPS(robot.id = 41);
     BREAKS(robot.id = 128);
     BREAKS(robot.id = 255);
-    BREAKS(robot.id = 7); /* its own message was heard: I8 */
-    BREAKS(robot.t = robot.n - 1);
-    BREAKS(robot.t = config.memory);
-    KEEPS(robot.t = config.memory - 1);
-    KEEPS(robot.n = robot.t);
-    BREAKS(robot.n = robot.t + 1);
-    BREAKS(set_b_hat(&robot, MCP_ASDF_B_HAT_MIN - 1));
-    BREAKS(set_b_hat(&robot, MCP_ASDF_B_HAT_MAX + 1));
-    KEEPS(set_b_hat(&robot, MCP_ASDF_B_HAT_MIN));
-    KEEPS(set_b_hat(&robot, MCP_ASDF_B_HAT_MAX));
+    BREAKS(robot.id = 7); /* its own message was heard */
+    BREAKS_UPDATED(robot.t = robot.n - 1);
+    KEEPS_UPDATED(robot.t = robot.n);
+    KEEPS_UPDATED(robot.t = config.memory - 1);
+    BREAKS_UPDATED(robot.t = config.memory);
+    KEEPS_UPDATED(robot.n = robot.t);
+    BREAKS_UPDATED(robot.n = robot.t + 1);
+    BREAKS_UPDATED(robot.n = UINT32_MAX);
+    KEEPS_UPDATED(set_b_hat(&robot, MCP_ASDF_B_HAT_MIN));
+    KEEPS_UPDATED(set_b_hat(&robot, MCP_ASDF_B_HAT_MAX));
+    BREAKS_UPDATED(set_b_hat(&robot, MCP_ASDF_B_HAT_MIN - 1));
+    BREAKS_UPDATED(set_b_hat(&robot, MCP_ASDF_B_HAT_MAX + 1));
 }
 
-/* I4: every member of the cache, and b_hat under it, bit by bit */
+/* The longest memory there is: a t beyond it was never counted, whatever the configuration. */
+static void no_memory_is_longer_than_the_longest(void)
+{
+    static const mcp_asdf_config_t longest = {0, 6, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    static const mcp_asdf_config_t damaged = {0, 6, UINT32_MAX, MCP_ASDF_OFF};
+    KEEPS_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX - 1));
+    BREAKS_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX));
+    BREAKS_UPDATED((robot.config = &damaged, robot.t = MCP_ASDF_MEMORY_MAX));
+}
+
+/* Every member of the cache, and b_hat under it, bit by bit, updated or not. */
 static void cache_follows_from_b_hat(void)
 {
     for (uint32_t bit = 0; bit < 32; ++bit) {
         const uint32_t flip = UINT32_C(1) << bit;
         GIVEN(bit, 0, 0);
-        BREAKS(robot.b_hat ^= flip);
-        BREAKS(robot.accuracy.c ^= flip);
-        BREAKS(robot.accuracy.inverse_g ^= flip);
-        BREAKS(robot.accuracy.g_squared ^= flip);
-        BREAKS(robot.accuracy.edge ^= flip);
-        BREAKS(robot.accuracy.odds ^= flip);
+        BREAKS_UPDATED(robot.accuracy.b_hat ^= flip);
+        BREAKS_UPDATED(robot.accuracy.c ^= flip);
+        BREAKS_UPDATED(robot.accuracy.common ^= flip);
+        BREAKS_UPDATED(robot.accuracy.rare ^= flip);
     }
     for (uint32_t bit = 0; bit < 8; ++bit) {
         const uint8_t flip = (uint8_t)(1U << bit);
-        BREAKS(robot.accuracy.inverted ^= flip);
-        BREAKS(robot.accuracy.g_shift ^= flip);
-        BREAKS(robot.accuracy.g_squared_shift ^= flip);
-        BREAKS(robot.accuracy.edge_shift ^= flip);
-        BREAKS(robot.accuracy.odds_left ^= flip);
-        BREAKS(robot.accuracy.odds_right ^= flip);
+        BREAKS_UPDATED(robot.accuracy.g_shift ^= flip);
+        BREAKS_UPDATED(robot.accuracy.rare_shift ^= flip);
     }
+    BREAKS(set_b_hat(&robot, 0xC1000000 - 4096)); /* sound in itself, but x_hat is of another */
 }
 
-/* I5, for the last observation's values and the settled ones alike */
-static void estimates_are_on_their_grids(void)
+/* x_hat and alpha are what t, n and b_hat give, in every bit, ... */
+static void estimate_follows_from_t_n_and_b_hat(void)
 {
-    static const uint32_t wrong[] = {
-        MCP_ASDF_ALPHA_MAX + 1, 0x7F800000, 0xBF800000, 0x33000000, 0x33800001, 0x3EFFFFFF, 1, 0};
-    static const uint32_t right[] = {MCP_ASDF_ALPHA_MAX, 0x33800000, 0x34400000,
-                                     0x3EFFFFFE,         0x3F000001, 0x4E800000};
-    for (size_t i = 0; i < COUNT(wrong); ++i) {
-        GIVEN(wrong[i], 0, 0);
-        BREAKS(robot.alpha = wrong[i]);
-        BREAKS(robot.settled_alpha = wrong[i]);
+    for (uint32_t bit = 0; bit < 32; ++bit) {
+        const uint32_t flip = UINT32_C(1) << bit;
+        GIVEN(bit, 0, 0);
+        BREAKS(robot.x_hat ^= flip);
+        BREAKS(robot.alpha ^= flip);
+        BREAKS(robot.t ^= flip);
+        BREAKS(robot.n ^= flip);
     }
-    for (size_t i = 0; i < COUNT(right); ++i) {
-        GIVEN(right[i], 0, 0);
-        KEEPS(robot.alpha = right[i]);
-        KEEPS(robot.settled_alpha = right[i]);
-    }
-    BREAKS(robot.x_hat = MCP_ASDF_ONE + 1);
-    BREAKS(robot.settled_x_hat = MCP_ASDF_ONE + 1);
-    KEEPS(robot.x_hat = MCP_ASDF_ONE);
-    KEEPS((robot.x_hat = MCP_ASDF_HALF, robot.alpha = 0));
-    BREAKS((robot.settled_x_hat = MCP_ASDF_HALF + 1, robot.settled_alpha = 0));
+    KEEPS((robot.t = 0, robot.n = 0, robot.x_hat = MCP_ASDF_HALF, robot.alpha = 0));
+    BREAKS((robot.t = 0, robot.n = 0, robot.x_hat = MCP_ASDF_HALF));
+    BREAKS((robot.t = 0, robot.n = 0, robot.x_hat = MCP_ASDF_HALF + 1, robot.alpha = 0));
+    BREAKS((robot.t = 0, robot.n = 1, robot.x_hat = MCP_ASDF_HALF, robot.alpha = 0));
 }
 
-/* I6: the closed round's mean is at most 1.0, and its confidence what 127 messages can have */
+/* ... but after an update only in range, until the next observation. */
+static void an_update_keeps_the_old_estimate(void)
+{
+    BREAKS(robot.updated = 2);
+    BREAKS(robot.updated = 255);
+    KEEPS_UPDATED((void)0);
+    KEEPS_UPDATED(robot.x_hat = MCP_ASDF_ONE);
+    BREAKS_UPDATED(robot.x_hat = MCP_ASDF_ONE + 1);
+    BREAKS_UPDATED(robot.x_hat = UINT32_MAX);
+    KEEPS_UPDATED(robot.alpha = ALPHA_MAX);
+    KEEPS_UPDATED(robot.alpha = 0);
+    KEEPS_UPDATED(robot.alpha = 0x7FFFFF00);
+    KEEPS_UPDATED(robot.alpha = 0x80000001);
+    BREAKS_UPDATED(robot.alpha = 0x7FFFFF01); /* not the smallest shift */
+    BREAKS_UPDATED(robot.alpha = 0x1F);
+    for (uint32_t bit = 5; bit < 8; ++bit) { /* bits that no robot sets */
+        BREAKS_UPDATED(robot.alpha |= UINT32_C(1) << bit);
+    }
+    BREAKS_UPDATED((robot.t = 0, robot.n = 0, robot.x_hat = MCP_ASDF_HALF, robot.alpha = 0));
+    mcp_asdf_t robot = busy_robot();
+    set_b_hat(&robot, 0x30000000);
+    robot.updated = 1;
+    CHECK(mcp_asdf_invariants_hold(&robot));
+    CHECK_EQUAL(mcp_asdf_observe(&robot, MCP_ASDF_WHITE), MCP_ASDF_OK);
+    CHECK(robot.updated == 0 && mcp_asdf_invariants_hold(&robot));
+    ++robot.x_hat;
+    CHECK(!mcp_asdf_invariants_hold(&robot));
+}
+
+/* The closed round's mean is at most 1.0, and its confidence what 127 messages can have. */
 static void closed_round_is_a_mean(void)
 {
-    const uint64_t most = 127 * ((UINT64_C(1) << 55) - (UINT64_C(1) << 31));
-    KEEPS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0,
-           robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE));
-    BREAKS((robot.closed_alpha = 5, robot.closed_alpha_x_high = 0,
-            robot.closed_alpha_x_low = 5 * (uint64_t)MCP_ASDF_ONE + 1));
-    BREAKS((robot.closed_alpha = 0, robot.closed_alpha_x_high = 0, robot.closed_alpha_x_low = 1));
-    BREAKS((robot.closed_alpha = 0, robot.closed_alpha_x_high = 1, robot.closed_alpha_x_low = 0));
-    KEEPS((robot.closed_alpha = 512, robot.closed_alpha_x_high = 1, robot.closed_alpha_x_low = 0));
-    BREAKS((robot.closed_alpha = 511, robot.closed_alpha_x_high = 1, robot.closed_alpha_x_low = 0));
-    KEEPS(robot.closed_alpha = most);
-    BREAKS(robot.closed_alpha = most + 1);
-    BREAKS((robot.closed_alpha = most, robot.closed_alpha_x_high = UINT64_C(1) << 53));
-    BREAKS((robot.closed_alpha = most, robot.closed_alpha_x_low = UINT64_C(1) << 62));
-    BREAKS(robot.closed_alpha_x_high = UINT64_MAX);
-    BREAKS(robot.closed_alpha_x_low = UINT64_MAX);
+    const uint64_t most = MOST * ALPHA_MAX_UNITS, one = MCP_ASDF_ONE;
+    mcp_asdf_closed_t closed = {5, 5 * one, 0};
+    KEEPS(robot.closed = closed);
+    ++closed.alpha_x_low;
+    BREAKS(robot.closed = closed);
+    KEEPS((robot.closed.alpha = 0, robot.closed.alpha_x_high = 0, robot.closed.alpha_x_low = 0));
+    BREAKS((robot.closed.alpha = 0, robot.closed.alpha_x_high = 0, robot.closed.alpha_x_low = 1));
+    BREAKS((robot.closed.alpha = 0, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 0));
+    KEEPS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 0));
+    BREAKS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 1));
+    BREAKS((robot.closed.alpha = 511, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 0));
+    KEEPS(robot.closed.alpha = most);
+    BREAKS(robot.closed.alpha = most + 1);
+    KEEPS((robot.closed.alpha = most, robot.closed.alpha_x_low = (UINT64_C(1) << 62) - 1));
+    BREAKS((robot.closed.alpha = most, robot.closed.alpha_x_low = UINT64_C(1) << 62));
+    BREAKS((robot.closed.alpha = most, robot.closed.alpha_x_high = UINT64_C(1) << 53));
+    BREAKS(robot.closed.alpha_x_high = UINT64_MAX);
+    BREAKS(robot.closed.alpha_x_low = UINT64_MAX);
 }
 
-/* I7: with one message in the open round, each sum one above what it can give */
+/* With one message in the open round, each sum one above what it can give; the count cannot lie. */
 static void open_sums_are_those_of_messages(void)
 {
-    const uint64_t largest = (UINT64_C(1) << 55) - (UINT64_C(1) << 31);
-    BREAKS(robot.open.alpha = largest + 1);
-    BREAKS(robot.open.x = MCP_ASDF_ONE + 1);
-    BREAKS(robot.open.x_squared = (uint64_t)robot.open.x * MCP_ASDF_ONE + 1);
-    BREAKS(robot.open.alpha_x_low = (uint64_t)robot.open.x * UINT32_MAX + 1);
-    BREAKS(robot.open.alpha_x_high = (uint64_t)robot.open.x * 0x7FFFFF + 1);
+    const uint64_t one = MCP_ASDF_ONE;
+    KEEPS(robot.open.alpha = ALPHA_MAX_UNITS);
+    BREAKS(robot.open.alpha = ALPHA_MAX_UNITS + 1);
+    KEEPS((robot.open.x = MCP_ASDF_ONE, robot.open.x_squared = one * one));
+    BREAKS((robot.open.x = MCP_ASDF_ONE + 1, robot.open.x_squared = one * one));
+    KEEPS(robot.open.x_squared = robot.open.x * one);
+    BREAKS(robot.open.x_squared = robot.open.x * one + 1);
+    BREAKS(--robot.open.x_squared); /* a variance below 0 */
+    KEEPS((robot.open.alpha = ALPHA_MAX_UNITS, robot.open.alpha_x_low = robot.open.x * (uint64_t)UINT32_MAX));
+    BREAKS((robot.open.alpha = ALPHA_MAX_UNITS,
+            robot.open.alpha_x_low = robot.open.x * (uint64_t)UINT32_MAX + 1));
+    KEEPS((robot.open.alpha = ALPHA_MAX_UNITS, robot.open.alpha_x_high = (uint64_t)robot.open.x * 0x7FFFFF));
+    BREAKS((robot.open.alpha = ALPHA_MAX_UNITS,
+            robot.open.alpha_x_high = (uint64_t)robot.open.x * 0x7FFFFF + 1));
     BREAKS(robot.open.count = 0); /* the sums are too large for no message */
     BREAKS(robot.open.count = 128);
     BREAKS(robot.open.count = UINT32_MAX);
-    BREAKS(
-        (robot.open.count = UINT32_MAX, robot.heard.of[0] = 0, robot.heard.of[15] = 0)); /* with silent: 0 */
     BREAKS(robot.open.x = 0);
-    BREAKS(--robot.open.x_squared);                     /* a variance below 0 */
     BREAKS(robot.open.alpha = 1);                       /* a mean above 1.0 */
     BREAKS(robot.open.alpha_x_low = UINT64_C(1) << 53); /* the same */
 }
 
-/* I8 */
-static void senders_are_counted(void)
+/* Each message with confidence has at least one unit of it. */
+static void confidence_is_at_least_a_unit_a_message(void)
 {
-    BREAKS(robot.silent = 0);  /* two senders were heard */
-    KEEPS(robot.silent = 129); /* 127 in sums added at once, and the two senders */
-    BREAKS(robot.silent = 130);
-    BREAKS(robot.heard.of[5] = 1); /* the own id, 40 */
-    for (uint32_t i = 0; i < 16; ++i) {
-        GIVEN(i, 0, 0);
-        BREAKS(robot.heard.of[i] |= 0x0E);
-    }
-    KEEPS(robot.heard.of[0] = 0); /* messages of add_round have no sender */
+    mcp_asdf_open_t open = {2, 0, 0, 0, 0, 2};
+    KEEPS((robot.open = open, robot.heard.of[0] = 3));
+    --open.alpha;
+    BREAKS((robot.open = open, robot.heard.of[0] = 3));
+    open.count = 0;
+    BREAKS(robot.open = open);
+    open.alpha = 0;
+    KEEPS(robot.open = open);
 }
 
-/* I9, I10: comms_period is 2, filter_period 6 */
-static void counters_down_stay_in_their_periods(void)
+/* A message with confidence has a sender, one without may have one, and the robot hears not itself. */
+static void senders_are_counted(void)
 {
-    KEEPS(robot.comms_left = 0);
-    KEEPS(robot.comms_left = 2);
-    BREAKS(robot.comms_left = 3);
+    KEEPS(robot.heard.of[15] = 0); /* the silent message's */
+    KEEPS(robot.heard.of[0] = 0);  /* a sender is left for the one message */
+    BREAKS((robot.heard.of[0] = 0, robot.heard.of[15] = 0));
+    for (uint32_t bit = 0; bit < 128; ++bit) {
+        const uint8_t flip = (uint8_t)(1U << bit % 8);
+        GIVEN(bit, 0, 0);
+        if (bit == 40) {
+            BREAKS(robot.heard.of[bit / 8] |= flip);
+        } else {
+            KEEPS(robot.heard.of[bit / 8] |= flip);
+        }
+        mcp_asdf_t robot = busy_robot();
+        robot.heard.all[0] = robot.heard.all[1] = 0;
+        robot.id = 126 - 40 * (bit == 126);
+        robot.heard.of[bit / 8] = flip;
+        CHECK(mcp_asdf_invariants_hold(&robot)); /* each bit is one sender */
+    }
+}
+
+static void rounds_left_stay_in_the_period(void)
+{
     BREAKS(robot.filter_left = 0);
-    BREAKS(robot.filter_left = 1);
-    KEEPS(robot.filter_left = 2);
+    KEEPS(robot.filter_left = 1);
     KEEPS(robot.filter_left = 6);
-    BREAKS(robot.filter_left = 8);
+    BREAKS(robot.filter_left = 7);
     BREAKS(robot.filter_left = UINT32_MAX);
 }
 
 /* ---- Images ---- */
 
-static bool same_image(const mcp_asdf_t *robot, const uint8_t *image)
+static uint32_t word_at(const uint8_t *bytes)
 {
-    uint8_t now[MCP_ASDF_IMAGE_SIZE];
-    mcp_asdf_save(robot, now);
-    return memcmp(now, image, sizeof now) == 0;
+    return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 | (uint32_t)bytes[3] << 24;
 }
 
-/* I17: every step of the checksum is one to one, so no single damaged word can pass. The target stays as it
- * is. */
+/* Put the word into the image, and a right checksum at its end. */
+static void set_word(uint8_t *image, uint32_t index, uint32_t value)
+{
+    uint32_t hash = HASH_START;
+    for (uint32_t i = 0; i < 4; ++i) {
+        image[4 * index + i] = (uint8_t)(value >> 8 * i);
+    }
+    for (uint32_t i = 0; i < WORDS - 1; ++i) {
+        hash = (uint32_t)((hash ^ word_at(&image[4 * i])) * (uint64_t)HASH_FACTOR & UINT32_MAX);
+    }
+    for (uint32_t i = 0; i < 4; ++i) {
+        image[4 * (WORDS - 1) + i] = (uint8_t)(hash >> 8 * i);
+    }
+}
+
+/* What the image gives; a refusal leaves the robot as it was. */
+static mcp_asdf_status_t restored(const uint8_t *image)
+{
+    mcp_asdf_t target, before;
+    memset(&target, 0xA5, sizeof target);
+    memset(&before, 0xA5, sizeof before);
+    const mcp_asdf_status_t status = mcp_asdf_restore(&target, &config, image);
+    CHECK((memcmp(&target, &before, sizeof target) == 0) == (status != MCP_ASDF_OK));
+    return status;
+}
+
+/* Word by word as docs/design.md lists them. */
+static void image_holds_the_state(void)
+{
+    mcp_asdf_t robot = busy_robot();
+    const mcp_asdf_counters_t counters = {0x1234, 0x5678, 0x9ABC, 0xDEF0, 0x1357};
+    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    robot.counters = counters;
+    robot.updated = 1;
+    const uint64_t doubles[] = {robot.closed.alpha,  robot.closed.alpha_x_low, robot.closed.alpha_x_high,
+                                robot.open.alpha,    robot.open.alpha_x_low,   robot.open.alpha_x_high,
+                                robot.open.x_squared};
+    const uint32_t first[] = {0x4D435302,  robot.accuracy.b_hat, robot.t,          robot.n,
+                              robot.x_hat, robot.alpha,          robot.filter_left};
+    const uint32_t last[] = {robot.open.x, robot.open.count, 0x80,       0,         0,
+                             0x40000000,   0x56781234,       0xDEF09ABC, 0x28011357};
+    mcp_asdf_save(&robot, image);
+    for (uint32_t i = 0; i < WORDS - 1; ++i) {
+        const uint64_t pair = i < 7 || i >= 21 ? 0 : doubles[(i - 7) / 2];
+        GIVEN(i, 0, 0);
+        CHECK_EQUAL(word_at(&image[4 * i]), i < 7     ? first[i]
+                                            : i >= 21 ? last[i - 21]
+                                                      : pair >> 32 * (i - 7) % 64 & UINT32_MAX);
+    }
+    const uint32_t hash = word_at(&image[4 * (WORDS - 1)]);
+    set_word(image, 0, 0x4D435302);
+    CHECK_EQUAL(word_at(&image[4 * (WORDS - 1)]), hash);
+}
+
+/* Every step of the checksum is one to one, so no single damaged word can pass. */
 static void every_flipped_bit_is_refused(void)
 {
     const mcp_asdf_t busy = busy_robot();
-    mcp_asdf_t target, before;
     uint8_t image[MCP_ASDF_IMAGE_SIZE];
-    memset(&target, 0xA5, sizeof target);
-    memset(&before, 0xA5, sizeof before);
     mcp_asdf_save(&busy, image);
     for (uint32_t bit = 0; bit < 8 * MCP_ASDF_IMAGE_SIZE; ++bit) {
-        image[bit / 8] ^= (uint8_t)(1U << (bit % 8));
+        image[bit / 8] ^= (uint8_t)(1U << bit % 8);
         GIVEN(bit, 0, 0);
-        CHECK_EQUAL(mcp_asdf_restore(&target, &config, image), MCP_ASDF_ERR_IMAGE);
-        CHECK(memcmp(&target, &before, sizeof target) == 0);
-        image[bit / 8] ^= (uint8_t)(1U << (bit % 8));
+        CHECK_EQUAL(restored(image), MCP_ASDF_ERR_IMAGE);
+        image[bit / 8] ^= (uint8_t)(1U << bit % 8);
     }
-    CHECK_EQUAL(mcp_asdf_restore(&target, &config, image), MCP_ASDF_OK);
-    CHECK(same_image(&target, image));
+    CHECK_EQUAL(restored(image), MCP_ASDF_OK);
 }
 
-/* The image's checksum is right, but the state in it is none. */
+typedef struct {
+    uint32_t word, value;
+} change_t;
+
+static void check_changes(const change_t *changes, size_t count, bool is_updated, mcp_asdf_status_t expected)
+{
+    for (size_t i = 0; i < count; ++i) {
+        mcp_asdf_t busy = busy_robot();
+        uint8_t image[MCP_ASDF_IMAGE_SIZE];
+        busy.updated = is_updated;
+        mcp_asdf_save(&busy, image);
+        set_word(image, changes[i].word, changes[i].value);
+        GIVEN(changes[i].word, changes[i].value, is_updated);
+        CHECK_EQUAL(restored(image), expected);
+    }
+}
+
+/* The image's checksum is right, but no robot can be in that state: first impossible values of each member,
+ * and values that contradict another one. */
 static void impossible_states_are_refused(void)
 {
-    static const struct {
-        uint32_t word, value;
-    } wrong[] = {{0, 0},  {0, IMAGE_MAGIC + 1}, {1, 1000},        {2, 39},         {3, 0xFFF},
-                 {3, 0},  {3, 0xFFFFF001},      {4, 0x800001},    {5, 0x4F000000}, {6, 0x800001},
-                 {7, 1},  {9, 0x80000000},      {15, 0x80000000}, {23, 128},       {28, 3},
-                 {29, 5}, {32, 0x80000000}};
+    static const change_t wrong[] = {{0, 0},
+                                     {0, IMAGE_MAGIC + 1},
+                                     {0, IMAGE_MAGIC - 1},
+                                     {1, 0xFFF},
+                                     {1, 0},
+                                     {1, 0xFFFFF001},
+                                     {2, 1000},
+                                     {2, 12},
+                                     {3, 39},
+                                     {4, 0x800001},
+                                     {5, UINT32_MAX},
+                                     {5, 1},
+                                     {6, 0},
+                                     {6, 7},
+                                     {8, 0x40000000},
+                                     {10, 0x40000000},
+                                     {12, 0x200000},
+                                     {14, 0x00800000},
+                                     {16, 0x00200000},
+                                     {18, 0x1000},
+                                     {20, 0x00100000},
+                                     {21, 0x00800001},
+                                     {22, 0},
+                                     {22, 128},
+                                     {24, 0x100},
+                                     {29, 0x28020000},
+                                     {29, 0x80010000},
+                                     {29, 0x07010000},
+                                     {29, 0xFF010000},
+                                     {29, 0x28FF0000}};
+    static const change_t contradicting[] = {{1, 0xC0001000}, {2, 39},       {3, 12}, {3, 14},
+                                             {4, 0},          {4, 0x7FFFFF}, {5, 0},  {5, UINT32_MAX}};
+    check_changes(wrong, COUNT(wrong), true, MCP_ASDF_ERR_IMAGE);
+    check_changes(wrong, COUNT(wrong), false, MCP_ASDF_ERR_IMAGE);
+    check_changes(contradicting, COUNT(contradicting), false, MCP_ASDF_ERR_IMAGE);
+}
+
+/* The last possible values, of a robot whose b_hat was updated: nothing else is refused. */
+static void possible_states_are_taken(void)
+{
+    static const change_t right[] = {{0, IMAGE_MAGIC}, {1, 0x1000},      {1, 0xFFFFF000},  {2, 999},
+                                     {2, 13},          {3, 38},          {3, 0},           {4, 0x800000},
+                                     {4, 0},           {5, 0},           {5, ALPHA_MAX},   {6, 1},
+                                     {6, 6},           {23, 128},        {25, UINT32_MAX}, {27, UINT32_MAX},
+                                     {27, 0},          {28, UINT32_MAX}, {28, 0},          {29, 0x7F01FFFF},
+                                     {29, 0x00010000}};
+    check_changes(right, COUNT(right), true, MCP_ASDF_OK);
+}
+
+/* One bit of each number of the sums after the other: what is taken, the invariants hold for. */
+static void restore_takes_what_the_invariants_allow(void)
+{
     const mcp_asdf_t busy = busy_robot();
-    for (size_t i = 0; i < COUNT(wrong); ++i) {
+    uint32_t taken = 0;
+    for (uint32_t bit = 32 * 7; bit < 32 * 27; ++bit) {
         uint8_t image[MCP_ASDF_IMAGE_SIZE];
-        uint32_t hash = HASH_START;
-        mcp_asdf_t target, before;
-        memset(&target, 0xA5, sizeof target);
-        memset(&before, 0xA5, sizeof before);
+        mcp_asdf_t robot;
         mcp_asdf_save(&busy, image);
-        for (uint32_t word = 0; word < MCP_ASDF_IMAGE_SIZE / 4 - 1; ++word) {
-            uint8_t *const at = &image[4 * word];
-            for (uint32_t byte = 0; word == wrong[i].word && byte < 4; ++byte) {
-                at[byte] = (uint8_t)(wrong[i].value >> 8 * byte);
-            }
-            hash = hash_word(hash, (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 |
-                                       (uint32_t)at[3] << 24);
+        set_word(image, bit / 32, word_at(&image[bit / 32 * 4]) ^ UINT32_C(1) << bit % 32);
+        GIVEN(bit, 0, 0);
+        if (mcp_asdf_restore(&robot, &config, image) == MCP_ASDF_OK) {
+            uint8_t again[MCP_ASDF_IMAGE_SIZE];
+            mcp_asdf_save(&robot, again);
+            CHECK(mcp_asdf_invariants_hold(&robot) && memcmp(image, again, sizeof again) == 0);
+            ++taken;
         }
-        for (uint32_t byte = 0; byte < 4; ++byte) {
-            image[MCP_ASDF_IMAGE_SIZE - 4 + byte] = (uint8_t)(hash >> 8 * byte);
-        }
-        GIVEN(wrong[i].word, wrong[i].value, 0);
-        CHECK_EQUAL(mcp_asdf_restore(&target, &config, image), MCP_ASDF_ERR_IMAGE);
-        CHECK(memcmp(&target, &before, sizeof target) == 0);
     }
+    CHECK(taken > 100 && taken < 600);
 }
 
 int main(void)
 {
     identity_counts_and_accuracy_have_ranges();
+    no_memory_is_longer_than_the_longest();
     cache_follows_from_b_hat();
-    estimates_are_on_their_grids();
+    estimate_follows_from_t_n_and_b_hat();
+    an_update_keeps_the_old_estimate();
     closed_round_is_a_mean();
     open_sums_are_those_of_messages();
+    confidence_is_at_least_a_unit_a_message();
     senders_are_counted();
-    counters_down_stay_in_their_periods();
+    rounds_left_stay_in_the_period();
+    image_holds_the_state();
     every_flipped_bit_is_refused();
     impossible_states_are_refused();
+    possible_states_are_taken();
+    restore_takes_what_the_invariants_allow();
     return check_report();
 }

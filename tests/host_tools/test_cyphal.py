@@ -15,6 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support import ROOT
 
+from firmware_py.fixed_point import ALPHA_MAX, alpha_to_word, alpha_units, alpha_word, word_to_alpha
 from host_tools import frames
 from host_tools.frames import (
     COMMANDS,
@@ -42,7 +43,7 @@ pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
 cyphal_can = importlib.import_module("pycyphal.transport.can")
 
 DEFAULT = FrameFormat()
-LARGEST_ALPHA = 0x7F7FFFFF
+LARGEST_BITS = 0x7F7FFFFF
 TIMEOUT = 5.0
 fixed = settings(derandomize=True, deadline=None, max_examples=200)
 
@@ -134,7 +135,9 @@ def seen_by_pycyphal(frame: can.Message) -> Seen | None:
 nodes, transfers, words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
 bytes_, ratios, priorities = st.integers(0, 255), st.integers(0, 2**23), st.integers(0, 7)
 formats = st.builds(FrameFormat, subject=st.integers(0, 6143), priority=priorities)
-messages = st.builds(Message, nodes, ratios, st.integers(0, LARGEST_ALPHA), transfers)
+alphas = words.map(lambda word: alpha_word(alpha_units(word)))
+"""Words with the smallest shift, as decoding gives them."""
+messages = st.builds(Message, nodes, ratios, alphas, transfers)
 heartbeats = st.builds(
     Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), bytes_
 )
@@ -155,10 +158,10 @@ def contained(frame: can.Message, where: FrameFormat, message: Any, kind: Any) -
 @fixed
 @given(messages, formats)
 @example(Message(0, 0, 0, 0), FrameFormat(0, 0))
-@example(Message(127, 2**23, LARGEST_ALPHA, 31), FrameFormat(6143, 7))
+@example(Message(127, 2**23, ALPHA_MAX, 31), FrameFormat(6143, 7))
 def test_estimates(types: Types, message: Message, where: FrameFormat) -> None:
     content = contained(frames.encode(message, where), where, message, types.estimate)
-    assert (content.x_q23, content.alpha) == (message.x_hat, float_of(message.alpha))
+    assert (content.x_q23, content.alpha) == (message.x_hat, word_to_alpha(message.alpha))
     assert content.x_q23 * types.estimate.X_LSB == message.x_hat / 2**23
 
 
@@ -271,14 +274,18 @@ async def exchanged(channel: str, subject: int, priority: int, contents: Sequenc
 
 
 def test_we_read_the_estimates_that_pycyphal_sends(types: Types) -> None:
-    values = [(0, 0), (2**23, LARGEST_ALPHA), (1, 1), (2**22, 0x3F800000)] * 9  # transfer ids wrap
-    contents = [types.estimate(x, float_of(alpha)) for x, alpha in values]
+    """Of alpha any binary32 number, which need not be on the firmware's grid, and may be beyond it."""
+    grid = [(0, 0.0), (2**23, word_to_alpha(ALPHA_MAX)), (1, 2.0**-24), (2**22, 1.0)]
+    others = [(3, float_of(LARGEST_BITS)), (4, float_of(1)), (5, 3 * 2.0**-25)]
+    values = (grid + others) * 6  # transfer ids wrap
+    contents = [types.estimate(x, alpha) for x, alpha in values]
     received = asyncio.run(exchanged("estimates", 3000, 4, contents))
     for count, (frame, (x_hat, alpha)) in enumerate(zip(received, values, strict=True)):
-        message = Message(42, x_hat, alpha, count % 32)
+        message = Message(42, x_hat, alpha_to_word(alpha), count % 32)
         assert frames.decode(frame, DEFAULT) == message
         ours = frames.encode(message, DEFAULT)
-        assert (frame.arbitration_id, frame.data) == (ours.arbitration_id, ours.data)
+        assert frame.arbitration_id == ours.arbitration_id
+        assert (frame.data == ours.data) == ((x_hat, alpha) in grid)
 
 
 def test_we_refuse_what_the_type_alone_does_not(types: Types) -> None:
@@ -313,12 +320,12 @@ async def heard(channel: str, subject: int, sent: Sequence[can.Message]) -> list
 
 
 def test_pycyphal_hears_a_swarm_of_robots(types: Types) -> None:
-    sent = [Message(node, 1000 * node + turn, turn, turn) for turn in range(32) for node in (0, 1, 125)]
+    sent = [Message(node, 1000 * node + turn, turn << 8, turn) for turn in range(32) for node in (0, 1, 125)]
     transfers = asyncio.run(heard("swarm", 3000, [frames.encode(message, DEFAULT) for message in sent]))
     for transfer, message in zip(transfers, sent, strict=True):
         content = pycyphal.dsdl.deserialize(types.estimate, transfer.fragmented_payload)
         found = (transfer.source_node_id, content.x_q23, content.alpha, transfer.transfer_id)
-        assert found == (message.sender, message.x_hat, float_of(message.alpha), message.transfer_id)
+        assert found == (message.sender, message.x_hat, word_to_alpha(message.alpha), message.transfer_id)
 
 
 def test_pycyphal_hears_heartbeats(types: Types) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import platform
 import random
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from decimal import Decimal
@@ -149,7 +151,7 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
             activation=source.choice(list(Activation)),
             filter_period=source.choice([3, 10, 97, 250]),
             omega=Decimal(source.choice(["0.05", "0.25", "0.9"])),
-            memory=source.choice([64, 500, 2**32 - 2]),
+            memory=source.choice([64, 500, 2**31]),
             steps=source.randint(1, 1500),
             seed=source.getrandbits(64),
         )
@@ -160,9 +162,8 @@ def test_lanes_equal_the_firmware_in_random_experiments() -> None:
         assert_equal_to_the_bit(experiment, first=0, trials=18)
 
 
-def test_lanes_are_exact_up_to_their_largest_count() -> None:
-    longest = _engine.lib.MCP_ASDF_ENGINE_LANES_MAX_COUNT
-    experiment = Experiment(robots=2, flawed=1, fill_ratio=0.5, steps=longest, filter_period=longest)
+def test_lanes_are_exact_in_long_trials() -> None:
+    experiment = Experiment(robots=2, flawed=1, fill_ratio=0.5, steps=2**18 + 100, filter_period=2**18)
     assert_equal_to_the_bit(experiment, first=0, trials=16)
 
 
@@ -172,12 +173,10 @@ def test_lanes_are_exact_up_to_their_largest_count() -> None:
         (SHORT, True),
         (replace(SHORT, comms_period=2), False),
         (replace(SHORT, drift=Drift.WIENER), False),
-        (replace(SHORT, steps=2**18), True),
-        (replace(SHORT, steps=2**18 + 1), False),
-        (replace(SHORT, steps=2**18 + 1, memory=2**18), True),
+        (replace(SHORT, steps=10**8), True),
     ],
 )
-def test_lanes_are_used_only_where_they_are_exact(experiment: Experiment, expected: bool) -> None:
+def test_lanes_are_used_only_where_trials_are_alike(experiment: Experiment, expected: bool) -> None:
     call = native._Call(experiment, 0, 1, 0)
     assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
     assert not _engine.lib.mcp_asdf_engine_has_lanes(native._Call(experiment, 0, 1, 10).experiment)
@@ -251,10 +250,85 @@ def test_a_refusal_of_the_firmware_is_told() -> None:
             native.run(Refused(steps=10), 0, 1, lanes=lanes)
 
 
-def test_divisions_and_estimates_in_lanes_are_exact(tmp_path: Path) -> None:
-    program = tmp_path / "lanes_check"
-    headers = (f"-I{ROOT / 'host_tools/engine'}", f"-I{ROOT / 'host_tools/arena'}", f"-I{CORE.parent}")
-    source = Path(__file__).with_name("lanes_check.c")
-    sources = (source, CORE)
-    run(require("gcc", "gcc"), "-std=c99", "-O2", "-DLANES_ONE_TARGET", *headers, *sources, "-o", program)
+# --- The lanes of lanes.c, apart from the engine ------------------------------------------------------------
+
+LANES = ROOT / "host_tools/engine/lanes.c"
+LANES_BUILD = (
+    "-std=c99",
+    "-O3",
+    "-fno-trapping-math",  # as CMakeLists.txt has it
+    "-DLANES_ONE_TARGET",
+    f"-I{LANES.parent}",
+    f"-I{ROOT / 'host_tools/arena'}",
+    f"-I{CORE.parent}",
+)
+VECTOR_BYTES = {"x86-64-v3": 32, "x86-64-v4": 64}
+
+
+def compiler_of_vectors() -> str:
+    if platform.machine() != "x86_64":
+        pytest.skip("lanes are vectors on x86-64 only")
+    return require("gcc", "gcc")
+
+
+def can_run(architecture: str) -> bool:
+    """Whether this processor has the vectors of an architecture."""
+    needed = {"x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}.get(architecture, "fpu")
+    return f" {needed} " in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " ")
+
+
+@pytest.mark.parametrize("architecture", ["x86-64", *VECTOR_BYTES])
+def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(architecture: str, tmp_path: Path) -> None:
+    gcc, program = compiler_of_vectors(), tmp_path / "lanes_check"
+    if not can_run(architecture):
+        pytest.skip(f"this processor has no vectors of {architecture}")
+    sources = (Path(__file__).with_name("lanes_check.c"), LANES)
+    headers = f"-I{ROOT / 'tests/c_ref'}"
+    run(gcc, f"-march={architecture}", *LANES_BUILD, headers, *sources, "-o", program)
     run(program)
+
+
+def lines_of_loops(source: Path, function: str) -> list[int]:
+    """Where the loops over lanes of a function stand."""
+    lines = source.read_text(encoding="utf-8").splitlines()
+    first = next(i for i, line in enumerate(lines) if re.match(rf"\w.*\b{function}\(", line))
+    last = lines.index("}", first)
+    return [i + 1 for i in range(first, last) if re.match(r" +for \(uint32_t [lj] = [01];", lines[i])]
+
+
+def first_sizes(source: Path, architecture: str, tmp_path: Path) -> dict[int, int]:
+    """By line, how many turns of a loop gcc does at once as its first choice, if it makes a vector loop."""
+    details = tmp_path / "vectors.txt"
+    options = (f"-march={architecture}", *LANES_BUILD, f"-fdump-tree-vect-details={details}", "-c")
+    run(compiler_of_vectors(), *options, source, "-o", tmp_path / "object.o")
+    done: dict[int, int] = {}
+    tried: dict[int, int] = {}
+    for line in details.read_text(encoding="utf-8").splitlines():
+        if found := re.match(rf".*{source.name}:(\d+):\d+: note: +vectorization factor = (\d+)", line):
+            tried.setdefault(int(found[1]), int(found[2]))
+        if found := re.match(rf".*{source.name}:(\d+):\d+: optimized: loop vectorized", line):
+            done[int(found[1])] = tried[int(found[1])]
+    return done
+
+
+@pytest.mark.parametrize("architecture", VECTOR_BYTES)
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("lanes.c", {"lanes_observe": 1, "lanes_say": 1, "lanes_inform": 1}),
+        ("fully_connected.c", {"draw": 1, "add_up": 2}),
+        ("moving.c", {"moving_draw": 1}),
+    ],
+)
+def test_loops_over_lanes_are_made_of_whole_vectors(
+    file: str, words: dict[str, int], architecture: str, tmp_path: Path
+) -> None:
+    """One branch, table or byte more in the core loses this, and only the time of a trial shows it.
+
+    ``words`` are the 32-bit words of an element, of which a turn of the loop takes as many as fill a vector.
+    """
+    source = LANES.with_name(file)
+    sizes = first_sizes(source, architecture, tmp_path)
+    for function, size in words.items():
+        found = {sizes[line] for line in lines_of_loops(source, function) if line in sizes}
+        assert found == {VECTOR_BYTES[architecture] // (4 * size)}, function

@@ -14,9 +14,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from firmware_py.fixed_point import alpha_to_word, alpha_word
 from host_tools.errors import UsageError
 from host_tools.faults import Delivery, Fault, Faults, Kind, Sent, parse_fault
-from host_tools.frames import ONE, FrameFormat, Heartbeat, Message, bits_of, decode, encode, encode_heartbeat
+from host_tools.frames import (
+    ONE,
+    FrameFormat,
+    Heartbeat,
+    Message,
+    alpha_bits,
+    bits_of,
+    decode,
+    encode,
+    encode_heartbeat,
+    float_of,
+)
 
 SEED = 20241029
 FORMAT = FrameFormat()
@@ -35,7 +47,8 @@ def counts(faults: Faults) -> list[int]:
 
 def estimate(sender: int, tick: int) -> can.Message:
     """A message whose content tells where it comes from."""
-    return encode(Message(sender, 1000 * sender + tick, 7 * tick + sender, tick % 32), FORMAT, tick / 10)
+    alpha = alpha_word(7 * tick + sender)
+    return encode(Message(sender, 1000 * sender + tick, alpha, tick % 32), FORMAT, tick / 10)
 
 
 def run(faults: Faults, robots: int = 4, ticks: int = 50) -> dict[Link, list[Delivery]]:
@@ -401,14 +414,17 @@ def test_a_frozen_robot_repeats_its_last_regular_estimate() -> None:
 def test_a_robot_frozen_from_the_start_repeats_its_first_estimate() -> None:
     faults = faults_of("freeze")
     spoken = [said(sent.frame) for tick in range(4) for sent in faults.leave(estimate(1, tick), 1, tick)]
-    assert {(m.x_hat, m.alpha) for m in spoken} == {(1000, 1)}
+    assert {(m.x_hat, m.alpha) for m in spoken} == {(1000, alpha_word(1))}
     assert counts(faults) == [3]
 
 
-def test_a_liar_says_what_it_is_told() -> None:
-    faults = faults_of("liar,x=0.25,alpha=1e9")
+@pytest.mark.parametrize("alpha", [1e9, 0.1, 1e-30, 3e38])
+def test_a_liar_says_what_it_is_told(alpha: float) -> None:
+    """Also confidences that no firmware can hold are on the bus as claimed."""
+    faults = faults_of(f"liar,x=0.25,alpha={alpha}")
     (sent,) = faults.leave(estimate(1, 40), 1, 40)
-    assert said(sent.frame) == Message(1, ONE // 4, bits_of(1e9), 40 % 32)
+    assert alpha_bits(sent.frame) == bits_of(alpha)
+    assert said(sent.frame) == Message(1, ONE // 4, alpha_to_word(float_of(bits_of(alpha))), 40 % 32)
     assert sent.frame.timestamp == 4.0
 
 

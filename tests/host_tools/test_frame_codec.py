@@ -16,6 +16,7 @@ import pytest
 from cffi import FFI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from robots import ALPHA_ONE
 from support import ROOT, require, run
 
 from host_tools import frames
@@ -135,7 +136,7 @@ def agrees(codec: Codec, frame: can.Message) -> list[str]:
 
 
 LEGAL = (
-    frames.encode(Message(42, 2**22, 0x3F800000, 5), FrameFormat()),
+    frames.encode(Message(42, 2**22, ALPHA_ONE, 5), FrameFormat()),
     frames.encode_heartbeat(Heartbeat(42, 99, 5)),
     frames.encode_telemetry(Telemetry(42, 2**22, 2**23, 7, 5)),
     frames.encode_command(Command(42, 1000, 17, Action.SETTLE, 5)),
@@ -221,7 +222,7 @@ bytes_, words = st.integers(0, 255), st.integers(0, 2**32 - 1)
 nodes, transfers = st.integers(0, 130), st.integers(0, 31)
 ratios = st.one_of(st.integers(0, 2**24 - 1), st.integers(2**23 - 2, 2**23 + 2))
 accuracies = st.one_of(st.integers(0, 2**24 - 1), st.integers(10, 20), st.integers(2**24 - 20, 2**24 + 5))
-alphas = st.one_of(words, st.integers(0x7F7FFFF0, 0x7F80000F))
+alphas = st.one_of(words, st.integers(0, 0xFFFF), st.sampled_from([0xFF, 0x100, 0xFFFFFF1F, 0xFFFFFFFF]))
 formats = st.builds(FrameFormat, subject=st.integers(0, 6143), priority=st.integers(0, 7))
 ENCODERS: dict[str, tuple[Callable[..., can.Message], Any]] = {
     "estimate": (frames.encode, st.builds(Message, nodes, ratios, alphas, transfers)),
@@ -251,6 +252,22 @@ def test_encoders_make_the_same_frames_and_refuse_the_same(
     where = data.draw(st.integers(0, 8) if kind == "heartbeat" else formats)
     expected, result = python_frame(encode, message, where), codec.encode(kind, message, where)
     assert isinstance(result, str) if expected is None else result == expected
+
+
+def test_alpha_is_converted_alike_at_every_exponent_and_every_length(codec: Codec) -> None:
+    draw = random.Random(SEED)
+    for exponent in range(256):
+        for fraction in (0, 1, 2**22, 2**23 - 1, draw.randrange(2**23)):
+            alpha = (exponent << 23 | fraction).to_bytes(4, "little")
+            agrees(codec, altered(LEGAL[0], data=bytes(3) + alpha + b"\xe0"))
+    for shift in range(32):
+        for length in range(25):
+            mantissa = draw.randrange(1 << length) | 1 << length >> 1
+            message = Message(1, 2, mantissa << 8 | draw.randrange(8) << 5 | shift, 3)
+            ours = python_frame(frames.encode, message, FrameFormat())
+            assert ours == codec.encode("estimate", message, FrameFormat()), (
+                f"random.Random({SEED}), {message}"
+            )
 
 
 @pytest.mark.parametrize("count", range(256))
@@ -330,7 +347,7 @@ def test_the_page_lists_every_code() -> None:
 
 def test_the_page_s_examples_are_ours() -> None:
     sent = [
-        frames.encode(Message(42, 2**22, 0x3F800000, 0), FrameFormat()),
+        frames.encode(Message(42, 2**22, ALPHA_ONE, 0), FrameFormat()),
         frames.encode_telemetry(Telemetry(42, 3 * 2**21, int(0.95 * 2**24), 7, 5)),
     ]
     ours = [f"{frame.arbitration_id:08X}#{bytes(frame.data).hex().upper()}" for frame in sent]

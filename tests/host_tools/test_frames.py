@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import can
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from robots import ALPHA_ONE
 
+from firmware_py.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
 from host_tools.frames import (
     FrameFormat,
     Health,
@@ -19,26 +22,35 @@ from host_tools.frames import (
     Message,
     Mode,
     Rejection,
+    alpha_bits,
+    binary32_of,
     bits_of,
     decode,
     decode_heartbeat,
     encode,
     encode_heartbeat,
     float_of,
+    word_of,
 )
 
 DEFAULT = FrameFormat()
-LARGEST_ALPHA = 0x7F7FFFFF
+LARGEST_BITS = 0x7F7FFFFF
+UNIT = Fraction(1, 2**24)
 
 # Fixed examples in every run; a failure prints the one that shows it.
 fixed = settings(derandomize=True, deadline=None, max_examples=300)
 
+words = st.one_of(
+    st.integers(0, 2**32 - 1),
+    st.builds(lambda bits, shift: (1 << bits) - 1 << 8 | shift, *[st.integers(0, 24)] * 2),
+)
+"""Of alpha: any, and some with few bits."""
 formats = st.builds(FrameFormat, subject=st.integers(0, 6143), priority=st.integers(0, 7))
 messages = st.builds(
     Message,
     sender=st.integers(0, 127),
     x_hat=st.integers(0, 2**23),
-    alpha=st.integers(0, LARGEST_ALPHA),
+    alpha=words,
     transfer_id=st.integers(0, 31),
 )
 heartbeats = st.builds(
@@ -51,7 +63,17 @@ heartbeats = st.builds(
     vendor_status=st.integers(0, 255),
 )
 SMALLEST = Message(0, 0, 0, 0)
-LARGEST = Message(127, 2**23, LARGEST_ALPHA, 31)
+LARGEST = Message(127, 2**23, ALPHA_MAX, 31)
+
+
+def value_of(word: int) -> Fraction:
+    """The value of an alpha word."""
+    return ((word >> 8) << word % 32) * UNIT
+
+
+def is_normal(word: int) -> bool:
+    """Whether the word has the smallest shift, as the firmware forms it."""
+    return word & 0xE0 == 0 and (word >> 31 == 1 or word % 256 == 0)
 
 
 def legal_frame() -> can.Message:
@@ -60,7 +82,7 @@ def legal_frame() -> can.Message:
 
 
 def test_the_documented_example() -> None:
-    message = Message(sender=42, x_hat=2**22, alpha=0x3F800000, transfer_id=0)
+    message = Message(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0)
     assert decode(legal_frame(), DEFAULT) == message
     frame = encode(message, DEFAULT, timestamp=1.5)
     assert frame.arbitration_id == 0x106BB82A
@@ -74,7 +96,14 @@ def test_the_documented_example() -> None:
 @example(SMALLEST, FrameFormat(0, 0))
 @example(LARGEST, FrameFormat(6143, 7))
 def test_decode_undoes_encode(message: Message, frame_format: FrameFormat) -> None:
-    assert decode(encode(message, frame_format), frame_format) == message
+    """But for the choice of alpha's shift."""
+    found = decode(encode(message, frame_format), frame_format)
+    assert isinstance(found, Message)
+    assert replace(found, alpha=message.alpha) == message
+    assert value_of(found.alpha) == value_of(message.alpha)
+    assert is_normal(found.alpha)
+    if is_normal(message.alpha):
+        assert found == message
 
 
 @fixed
@@ -85,8 +114,8 @@ def test_struct_and_numpy_read_the_same(message: Message, frame_format: FrameFor
     frame = encode(message, frame_format)
     low, high, alpha, tail = struct.unpack("<HBfB", frame.data)
     assert (low + 65536 * high, tail - 0xE0) == (message.x_hat, message.transfer_id)
-    assert float_of(message.alpha) == alpha
-    assert np.frombuffer(frame.data, dtype="<f4", count=1, offset=3)[0] == np.float32(alpha)
+    by_numpy = np.frombuffer(frame.data, dtype="<f4", count=1, offset=3)[0]
+    assert Fraction(alpha) == Fraction(float(by_numpy)) == value_of(message.alpha)
     fields = f"{frame.arbitration_id:029b}"
     assert fields == f"{frame_format.priority:03b}00011{frame_format.subject:013b}0{message.sender:07b}"
 
@@ -191,8 +220,10 @@ def agrees(frame: can.Message) -> None:
     assert isinstance(result, Message) == is_legal_by_the_text(frame, DEFAULT.subject)
     if isinstance(result, Message):
         again = encode(result, FrameFormat(DEFAULT.subject, frame.arbitration_id >> 26))
-        assert again.data == frame.data
         assert again.arbitration_id == frame.arbitration_id | 3 << 21
+        assert (again.data[:3], again.data[7]) == (frame.data[:3], frame.data[7])
+        said, kept = (struct.unpack("<f", each.data[3:7])[0] for each in (frame, again))
+        assert kept == min(float(np.floor(said * 2.0**24)) * 2.0**-24, 2.0**31 - 2.0**7)
     decode_heartbeat(frame)  # must not raise either
 
 
@@ -240,8 +271,7 @@ def test_anything_a_bus_can_deliver(frame: can.Message) -> None:
         ("x_hat", -1),
         ("x_hat", 2**23 + 1),
         ("alpha", -1),
-        ("alpha", 0x7F800000),
-        ("alpha", 0x80000000),
+        ("alpha", 2**32),
         ("transfer_id", -1),
         ("transfer_id", 32),
     ],
@@ -275,11 +305,73 @@ def test_an_illegal_format_cannot_be_made(name: str, value: int) -> None:
         replace(DEFAULT, **{name: value})
 
 
+# Alpha: the firmware's word and binary32
+
+
 @fixed
-@given(st.integers(0, LARGEST_ALPHA))
+@given(words)
+@example(0)
+@example(ALPHA_MAX)
+@example(0x100)
+@example(0x1FF)
+@example(0xE0)
+def test_every_word_is_a_binary32_number(word: int) -> None:
+    bits = binary32_of(word)
+    assert (
+        Fraction(float(np.uint32(bits).view(np.float32))) == value_of(word) == Fraction(word_to_alpha(word))
+    )
+    again = word_of(bits)
+    assert value_of(again) == value_of(word)
+    assert is_normal(again)
+    assert binary32_of(again) == bits
+
+
+@settings(fixed, max_examples=2000)
+@given(st.one_of(st.integers(0, LARGEST_BITS), st.integers(bits_of(2.0**-26), bits_of(2.0**33))))
 @example(0)
 @example(1)
-@example(LARGEST_ALPHA)
+@example(0x007FFFFF)
+@example(0x00800000)
+@example(LARGEST_BITS)
+def test_a_binary32_number_is_rounded_down_to_the_grid_or_saturated(bits: int) -> None:
+    value = Fraction(float(np.uint32(bits).view(np.float32)))
+    word = word_of(bits)
+    assert value_of(word) == min(value // UNIT * UNIT, value_of(ALPHA_MAX))
+    assert is_normal(word)
+    assert word == alpha_to_word(float(value))
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [
+        (2.0**-24, 0x100),
+        (2.0**-24 * (1 - 2.0**-24), 0),
+        (2.0**-149, 0),
+        (3 * 2.0**-25, 0x100),
+        (0.5 - 2.0**-25, 0x7FFFFF00),
+        (1 - 2.0**-24, 0xFFFFFF00),
+        (1.0, ALPHA_ONE),
+        (2.0**31 - 2**8, 0xFFFFFE1F),
+        (2.0**31 - 2**7, ALPHA_MAX),
+        (2.0**31, ALPHA_MAX),
+        (2.0**32, ALPHA_MAX),
+        ((2 - 2.0**-23) * 2.0**127, ALPHA_MAX),
+    ],
+)
+def test_the_edges_of_the_grid(value: float, word: int) -> None:
+    frame = encode(LARGEST, DEFAULT)
+    struct.pack_into("<f", frame.data, 3, value)
+    message = decode(frame, DEFAULT)
+    assert isinstance(message, Message)
+    assert message.alpha == word
+    assert alpha_bits(frame) == bits_of(value)
+
+
+@fixed
+@given(st.integers(0, LARGEST_BITS))
+@example(0)
+@example(1)
+@example(LARGEST_BITS)
 def test_floats_and_bits(bits: int) -> None:
     value = float_of(bits)
     assert value == float(np.uint32(bits).view(np.float32))

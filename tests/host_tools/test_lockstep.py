@@ -10,9 +10,11 @@ from collections.abc import Callable, Sequence
 import can
 import pytest
 from multicast import multicast
+from robots import ALPHA_ONE
 from wire import Wire, node, record
 
-from firmware_py.robot import Filter, FixedPointRobot, Observation
+from firmware_py.fixed_point import word_to_alpha
+from firmware_py.robot import Filter, FixedPointRobot, Observation, Robot
 from host_tools.buses import add_arguments, choose_bus
 from host_tools.errors import UsageError
 from host_tools.frames import (
@@ -31,18 +33,24 @@ from host_tools.frames import (
     decode_telemetry,
     encode,
     encode_command,
-    float_of,
 )
 from host_tools.lockstep import Lockstep, LockstepError, LockstepSettings
 from host_tools.node import NodeSettings, RobotNode, Subjects
 from host_tools.node_run import state_of
 from host_tools.processes import start_nodes
 
-COLOURS = tuple(Observation)
+COLOURS = (*Observation, None)
+"""The possible observations of a tick."""
 
 
 def command(tick: int, target: int, action: Action) -> can.Message:
     return encode_command(Command(126, tick, target, action, 0))
+
+
+def see(robot: Robot, z: Observation | None) -> None:
+    """Let the firmware observe, if there is something to see."""
+    if z is not None:
+        robot.observe(z)
 
 
 def kind(frame: can.Message) -> str:
@@ -90,14 +98,14 @@ def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
         if draw.random() < 0.8:
             if is_open:
                 twin.settle()
-            twin.observe(z)
+            see(twin, z)
             beat = "h" if ticks and ticks % 10 == 0 else ""
-            assert kinds(robot.hear(command(number, 5, Action(int(z))))) == beat + "e", replay
+            assert kinds(robot.hear(command(number, 5, Action.observing(z)))) == beat + "e", replay
             ticks, unsettled, is_open = ticks + 1, unsettled + is_open, True
             told = number
         for sender in draw.sample(range(6, 20), 5):
             twin.receive(sender, (x_hat := draw.randint(0, 1 << 23)) / 2**23, 1.0)
-            robot.hear(encode(Message(sender, x_hat, 0x3F80_0000, 0), FrameFormat()))
+            robot.hear(encode(Message(sender, x_hat, ALPHA_ONE, 0), FrameFormat()))
         if draw.random() < 0.8:
             is_obeyed = is_open and told == number
             assert kinds(robot.hear(command(number, 5, Action.SETTLE))) == "t" * is_obeyed, replay
@@ -112,7 +120,7 @@ def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
 
 
 def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
-    robot = RobotNode(node(5).robot, NodeSettings(5, ticks_per_second=3))
+    robot = RobotNode(record(5).make(), NodeSettings(5, ticks_per_second=3))
     said = [robot.start()]
     for tick in range(7):
         said += [
@@ -133,7 +141,7 @@ def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
 @pytest.mark.parametrize("when", ["before observe", "in a tick", "between ticks"])
 def test_estimates_count_whenever_they_come(when: str) -> None:
     robot = node(5)
-    estimate = encode(Message(6, 1 << 22, 0x3F80_0000, 0), FrameFormat())
+    estimate = encode(Message(6, 1 << 22, ALPHA_ONE, 0), FrameFormat())
     orders = [command(0, 5, Action.OBSERVE_BLACK), command(0, 5, Action.SETTLE)]
     orders += [command(1, 5, Action.OBSERVE_BLACK), command(1, 5, Action.SETTLE)]
     orders.insert({"before observe": 0, "in a tick": 1, "between ticks": 2}[when], estimate)
@@ -170,13 +178,13 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
         estimates = lockstep.estimates(ids)
         answers = lockstep.settle(ids)
         for robot, twin in enumerate(twins):
-            twin.observe(z[robot])
+            see(twin, z[robot])
             said = estimates[robot]
             assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
         for robot, twin in enumerate(twins):
             for other in ids:
                 if other != robot:
-                    twin.receive(other, estimates[other].x_hat / 2**23, float_of(estimates[other].alpha))
+                    twin.receive(other, estimates[other].x_hat / 2**23, word_to_alpha(estimates[other].alpha))
         for robot, twin in enumerate(twins):
             twin.settle()
             told = answers[robot]
@@ -365,7 +373,7 @@ def test_commands_are_where_they_were_asked_to_be() -> None:
     wire = Wire(RobotNode(record(1).make(), NodeSettings(1, subjects)))
     lockstep = Lockstep(wire, LockstepSettings(subjects, node=99))
     for _ in range(40):
-        lockstep.observe({1: Observation.NONE})
+        lockstep.observe({1: None})
         lockstep.estimates({1})
         lockstep.settle({1})
     commands = [decode_command(frame, subjects.commands) for frame in wire.sent]
@@ -402,7 +410,7 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
             assert lockstep.settle(ids) == model.settle(ids)
     for twin in twins.nodes:
         results = nodes.reports[twin.settings.id]["results"]
-        assert results["robot"] == state_of(twin.robot)
+        assert results["robot"] == state_of(twin)
         # Filters keep heartbeats and telemetry away from a process.
         assert results["frames"] == twin.traffic.figures() | {"rejected": {}}
         assert (results["ticks"], results["ending"]) == (60, "told to stop")

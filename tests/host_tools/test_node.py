@@ -19,6 +19,7 @@ import can
 import pytest
 from can.interfaces import virtual
 from node_thread import join, meanwhile, node_in_a_thread
+from robots import ALPHA_ONE
 from wire import node, record
 
 from firmware_py.robot import FixedPointRobot, Observation
@@ -45,7 +46,7 @@ from host_tools.observations import LineSource, WorldSource
 from host_tools.sidecar import Header, SidecarReader, SidecarWriter
 from host_tools.world import FullyConnected, World
 
-WHITE, BLACK, NONE = Observation.WHITE, Observation.BLACK, Observation.NONE
+WHITE, BLACK = Observation
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +71,7 @@ def estimates(frames: list[can.Message], sender: int) -> list[Message]:
 def test_the_world_shows_a_robot_what_it_shows_it_in_any_swarm() -> None:
     world = World(0.3, [0.8] * 9, FullyConnected(9), seed=77)
     source = WorldSource(5, 0.3, 0.8, 77)
-    assert [int(source.next(0)) for _ in range(3000)] == world.observe(3000)[:, 5].tolist()
+    assert [source.next(0) for _ in range(3000)] == world.observe(3000)[:, 5].tolist()
 
 
 @pytest.mark.parametrize("bad", [(1.5, 0.9, 1), (0.5, -0.1, 1), (0.5, 0.9, -1)])
@@ -86,13 +87,16 @@ def test_lines_are_taken_as_they_come(tmp_path: Path) -> None:
     writing = os.open(tmp_path / "pipe", os.O_WRONLY)
     source = LineSource(str(tmp_path / "pipe"))
     os.close(reading)
-    assert source.next(0) is None
+    with pytest.raises(TimeoutError):
+        source.next(0)
     os.write(writing, b"0\n1")
     assert source.next(1) is WHITE
-    assert source.next(0) is None
+    with pytest.raises(TimeoutError):
+        source.next(0)
     os.write(writing, b"\n-\r\n 1 \n0")
-    assert [source.next(1) for _ in range(3)] == [BLACK, NONE, BLACK]
-    assert source.next(0) is None
+    assert [source.next(1) for _ in range(3)] == [BLACK, None, BLACK]
+    with pytest.raises(TimeoutError):
+        source.next(0)
     os.close(writing)
     assert source.next(1) is WHITE  # without its end
     for _ in range(2):
@@ -246,19 +250,19 @@ def lines(tmp_path: Path, text: str) -> LineSource:
     return LineSource(str(tmp_path / "lines"))
 
 
-def fast(robot: RobotNode, telemetry_period: int = 0) -> RobotNode:
-    return RobotNode(
-        robot.robot, NodeSettings(robot.settings.id, ticks_per_second=2000, telemetry_period=telemetry_period)
-    )
+def fast(telemetry_period: int = 0) -> RobotNode:
+    """Robot 5."""
+    settings = NodeSettings(5, ticks_per_second=2000, telemetry_period=telemetry_period)
+    return RobotNode(record(5).make(), settings)
 
 
 def test_a_tick_lasts_until_the_next(tmp_path: Path) -> None:
-    heard = [encode(Message(9, 1 << 21, 0x3F80_0000, n), FrameFormat()) for n in range(3)]
+    heard = [encode(Message(9, 1 << 21, ALPHA_ONE, n), FrameFormat()) for n in range(3)]
     for frame in heard:
         frame.is_rx = True
-    heard.insert(1, encode(Message(8, 1 << 21, 0x3F80_0000, 0), FrameFormat()))  # its own, says the driver
+    heard.insert(1, encode(Message(8, 1 << 21, ALPHA_ONE, 0), FrameFormat()))  # its own, says the driver
     source, bus = lines(tmp_path, "110-0"), Scripted(*heard)
-    run = NodeRun(fast(node(5), telemetry_period=2), Link(bus))
+    run = NodeRun(fast(telemetry_period=2), Link(bus))
     run.in_real_time(source)
     source.close()
     assert run.outcome.ending == "the observations ended"
@@ -274,7 +278,7 @@ def test_a_tick_lasts_until_the_next(tmp_path: Path) -> None:
 
 def test_the_first_ticks_are_enough_when_so_many_are_asked_for(tmp_path: Path) -> None:
     source = lines(tmp_path, "1" * 100)
-    run = NodeRun(fast(node(5)), Link(Scripted()), ticks=7)
+    run = NodeRun(fast(), Link(Scripted()), ticks=7)
     run.in_real_time(source)
     source.close()
     assert (run.node.robot.t, run.outcome.ending) == (7, "all ticks done")
@@ -340,7 +344,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
             lockstep = Lockstep(bus, timeout=20)
             lockstep.wait_until_up({5}, 20)
             for tick in range(40):
-                z = Observation(tick * tick % 3)
+                z = (WHITE, BLACK, None)[tick * tick % 3]
                 lockstep.observe({5: z})
                 twin.observe(z)
                 if tick % 2:
@@ -460,7 +464,7 @@ BAD = {
     "--id 128": "robot id is 128; choose 0 .. 127",
     "--id -1": "robot id is -1",
     "--id 1 --b-hat 1.5": "b_hat is 1.5",
-    "--id 1 --memory 65": "memory is 65",
+    "--id 1 --memory 66": "memory is 66; choose a multiple of 4",
     "--id 1 --comms-period 3": "filter_period is 1000; choose a multiple of comms_period 3",
     "--id 1 --comms-period 0": "comms_period is 0",
     "--id 1 --omega 0.95": "omega is 0.95",

@@ -28,9 +28,12 @@ from host_tools.frames import (
     FrameFormat,
     Message,
     Rejection,
+    alpha_bits,
+    bits_of,
     decode,
     decode_command,
     encode,
+    word_of,
 )
 from host_tools.lockstep import Lockstep
 from host_tools.log_reading import read_log
@@ -320,15 +323,13 @@ class Controller(RobotNode):
     def give(self, message: Message, sender: int | None = None) -> Status:
         """Let the firmware have a message, under another id if one is given."""
         own = message.sender if sender is None else sender
-        return self._port.receive_raw(own, message.x_hat, message.alpha)
+        return self._ticked.port.receive_raw(own, message.x_hat, message.alpha)
 
     def lenient(self, frame: can.Message) -> None:
         """Read an estimate out of anything of 8 bytes."""
         content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
-        alpha = content >> 24 & 0x7FFF_FFFF
-        self.give(
-            Message(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), min(alpha, 0x7F7F_FFFF), 0)
-        )
+        alpha = word_of(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
+        self.give(Message(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), alpha, 0))
 
 
 class CountsRepeated(Controller):
@@ -387,14 +388,14 @@ class StaysInATick(Controller):
 class AnswersLate(Controller):
     """Answers a settle that has not come."""
 
-    def observe(self, z: Observation) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         return ([] if self.is_settled else self.settle()) + super().observe(z)
 
 
 class ForgetsARound(Controller):
     """Begins the next tick without ending the last."""
 
-    def observe(self, z: Observation) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         self.is_settled = True
         return super().observe(z)
 
@@ -408,13 +409,13 @@ class ObservesTwice(Controller):
     def _obey(self, command: Any) -> list[can.Message]:
         is_repeated = not self.is_settled and command.tick == self._tick_of_command
         if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-            self.robot.observe(Observation(command.action.value))
+            self._ticked.observe(command.action.observation)
         return super()._obey(command)
 
 
 class CountsNothingAsWhite(Controller):
-    def observe(self, z: Observation) -> list[can.Message]:
-        return super().observe(Observation.WHITE if z is Observation.NONE else z)
+    def observe(self, z: Observation | None) -> list[can.Message]:
+        return super().observe(Observation.WHITE if z is None else z)
 
 
 class RoundsTelemetry(Controller):
@@ -424,15 +425,24 @@ class RoundsTelemetry(Controller):
         return [frame]
 
 
+class SendsMoreOfAlpha(Controller):
+    """As its firmware has it before it is rounded to the grid."""
+
+    def observe(self, z: Observation | None) -> list[can.Message]:
+        frames = super().observe(z)
+        frames[-1].data[3] |= alpha_bits(frames[-1]) < bits_of(0.25)
+        return frames
+
+
 class NumbersModulo16(Controller):
-    def observe(self, z: Observation) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         frames = super().observe(z)
         frames[-1].data[7] &= 0xEF
         return frames
 
 
 class SaysItTwice(Controller):
-    def observe(self, z: Observation) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         frames = super().observe(z)
         return [*frames, frames[-1]]
 
@@ -443,7 +453,7 @@ class AnswersTwice(Controller):
 
 
 class Malformed(Controller):
-    def observe(self, z: Observation) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         frames = super().observe(z)
         frames[-1].data[7] &= 0x3F
         return [*super().settle(), *frames] if self.ticks == 30 else frames
@@ -457,9 +467,7 @@ class HangsAfterAWhile(Controller):
 class ForgetsAfterACollision(Controller):
     def _receive(self, message: Message) -> None:
         if message.sender == ID:
-            self.robot = record(ID, "native", 0.55).make()
-            assert isinstance(self.robot, FixedPointRobot)
-            self._port = self.robot
+            self._ticked = record(ID, "native", 0.55).make()
         super()._receive(message)
 
 
@@ -513,6 +521,7 @@ WRONG: dict[str, tuple[Callable[[], RobotNode], str, str]] = {
     "stops listening": (StopsListening, "flood", "telemetry"),
     "counts nothing as white": (CountsNothingAsWhite, "no observations", "estimate"),
     "rounds telemetry": (RoundsTelemetry, "nothing wrong", "telemetry: the controller sent x 0x"),
+    "sends more of alpha": (SendsMoreOfAlpha, "nothing wrong", "estimate: the controller sent x_hat"),
     "numbers modulo 16": (NumbersModulo16, "nothing wrong", "transfer 0, the model x_hat"),
     "says it twice": (SaysItTwice, "nothing wrong", "estimate: the controller sent x_hat"),
     "answers twice": (AnswersTwice, "nothing wrong", "tick 1: telemetry: the controller sent x"),
@@ -539,6 +548,19 @@ def test_wrong_controllers_fail_where_they_are_wrong(what: str) -> None:
     place = outcomes.index("failed")
     assert set(outcomes[:place]) <= {"passed"}
     assert set(outcomes[place + 1 :]) <= {"not run"}
+
+
+def test_a_controller_that_closes_a_round_in_every_tick_fails() -> None:
+    class ClosesEveryTick(RobotNode):
+        def settle(self) -> list[can.Message]:
+            self.robot.settle()
+            return super().settle()
+
+    own = record(ID, "native", 0.55, comms_period=5)
+    assert judge(RobotNode(own.make(), NodeSettings(ID)), settings(own), PHASES[:1]).has_passed
+    verdict = judge(ClosesEveryTick(own.make(), NodeSettings(ID)), settings(own), PHASES[:1])
+    assert verdict.difference is not None
+    assert verdict.difference.startswith('phase "nothing wrong", tick 4: telemetry')
 
 
 @pytest.mark.parametrize("what", LAX)

@@ -56,8 +56,18 @@ def own_bus(robot: int) -> can.BusABC:
     return can.Bus(interface="virtual", channel=f"of {robot}", preserve_timestamps=True, ignore_config=True)
 
 
+class Orderly(virtual.VirtualBus):
+    """Delivers one frame to all before the next, as a real bus does and as lockstep needs."""
+
+    one_at_a_time = threading.Lock()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        with Orderly.one_at_a_time:
+            super().send(msg, timeout)
+
+
 def one_bus(robot: int) -> can.BusABC:
-    return can.Bus(interface="virtual", channel="one", preserve_timestamps=True, ignore_config=True)
+    return Orderly("one", preserve_timestamps=True)
 
 
 @contextmanager

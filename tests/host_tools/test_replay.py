@@ -13,6 +13,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
+from robots import ALPHA_ONE
 from wire import record
 
 from firmware_py.robot import Observation
@@ -21,7 +22,7 @@ from host_tools.cli import main
 from host_tools.errors import UsageError
 from host_tools.fault_kinds import Kind
 from host_tools.files import FileSet
-from host_tools.frames import FrameFormat, Message, decode, encode
+from host_tools.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode
 from host_tools.log_reading import read_log
 from host_tools.replay import Player, Verdict, verify
 from host_tools.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
@@ -125,10 +126,26 @@ def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
         assert verdict.difference.logged == said
         expected = verdict.difference.expected
         assert expected is not None
-        assert (expected.x_hat, expected.alpha) != (said.x_hat, said.alpha)
-        assert expected.observation == 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
+        assert verdict.difference.alpha_bits == alpha_bits(frames[place])
+        assert (expected.x_hat, expected.alpha_bits) != (said.x_hat, alpha_bits(frames[place]))
+        assert expected.tick == 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
     else:  # no legal estimate any more: one that the log lacks
         assert (verdict.difference, verdict.not_logged) == (None, 1)
+
+
+def test_a_bit_of_alpha_that_robots_do_not_use_is_found(recorded: Path) -> None:
+    frames = list(read_log(recorded))
+    frame = next(
+        f for f in frames if isinstance(decode(f, FrameFormat()), Message) and alpha_bits(f) % 2 == 0
+    )
+    assert 0 < alpha_bits(frame) < bits_of(0.25)
+    before = decode(frame, FrameFormat())
+    frame.data[3] ^= 1
+    assert decode(frame, FrameFormat()) == before
+    difference = check(frames, recorded).difference
+    assert difference is not None
+    assert difference.expected is not None
+    assert difference.alpha_bits == difference.expected.alpha_bits ^ 1
 
 
 def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
@@ -155,13 +172,13 @@ def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", record(5).make()
-    stranger = encode(Message(5, 77, 0x3F80_0000, 1), FrameFormat())
+    stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
     header = Header([record(5)], None, FrameFormat())
     with FileSet() as files, SidecarWriter(sidecar_path(log), header, files) as writer:
         writer.robots[5].observe(Observation.BLACK)
         writer.robots[5].foreign(stranger)
     robot.observe(Observation.BLACK)
-    own = encode(Message(5, robot.x_hat_raw, robot.alpha_raw, 0), FrameFormat())  # type: ignore[attr-defined]
+    own = encode(Message(5, robot.port.x_hat_raw, robot.port.alpha_raw, 0), FrameFormat())
     for order in ([own, stranger], [stranger, own]):
         assert check(order, log) == Verdict(reproduced=1, foreign=1)
     verdict = check([stranger, stranger, own], log)
@@ -192,10 +209,7 @@ def test_the_first_difference_is_told(
     assert main(["replay", str(log), "--events", str(sidecar_path(recorded))]) == 1
     captured = capsys.readouterr()
     assert "not reproduced: frame 51 at 1.0" in captured.err
-    assert (
-        "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer 10, but after observation 11 "
-        in captured.err
-    )
+    assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer 10, but in tick 11 " in captured.err
 
 
 # Playing

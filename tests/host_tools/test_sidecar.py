@@ -15,11 +15,12 @@ import can
 import pytest
 from wire import record
 
-from firmware_py.robot import Config, Filter, Observation
+from firmware_py.robot import Filter, Observation
 from firmware_py.table import Table
 from host_tools.errors import UsageError
 from host_tools.files import FileSet
 from host_tools.frames import FrameFormat
+from host_tools.rounds import TickConfig
 from host_tools.sidecar import (
     Header,
     Recorder,
@@ -36,8 +37,8 @@ from host_tools.tables import generate
 RECORDS = (
     record(0, "native", 0.1 + 0.2),
     record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
-    RobotRecord(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
-    RobotRecord(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
+    RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
+    RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
 )
 HEADER = Header(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 
@@ -58,10 +59,10 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
     told: dict[int, list[Any]] = {record.id: [] for record in RECORDS}
 
     def tell(robot: int, recorder: Recorder) -> None:
-        z, values = draw.choice(list(Observation)), [draw.randrange(1 << 24), draw.randrange(1 << 32)]
+        z, values = draw.choice([*Observation, None]), [draw.randrange(1 << 24), draw.randrange(1 << 32)]
         sender = draw.randrange(128)
         calls: list[tuple[Callable[[], None], Any]] = [
-            (lambda: recorder.observe(z), int(z)),
+            (lambda: recorder.observe(z), 2 if z is None else int(z)),
             (lambda: recorder.receive(sender, *values), [sender, *values]),
             (recorder.settle, 3),
             (recorder.silent, "silent"),
@@ -125,9 +126,9 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
         SidecarWriter(tmp_path / "no/such", HEADER, FileSet())
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
         SidecarWriter(tmp_path / "x", Header([record(1), record(1)], 1, FrameFormat()), FileSet())
-    own = Table(3, 29, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
+    own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        config_as_plain(Config(own))
+        config_as_plain(TickConfig(own))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -147,12 +148,18 @@ BAD = {
     "[1]": "line 1: it does not say",
     "(1.0) vcan0 1#00": "line 1: not JSON",
     "[" * 100_000: "line 1: not JSON",
-    spoiled(version=2): "line 1: version 2 is not known here, only 1",
+    spoiled(
+        version=1
+    ): "line 1: the format is version 1, and version 2 is read here; replay the log with the",
+    spoiled(version=3): "line 1: the format is version 3, and version 2 is read here",
     spoiled(robots=5): "line 1: ",
     spoiled(frames={"subject": 6144, "priority": 4}): "line 1: subject is 6144",
     spoiled(filter="sometimes"): "line 1: filter is 'sometimes'; it must be one of adaptive, always, off",
     spoiled(firmware="own"): "line 1: firmware is 'own'",
     spoiled(memory=63): "line 1: memory is 63",
+    spoiled(comms_period=0): "line 1: comms_period is 0",
+    spoiled(comms_period=3): "line 1: filter_period is 10; choose a multiple of comms_period 3",
+    spoiled(comms_period="1"): "line 1: ",
     spoiled(b_hat=1.5): "line 1: b_hat is 1.5",
     spoiled(table={"omega": "0.05", "q": 20, "checksum": 1}): "line 1: the t-table of robot 0 has checksum 1",
     spoiled(table={"omega": "x", "q": 20, "checksum": 1}): "line 1: ",
@@ -169,6 +176,7 @@ BAD = {
     GOOD + "\n[0,1.0]": "line 2: 1.0 is no event",
     GOOD + "\n[0,[1]]": "line 2: [1] is no event",
     GOOD + "\n[0,[1,2,-3]]": "line 2: [1, 2, -3] is no event",
+    GOOD + "\n[0,[1,2,4294967296]]": "line 2: [1, 2, 4294967296] is no event",
     GOOD + '\n[0,"lost"]': "line 2: 'lost' is no event",
 }
 

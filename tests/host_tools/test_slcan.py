@@ -16,6 +16,7 @@ import pytest
 from can.interfaces import virtual
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robots import ALPHA_ONE
 
 from host_tools import frames
 from host_tools.cli import main
@@ -208,7 +209,7 @@ def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
         with join() as bus:
             bus.send(frames.encode_heartbeat(Heartbeat(42, 1, 1)))
             for count in range(1000):
-                bus.send(frames.encode(Message(42, 2**22, 0x3F800000, count % 32), FrameFormat()))
+                bus.send(frames.encode(Message(42, 2**22, ALPHA_ONE, count % 32), FrameFormat()))
                 if done.wait(0.05):
                     return
 

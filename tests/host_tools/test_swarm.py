@@ -24,6 +24,8 @@ import pytest
 from can.interfaces import virtual
 from rich.console import Console
 
+from firmware_py.fixed_point import alpha_units, word_to_alpha
+from firmware_py.mirror import MirrorRobot
 from firmware_py.robot import Config, Filter, FixedPointRobot, Robot, Status
 from host_tools import connection, sidecar
 from host_tools.cli import main
@@ -43,7 +45,6 @@ from host_tools.frames import (
     decode_telemetry,
     encode,
     encode_telemetry,
-    float_of,
 )
 from host_tools.live import LiveTable
 from host_tools.live import picture as picture_of
@@ -159,9 +160,39 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
     outcome, frames = record(small(firmware=firmware, ticks=120), [note])
     assert outcome.results["updates"] > 0
     for found, messages in zip(estimates, rounds(frames, 5), strict=True):
-        weights = [Fraction(float_of(message.alpha)) for message in messages]
+        weights = [Fraction(word_to_alpha(message.alpha)) for message in messages]
         products = [weight * message.x_hat for weight, message in zip(weights, messages, strict=True)]
         assert found == {sum(products) // sum(weights) if sum(weights) else ONE // 2}
+
+
+@pytest.mark.parametrize("firmware", EXACT)
+@pytest.mark.parametrize(
+    ("accuracy", "other", "weak", "strong"),
+    [
+        (0.95, 0.55, 2**24, 2**33),
+        (1.0, 0.501, 2**10, 2**33),
+        (0.5002, 0.3, 2**4, 2**31),
+        (0.5, 0.4998, 0, 2**10),
+    ],
+)
+def test_what_a_robot_uses_for_itself_is_what_its_neighbours_hear(
+    firmware: str, accuracy: float, other: float, weak: int, strong: int
+) -> None:
+    """To the bit, over the bus: the social estimate of a robot with one neighbour is what that one uses."""
+    heard: list[list[tuple[int, int]]] = []
+    used: list[list[tuple[int, int]]] = []
+
+    def note(swarm: Swarm) -> None:
+        robots = [node.robot for node in swarm.nodes if isinstance(node.robot, FixedPointRobot)]
+        own = [(robot.x_hat_raw, alpha_units(robot.alpha_raw)) for robot in robots]
+        used.append([(x, alpha) if alpha else (ONE // 2, 0) for x, alpha in own])
+        heard.append([(robot.x_bar_raw, robot.beta_raw) for robot in reversed(robots)])
+
+    changes = {"true_accuracy": accuracy, "flawed_accuracy": other, "flawed": 0.5, "filter": Deployment.OFF}
+    record(small(robots=2, ticks=200, firmware=firmware, **changes), [note])
+    assert heard == used
+    confidences = [alpha for pair in used for _, alpha in pair]
+    assert min(confidences) <= weak < strong <= max(confidences)
 
 
 def test_native_and_mirror_say_the_same_on_the_bus() -> None:
@@ -234,11 +265,26 @@ def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sidecar, "load_firmware", lambda name: make)
     changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Deployment.MINUS}
     record(small(**changes, flawed=0.2, robots=9))
-    adaptive = Config(
-        generate(Decimal("0.2"), 8), Filter.ADAPTIVE, comms_period=2, filter_period=20, memory=64
-    )
+    adaptive = Config(generate(Decimal("0.2"), 8), Filter.ADAPTIVE, filter_period=20 // 2, memory=64)
     off = replace(adaptive, table=None, filter=Filter.OFF)
     assert made == [(adaptive if i < 2 else off, i, 0.55 if i < 2 else 0.95) for i in range(9)]
+
+
+def test_results_count_on_where_the_firmware_s_counters_wrap(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, _ = record(small(firmware="mirror"))
+    assert plain.results["tests"] > plain.results["updates"] > 0
+
+    def tested(config: Config, robot_id: int, b_hat: float) -> Robot:
+        """A robot whose next test and next update are the last that it can count."""
+        robot = MirrorRobot(config, robot_id, b_hat)
+        robot.s.tests = robot.s.updates = 2**16 - 1
+        return robot
+
+    monkeypatch.setattr(sidecar, "load_firmware", lambda name: tested)
+    later, _ = record(small(firmware="mirror"))
+    for counter in ("tests", "updates"):
+        assert later.results[counter] == 5 * (2**16 - 1) + plain.results[counter]
+    assert any(node.robot.counters.tests < 2**15 for node in later.nodes)
 
 
 class Confidant:
@@ -255,10 +301,10 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
     robot = Confidant()
     port = RoundingPort(cast(Robot, robot))
     assert abs(Fraction(port.x_hat_raw, ONE) - Fraction(robot.x_hat)) <= Fraction(1, 2 * ONE)
-    assert np.uint32(port.alpha_raw).view(np.float32) == np.float32(robot.alpha)
-    robot.x_hat = 1 - 2.0**-25
-    assert port.x_hat_raw == ONE
-    port.receive_raw(3, ONE // 4, 0x40200000)
+    assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
+    robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
+    assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
+    port.receive_raw(3, ONE // 4, 0xA0000002)
     assert robot.told == (3, 0.25, 2.5)
 
 

@@ -32,7 +32,7 @@ from elftools.elf.sections import SymbolTableSection
 from intelhex import IntelHex  # type: ignore[import-untyped]
 from mpmath import mp, mpf  # type: ignore[import-untyped]
 
-from firmware_py.table import MAGIC, Table, checksum
+from firmware_py.table import FRACTION_BITS, MAGIC, Table, checksum
 from host_tools import cli, tables
 from host_tools.errors import UsageError
 from host_tools.table_files import c_text, check_file, json_text, stem
@@ -102,13 +102,11 @@ def gauss(t: Decimal) -> Decimal:
     return (2 / pi()).sqrt() * (-t * t / 2).exp() * total
 
 
-def is_rounded(
-    entry: int, bits: int, m: int, omega: Decimal, probability: Callable[[Decimal], Decimal]
-) -> bool:
-    """Whether ``entry`` is k_m in units of 2**-bits to nearest; ``probability`` is that of (-t, t)."""
+def is_rounded(entry: int, m: int, omega: Decimal, probability: Callable[[Decimal], Decimal]) -> bool:
+    """Whether ``entry`` is k_m in units of 2**-26 to nearest; ``probability`` is that of (-t, t)."""
 
     def side(halves: int) -> Decimal:
-        k = Decimal(halves) / 2 ** (bits + 1)
+        k = Decimal(halves) / 2**27
         t = Decimal(m).sqrt() * ((k * (m - 1) / m).sqrt() - 1)
         return probability(max(t, Decimal(0)))
 
@@ -118,13 +116,13 @@ def is_rounded(
 
 def wrong_entries(table: Table, omega: Decimal) -> list[int]:
     """Indices of the entries that are not correctly rounded."""
-    bits, last = table.fraction_bits, table.q - 1
+    last = table.q - 1
     wrong = [
         index
         for index, entry in enumerate(table.entries[:-1])
-        if not is_rounded(entry, bits, index + 2, omega, partial(student, freedom=index + 1))
+        if not is_rounded(entry, index + 2, omega, partial(student, freedom=index + 1))
     ]
-    return wrong + ([] if is_rounded(table.entries[last], bits, table.q + 1, omega, gauss) else [last])
+    return wrong + ([] if is_rounded(table.entries[last], table.q + 1, omega, gauss) else [last])
 
 
 @pytest.mark.parametrize("freedom", [*range(1, 12), 29, 30, 125, 126])
@@ -151,7 +149,7 @@ def test_the_oracle_refuses_a_neighbouring_entry(omega: str, q: int) -> None:
         for error in (-1, 1):
             entries = list(table.entries)
             entries[index] += error
-            wrong = Table(table.omega_word, table.fraction_bits, tuple(entries))
+            wrong = Table(table.omega_word, tuple(entries))
             assert wrong_entries(wrong, Decimal(omega)) == [index]
 
 
@@ -167,14 +165,15 @@ def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
 
 @pytest.mark.parametrize(("omega", "q"), SHIPPED + EDGES + random_cases(40, seed=2))
 def test_the_firmware_accepts_every_table(omega: str, q: int) -> None:
-    """And the first entry uses all 32 bits: with one more fraction bit it would round to 2^32 or more."""
     table = generate(Decimal(omega), q)
     assert Table.from_words(table.words()) == table
     assert table.omega_word == int(Decimal(omega) * 2**32 + Decimal("0.5"))
-    assert table.entries[0] < 2**32
-    with localcontext(PRECISION):
-        k = Decimal(2**33 - 1) / 2 ** (table.fraction_bits + 2)
-        assert student(Decimal(2).sqrt() * ((k / 2).sqrt() - 1), 1) <= Decimal(omega)
+    assert len(table.words()) == q + 3
+
+
+def test_the_largest_omega_needs_all_32_bits() -> None:
+    """One more fraction bit, and its first entry would not fit a word."""
+    assert 2**31 <= generate(Decimal("0.9"), 2).entries[0] < 2**32
 
 
 @pytest.mark.parametrize("omega", ["0.000000001", "0.05", "0.9"])
@@ -189,12 +188,12 @@ def test_thresholds_have_the_digits_they_claim(omega: str, digits: int) -> None:
 
 
 def near_tie(table: Table, offset: Callable[[int], str]) -> Callable[..., tables.Thresholds]:
-    """Thresholds whose first one is ``offset(digits)`` units of 2**-F above a tie."""
+    """Thresholds whose first one is ``offset(digits)`` units of 2**-26 above a tie."""
     true = tables.true_thresholds(table_omega(table))
 
     def thresholds(omega: Decimal, digits: int) -> tables.Thresholds:
         with mp.workdps(700):
-            first = mp.ldexp(table.entries[0] + mpf("0.5") + mpf(offset(digits)), -table.fraction_bits)
+            first = mp.ldexp(table.entries[0] + mpf("0.5") + mpf(offset(digits)), -FRACTION_BITS)
         return tables.Thresholds((first, *true.of_m[1:]), true.normal_score)
 
     return thresholds
@@ -230,7 +229,7 @@ def eq_12_multiple(omega: float, m: int) -> float:
 
 
 def used_multiple(table: Table, m: int) -> float:
-    return math.sqrt(table.entry(m) / 2**table.fraction_bits * (m - 1) / m)
+    return math.sqrt(table.entry(m) / 2**FRACTION_BITS * (m - 1) / m)
 
 
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, ("0.9", 2), ("0.5", 100), ("0.05", 126), ("0.3", 60)])
@@ -241,8 +240,8 @@ def test_the_stated_error_is_the_worst_of_all_thresholds(omega: str, q: int) -> 
     beyond = max((errors[m] for m in range(q + 1, 128)), default=0.0)
     assert stated.rounding == pytest.approx(max(errors[m] for m in range(2, q + 1)), rel=0.02, abs=1e-14)
     assert beyond * (1 - 1e-9) <= stated.beyond_q <= beyond * 1.01
-    half_unit = 2.0 ** -(table.fraction_bits + 1)
-    assert stated.rounding <= half_unit / 2 / (table.entries[q - 2] / 2**table.fraction_bits) * 1.01
+    half_unit = 2.0 ** -(FRACTION_BITS + 1)
+    assert stated.rounding <= half_unit / 2 / (table.entries[q - 2] / 2**FRACTION_BITS) * 1.01
 
 
 def test_the_design_figures() -> None:
@@ -326,21 +325,21 @@ def test_the_shipped_files_are_what_the_generator_makes() -> None:
 @pytest.mark.parametrize(("omega", "q"), SHIPPED + EDGES)
 def test_the_json_tells_the_truth(omega: str, q: int) -> None:
     data = json.loads(json_text(Decimal(omega), q), parse_float=Decimal)
-    shape = data["format_version"] << 24 | data["q"] << 16 | data["fraction_bits"] << 8
-    words = (MAGIC, shape, data["omega_word"], data["checksum"], *data["entries"])
+    words = (MAGIC | data["q"], data["omega_word"], *data["entries"], data["checksum"])
     assert Table.from_words(words) == generate(Decimal(omega), q)
     assert data["omega"] == Decimal(omega)
     raw = b"".join(word.to_bytes(4, "little") for word in words)
     assert data["sha256"] == hashlib.sha256(raw).hexdigest()
-    assert data["bytes"] == len(raw) == 16 + 4 * q
-    assert data["bytes_formula"] == "16 + 4 q"
+    assert data["bytes"] == len(raw) == 12 + 4 * q
+    assert data["bytes_formula"] == "12 + 4 q"
+    assert (data["format_version"], data["fraction_bits"]) == (2, FRACTION_BITS)
 
 
 def compile_c(source: Path, output: Path) -> bytes:
-    """Compile as a strict user would; returns the object file."""
+    """Compile as a strict user would; returns the object file. ``-O1`` leaves out what is not used."""
     compiler = shutil.which("gcc")
     assert compiler, "these tests need gcc"
-    strict = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-Wmissing-declarations"]
+    strict = ["-std=c99", "-O1", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-Wmissing-declarations"]
     command = [compiler, *strict, "-I", str(ROOT / "c_ref" / "src"), "-c", str(source), "-o", str(output)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
@@ -354,17 +353,17 @@ def test_the_object_code_is_the_table_and_nothing_else(omega: str, q: int, tmp_p
     symbols = elf.get_section_by_name(".symtab")
     assert isinstance(symbols, SymbolTableSection)
     [symbol] = symbols.get_symbol_by_name(f"mcp_asdf_{name}") or []
-    assert symbol["st_size"] == 16 + 4 * q
+    assert symbol["st_size"] == 12 + 4 * q
     assert symbol["st_info"]["bind"] == "STB_GLOBAL"
     section = elf.get_section(symbol["st_shndx"])
     start = symbol["st_value"]
     order = "<" if elf.little_endian else ">"
-    words = struct.unpack(f"{order}{4 + q}I", section.data()[start : start + symbol["st_size"]])
+    words = struct.unpack(f"{order}{3 + q}I", section.data()[start : start + symbol["st_size"]])
     assert words == generate(Decimal(omega), q).words()
     assert section.name == ".rodata"
     taken = {s.name: s["sh_size"] for s in elf.iter_sections() if s["sh_flags"] & 2 and s["sh_size"]}
     assert {name: size for name, size in taken.items() if name in (".text", ".data", ".bss", ".rodata")} == {
-        ".rodata": 16 + 4 * q
+        ".rodata": 12 + 4 * q
     }
 
 
@@ -398,7 +397,7 @@ def test_making_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     folder = tmp_path / "new" / "folder"
     assert run_table("--omega", "0.050", "--neighbours", 30, "--output", folder) == 0
     out = capsys.readouterr().out
-    assert "136 bytes (16 + 4 q)" in out
+    assert "132 bytes (12 + 4 q)" in out
     assert "1.83% for 30 < m <= 127" in out
     assert {path.name for path in folder.iterdir()} == {"t_table_omega05_q30.c", "t_table_omega05_q30.json"}
     for path in folder.iterdir():
@@ -532,7 +531,7 @@ def test_the_first_differing_entry_is_told(
         assert f"expected {right} " in line
     assert run_table("--check", json_file, "--json") == 1
     [report] = json.loads(capsys.readouterr().out)["tables"]
-    assert report["difference"] == {"word": index + 4, "found": wrong, "expected": right}
+    assert report["difference"] == {"word": index + 2, "found": wrong, "expected": right}
 
 
 @pytest.mark.parametrize(
@@ -591,10 +590,10 @@ def test_a_file_that_says_no_table_is_bad_usage(
 def test_a_checksum_is_told_only_if_nothing_else_differs() -> None:
     table = generate(Decimal("0.05"), 30)
     words = list(table.words())
-    words[3] ^= 1
+    words[-1] ^= 1
     assert str(first_difference(words, table)).startswith("the checksum: ")
-    words[33] ^= 1
-    words[3] = checksum(words[:3] + words[4:])
+    words[-2] ^= 1
+    words[-1] = checksum(words[:-1])
     assert str(first_difference(words, table)).startswith("entry 29 (m > 30): ")
 
 
@@ -641,7 +640,7 @@ def test_tables_are_found_in_every_format(
     assert len(lines) == 6
     name = "little-endian" if order == "<" else "big-endian"
     assert lines[0] == f"{paths[0]}: {offset:#x} ({name}): omega 0.05, q 30: ok"
-    assert lines[3].endswith(f"segment+{offset + 143:#x} ({name}): omega 0.125, q 2: ok")
+    assert lines[3].endswith(f"segment+{offset + 139:#x} ({name}): omega 0.125, q 2: ok")
     assert lines[4] == f"{paths[2]}: {0x08000000 + offset:#x} ({name}): omega 0.05, q 30: ok"
 
 
@@ -651,8 +650,8 @@ def test_a_linked_program_and_its_object_are_verified(
     source = tmp_path / "program.c"
     source.write_text(
         '#include "mcp_asdf.h"\n'
-        "extern const uint32_t mcp_asdf_t_table_omega10_q127[131];\n"
-        f"int main(void) {{ return mcp_asdf_t_table_omega10_q127[0] == {MAGIC:#x}U ? 0 : 1; }}\n"
+        "extern const uint32_t mcp_asdf_t_table_omega10_q127[130];\n"
+        f"int main(void) {{ return mcp_asdf_t_table_omega10_q127[0] == {MAGIC | 127:#x}U ? 0 : 1; }}\n"
     )
     compile_c(ROOT / "tables" / "t_table_omega10_q127.c", tmp_path / "table.o")
     compile_c(source, tmp_path / "program.o")
@@ -681,21 +680,52 @@ def test_a_flipped_bit_anywhere_in_the_table_is_noticed(tmp_path: Path) -> None:
         assert any(finding.problem for finding in verify_image(path)), f"bit {bit}"
 
 
-def test_a_wrong_entry_in_an_image_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Also if whoever changed it made the checksum fit."""
+@pytest.mark.parametrize("damaged", [slice(2, 17), slice(17, 32), slice(1, 2), slice(32, 33)])
+def test_a_damaged_table_is_found_beside_a_sound_one(damaged: slice, tmp_path: Path) -> None:
+    """Erased flash: up to half of the entries, the word of omega, the checksum."""
     words = list(generate(Decimal("0.05"), 30).words())
-    words[10] -= 1
-    words[3] = checksum(words[:3] + words[4:])
+    words[damaged] = [2**32 - 1] * len(words[damaged])
+    (tmp_path / "image.bin").write_bytes(image_bytes() + words_of(words[0], *words[1:]))
+    sound, other = verify_image(tmp_path / "image.bin")
+    assert sound.problem is None
+    assert other.q == 30
+    assert other.problem is not None
+
+
+def test_a_table_of_wrong_entries_with_its_checksum_is_found(tmp_path: Path) -> None:
+    """Magic and checksum are enough, also where no entry could be one."""
+    words = [MAGIC | 30, 0x0CCCCCCD, *[0] * 30]
+    (tmp_path / "image.bin").write_bytes(words_of(*words, checksum(words)))
+    [finding] = verify_image(tmp_path / "image.bin")
+    assert (finding.omega, finding.q) == (Decimal("0.05"), 30)
+    assert finding.problem is not None
+    assert finding.problem.startswith("entry 0 (m = 2): found 0 ")
+
+
+@pytest.mark.parametrize(("omega", "q"), EDGES)
+def test_every_table_is_found_without_its_checksum(omega: str, q: int, tmp_path: Path) -> None:
+    data = image_bytes(omega=omega, q=q)
+    (tmp_path / "image.bin").write_bytes(data[:-4] + bytes(4))
+    [finding] = verify_image(tmp_path / "image.bin")
+    assert finding.omega == Decimal(omega)
+    assert str(finding.problem).startswith("the checksum: found 0 ")
+
+
+def test_a_wrong_entry_in_an_image_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Even where the checksum was made to fit."""
+    words = list(generate(Decimal("0.05"), 30).words())
+    words[8] -= 1
+    words[-1] = checksum(words[:-1])
     assert Table.from_words(words).q == 30, "the firmware would take it"
-    for path in write_images(tmp_path, struct.pack("<34I", *words)):
+    for path in write_images(tmp_path, struct.pack("<33I", *words)):
         assert run_table("--verify", path) == 1
-        assert f"entry 6 (m = 8): found {words[10]} " in capsys.readouterr().out
+        assert f"entry 6 (m = 8): found {words[8]} " in capsys.readouterr().out
 
 
 def test_an_omega_word_off_the_grid_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = list(generate(Decimal("0.05"), 30).words())
-    words[2] += 1
-    (tmp_path / "image.bin").write_bytes(struct.pack("<34I", *words))
+    words[1] += 1
+    (tmp_path / "image.bin").write_bytes(struct.pack("<33I", *words))
     assert run_table("--verify", tmp_path / "image.bin") == 1
     assert "0x0ccccccE".lower() in capsys.readouterr().out.lower()
 
@@ -707,15 +737,35 @@ def test_a_table_cut_short_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
         path.write_bytes(data[:length])
         assert run_table("--verify", path) == 1
         told = capsys.readouterr().out
-        assert ("no t-table found" if length < 16 else "found nothing") in told, length
+        half = 4 * (2 + 15)  # magic and q, omega, and half of the entries
+        assert ("no t-table found" if length < half else "found nothing") in told, length
 
 
-NO_TABLE = [0x011E1E01, 0x011E0000, 0x01011E00, 0x01801E00, 0x021E1E00, 0x001E1E00, 0x011E2000, MAGIC]
+def words_of(first: int, *others: int) -> bytes:
+    return struct.pack(f"<{1 + len(others)}I", first, *others)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"nothing here", *(struct.pack("<II", MAGIC, w) * 9 for w in NO_TABLE)]
-)
+ENTRIES = generate(Decimal("0.05"), 127).entries
+NO_TABLE = [
+    b"",
+    b"nothing here",
+    b"MCT",
+    b"TCM",
+    b"ITCM and DTCM: memories of a Cortex-M7, and MCTA in capitals" * 9,
+    words_of(MAGIC, 0x0CCCCCCD, *ENTRIES),  # q = 0
+    words_of(MAGIC | 1, 0x0CCCCCCD, *ENTRIES),
+    words_of(MAGIC | 128, 0x0CCCCCCD, *ENTRIES),
+    words_of(MAGIC | 255, 0x0CCCCCCD, *ENTRIES, *ENTRIES, *ENTRIES),
+    words_of(MAGIC + 0x100 | 30, 0x0CCCCCCD, *ENTRIES),
+    words_of(MAGIC - 0x100 | 30, 0x0CCCCCCD, *ENTRIES),
+    words_of(MAGIC | 30, *[0] * 31),
+    words_of(MAGIC | 30, *[2**32 - 1] * 31),
+    words_of(MAGIC | 30, 0x0CCCCCCD, *ENTRIES[:14], *[0] * 17),
+    words_of(MAGIC | 30, 0x0CCCCCCD, *[1 << FRACTION_BITS] * 30),
+]
+
+
+@pytest.mark.parametrize("content", NO_TABLE)
 def test_an_image_without_a_table_fails(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

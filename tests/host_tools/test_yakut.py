@@ -21,6 +21,7 @@ import pytest
 import yaml
 from support import PATH, ROOT, require
 
+from firmware_py.fixed_point import alpha_to_word
 from host_tools import frames
 from host_tools.frames import FrameFormat, Message
 
@@ -89,7 +90,7 @@ def test_it_prints_what_the_robots_broadcast(environment: dict[str, str], tmp_pa
 def message_of(estimate: dict[str, Any]) -> Message:
     meta = estimate["_meta_"]
     assert meta["dtype"] == "mcp_asdf.Estimate.1.0"
-    alpha = frames.bits_of(estimate["alpha"])
+    alpha = alpha_to_word(estimate["alpha"])
     return Message(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
 
 

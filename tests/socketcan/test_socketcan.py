@@ -12,6 +12,7 @@ from typing import Any
 import can
 import pytest
 from can.typechecking import CanFilters
+from robots import ALPHA_ONE
 from socketcan.candump import Candump
 from socketcan.robots import PATIENCE, PythonNode, drive
 from socketcan.vcan import FRAME, Vcan
@@ -131,7 +132,7 @@ def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) ->
         bus.set_filters(of_node_0)
         lockstep = Lockstep(bus, timeout=PATIENCE)
         lockstep.wait_until_up([0], PATIENCE)
-        needed = encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat()).arbitration_id | EXTENDED
+        needed = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat()).arbitration_id | EXTENDED
         near = (
             needed ^ 0x100,
             needed ^ 0x80,
@@ -156,7 +157,7 @@ def test_frames_that_overflow_the_receive_buffer_are_counted(
     sensor = tmp_path / "value"
     sensor.write_text("1", encoding="ascii")
     node = start(0, "--sensor", sensor, "--receive-buffer", 4096)
-    estimate = encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat())
+    estimate = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat())
     with vcan.bus() as bus:
         assert bus.recv(PATIENCE) is not None
         node.process.send_signal(signal.SIGSTOP)
@@ -202,7 +203,7 @@ def check_interruption(
     end()
     with vcan.bus() as bus:
         wait_for(bus, 5)
-        bus.send(encode(Message(3, 2**22, 0x3F800000, 0), FrameFormat()), timeout=PATIENCE)
+        bus.send(encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat()), timeout=PATIENCE)
         wait_for(bus, 5)
     figures = node.stop()
     assert figures["downs"] == 1

@@ -16,8 +16,9 @@ import pytest
 from support import ROOT, require, run
 
 from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import Config, Filter
+from firmware_py.robot import Filter
 from host_tools.node import NodeSettings, RobotNode, Subjects
+from host_tools.rounds import TickConfig, TickedRobot
 from host_tools.tables import generate, parse_omega
 
 NODES = "MCP_ASDF_NODES"
@@ -125,7 +126,8 @@ def twin(
     **config: Any,
 ) -> RobotNode:
     """The Python node of the same options, on plain integers."""
-    robot = MirrorRobot(Config(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config}), robot_id, b_hat)
+    settings = TickConfig(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config})
+    robot = TickedRobot(MirrorRobot(settings.in_rounds(), robot_id, b_hat), settings.comms_period)
     return RobotNode(robot, NodeSettings(robot_id, subjects or Subjects(), ticks_per_second))
 
 

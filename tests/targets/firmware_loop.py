@@ -28,12 +28,13 @@ from rich.progress import track
 
 from firmware_py.mirror import MirrorRobot
 from firmware_py.native import NativeRobot
-from firmware_py.robot import Config, FirmwareError, Observation
+from firmware_py.robot import Config, Observation
 from host_tools.errors import UsageError
 from host_tools.frames import Action, Command, encode_command
 from host_tools.lockstep import DRIVER_ID
 from host_tools.node import NodeSettings, RobotNode
 from host_tools.qemu import Board
+from host_tools.rounds import TickConfig, TickedRobot
 from host_tools.tables import generate
 from host_tools.world import FullyConnected, World
 
@@ -84,12 +85,13 @@ def build(target: str, folder: Path, filter_period: int, flags: str = "") -> Pat
 
 def mirror_node(filter_period: int) -> RobotNode:
     """What the image is, in plain integers."""
-    return RobotNode(MirrorRobot(_config(filter_period), IMAGE_ID, FLAWED_ACCURACY), NodeSettings(IMAGE_ID))
+    robot = MirrorRobot(_config(filter_period), IMAGE_ID, FLAWED_ACCURACY)
+    return RobotNode(TickedRobot(robot), NodeSettings(IMAGE_ID))
 
 
 @cache
 def _config(filter_period: int) -> Config:
-    return Config(table=generate(Decimal("0.05"), 30), filter_period=filter_period)
+    return TickConfig(table=generate(Decimal("0.05"), 30), filter_period=filter_period).in_rounds()
 
 
 class Loop:
@@ -106,7 +108,7 @@ class Loop:
         self.mirror = mirror_node(filter_period)
         self.compared = 0
         self._neighbours = {
-            i: RobotNode(NativeRobot(config, i, ACCURACY), NodeSettings(i, telemetry_period=0))
+            i: RobotNode(TickedRobot(NativeRobot(config, i, ACCURACY)), NodeSettings(i, telemetry_period=0))
             for i in range(ROBOTS)
             if i != IMAGE_ID
         }
@@ -214,14 +216,12 @@ def _pace(loop: Loop, began: float) -> float:
 
 
 def _check(args: argparse.Namespace) -> None:
+    """Raises UsageError for a run that cannot be."""
     if args.ticks < 1:
         raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
     if not PERIOD <= args.seconds <= _DAY:
         raise UsageError(f"seconds is {args.seconds}; it must be {PERIOD}, one tick, to {_DAY}, a day")
-    try:
-        mirror_node(args.filter_period)
-    except FirmwareError as error:
-        raise UsageError(str(error)) from error
+    mirror_node(args.filter_period)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

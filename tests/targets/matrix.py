@@ -1,10 +1,11 @@
-"""Build the golden vectors' player for every target and run it under emulation: every compiler, every level.
+"""Build the golden vectors' player for every target and run it under emulation: every compiler, every level,
+and every choice that the core's arithmetic has.
 
     python tests/targets/matrix.py [--target NAME ...]
 
 Prints a line for each build: the verdict and the image's bytes, or why it was left out. Exits with 1 if one
-failed or none was played, 2 for bad usage. Takes minutes; the test suite runs one build of each target
-(test_targets.py).
+failed or none was played, 2 for bad usage. Takes minutes; the test suite runs one build of each target and of
+each choice (test_targets.py).
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from host_tools.golden_scenarios import edge_scenarios, run_scenarios
 HERE = Path(__file__).resolve().parent
 TOOLCHAINS = HERE.parents[1] / "c_ref" / "cmake"
 IMAGE = "golden_vectors"
+CORE_SOURCES = ("mcp_asdf.c", "mcp_asdf_image.c")
+"""What the player needs of the firmware."""
 
 VECTORS = {"golden_edges.bin": edge_scenarios, "golden_runs.bin": run_scenarios}
 """Files of vectors, and the scenarios that they hold."""
@@ -40,9 +43,8 @@ VECTORS = {"golden_edges.bin": edge_scenarios, "golden_runs.bin": run_scenarios}
 _VERDICT = re.compile(r"PASS scenarios \d+ calls \d+ ticks \d+")
 _ANSI = re.compile(r"\x1b\[\d+m")
 _BY_COMPILERS = r"memcpy|memset"
-_ON_ARM = r"|__aeabi_(lmul|llsl|llsr|uidiv|uidivmod)|__gnu_thumb1_case_\w+"
-_ON_RISCV = r"|__(ashl|lshr|mul)di3"
-_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mulsi3|__mulohisi3|__umulsidi3|__udivmodsi4"
+_ON_CORTEX_M = r"|__aeabi_lmul|__gnu_thumb1_case_\w+"
+_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mulsi3|__mulohisi3|__umulsidi3"
 
 
 class BuildError(Exception):
@@ -81,12 +83,12 @@ class Target:
 
 def _cortex_m(name: str) -> Target:
     tools = ("arm-none-eabi-gcc", "qemu-system-arm")
-    return Target(name, tools, "gcc-arm-none-eabi qemu-system-arm", _BY_COMPILERS + _ON_ARM)
+    return Target(name, tools, "gcc-arm-none-eabi qemu-system-arm", _BY_COMPILERS + _ON_CORTEX_M)
 
 
 def _riscv(name: str) -> Target:
     tools = ("riscv64-unknown-elf-gcc", "qemu-system-riscv32")
-    return Target(name, tools, "gcc-riscv64-unknown-elf qemu-system-misc", _BY_COMPILERS + _ON_RISCV)
+    return Target(name, tools, "gcc-riscv64-unknown-elf qemu-system-misc", _BY_COMPILERS)
 
 
 TARGETS = (
@@ -97,7 +99,7 @@ TARGETS = (
         "cortex-a8",
         ("arm-linux-gnueabihf-gcc", "qemu-arm"),
         "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user",
-        _BY_COMPILERS + _ON_ARM,
+        _BY_COMPILERS,
         bare=False,
     ),
     Target(
@@ -109,6 +111,9 @@ TARGETS = (
     ),
 )
 
+HOST = Target("host", ("gcc", "cmake"), "gcc cmake", _BY_COMPILERS, bare=False)
+"""This computer."""
+
 LEVELS = {
     "-O0": ("Debug", "OFF"),
     "-Os": ("MinSizeRel", "OFF"),
@@ -117,6 +122,46 @@ LEVELS = {
     "-O2 LTO": ("RelWithDebInfo", "ON"),
 }
 """CMake's name of the level, and whether the linker optimises."""
+
+CHOICES = {
+    "own": (),
+    "divide by table": ("MCP_ASDF_DIVIDE=2",),
+    "divide by bits": ("MCP_ASDF_DIVIDE=3", "MCP_ASDF_SHIFT_BYTES=1", "MCP_ASDF_HAS_CLZ=0"),
+    "divide in lanes": ("MCP_ASDF_DIVIDE=4",),
+    "multiply halves": ("MCP_ASDF_SPLIT_MULTIPLY=1", "MCP_ASDF_HAS_CLZ=0"),
+}
+"""What a target's core can be made to compute by, as definitions for the compiler."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of the matrix.
+
+    Attributes:
+        target: Where the image runs.
+        compiler: gcc or clang.
+        level: Key of ``LEVELS``.
+        choice: Key of ``CHOICES``.
+    """
+
+    target: Target
+    compiler: str = "gcc"
+    level: str = "-O2"
+    choice: str = "own"
+
+    def __str__(self) -> str:
+        return f"{self.target.name:16} {self.compiler:6} {self.level:8} {self.choice:16}"
+
+
+def cells_of(target: Target) -> list[Cell]:
+    """Every compiler at every level; for this computer and a big-endian machine also every choice."""
+    compilers = ("gcc", "clang")
+    own = [Cell(target, compiler, level) for compiler in compilers for level in LEVELS]
+    if target.name not in (HOST.name, "s390x-linux-gnu"):
+        return own
+    return own + [
+        Cell(target, *more) for more in product(compilers, ("-Os", "-O2"), CHOICES) if more[-1] != "own"
+    ]
 
 
 def build(preset: str, folder: Path, *settings: str) -> Path:
@@ -167,9 +212,10 @@ def link_core_alone(target: Target, folder: Path) -> Path:
     return linked
 
 
-def core_object(folder: Path) -> Path:
-    """The core as it was compiled in ``folder``."""
-    (found,) = folder.glob("core/**/mcp_asdf.c.o*")
+def core_objects(folder: Path) -> list[Path]:
+    """The core as it was compiled in ``folder``: the method, and saving and restoring."""
+    found = [path for name in CORE_SOURCES for path in folder.glob(f"core/**/{name}.o*")]
+    assert len(found) == len(CORE_SOURCES), found
     return found
 
 
@@ -204,56 +250,59 @@ def flash(image: Path) -> int:
         return sum(segment["p_filesz"] for segment in ELFFile(stream).iter_segments("PT_LOAD"))
 
 
-def images_of(target: Target, level: str) -> list[tuple[str, ...]]:
+def images_of(cell: Cell) -> list[tuple[str, ...]]:
     """The vectors that each image of a cell plays: an ATmega328P's flash holds one file at a time."""
-    return [(name,) for name in VECTORS] if _on_atmega328p(target, level) else [tuple(VECTORS)]
+    return [(name,) for name in VECTORS] if _on_atmega328p(cell) else [tuple(VECTORS)]
 
 
-def _on_atmega328p(target: Target, level: str) -> bool:
-    return target.name == "avr" and level == "-Os"
+def _on_atmega328p(cell: Cell) -> bool:
+    return cell.target.name == "avr" and cell.level == "-Os"
 
 
-def settings_of(target: Target, compiler: str, level: str, vectors: tuple[str, ...]) -> Iterator[str]:
-    """CMake's settings for an image of one cell of the matrix."""
-    kind, optimising_linker = LEVELS[level]
+def settings_of(cell: Cell, vectors: tuple[str, ...]) -> Iterator[str]:
+    """CMake's settings for an image of a cell."""
+    kind, optimising_linker = LEVELS[cell.level]
     yield f"CMAKE_BUILD_TYPE={kind}"
     yield f"CMAKE_INTERPROCEDURAL_OPTIMIZATION={optimising_linker}"
     yield f"GOLDEN_VECTORS={';'.join(str(HERE / name) for name in vectors)}"
-    if compiler == "clang":
+    yield f"MCP_ASDF_CHOICE={';'.join(CHOICES[cell.choice])}"
+    if cell.target == HOST:
+        yield f"CMAKE_C_COMPILER={cell.compiler}"
+    elif cell.compiler == "clang":
         yield f"CMAKE_TOOLCHAIN_FILE={TOOLCHAINS / 'clang.cmake'}"
-        yield f"MCP_ASDF_TARGET={target.name}"
-    if target.name == "avr" and not _on_atmega328p(target, level):
+        yield f"MCP_ASDF_TARGET={cell.target.name}"
+    if cell.target.name == "avr" and not _on_atmega328p(cell):
         yield "MCP_ASDF_AVR=atmega1284p"  # 32 KB hold the core and the vectors at -Os alone
 
 
-def cell(target: Target, compiler: str, level: str) -> tuple[str, str]:
-    """Build and run one cell: "passed", "left out" or "FAILED", and the details."""
-    reason = _left_out(target, compiler)
+def result_of(cell: Cell) -> tuple[str, str]:
+    """Build and run a cell: "passed", "left out" or "FAILED", and the details."""
+    reason = _left_out(cell)
     if reason:
         return "left out", reason
     try:
-        sizes = [_play(target, compiler, level, vectors) for vectors in images_of(target, level)]
+        sizes = [_play(cell, vectors) for vectors in images_of(cell)]
     except (BuildError, PlayError) as error:
         return "FAILED", str(error)
     return "passed", " and ".join(f"{size:7} bytes" for size in sizes)
 
 
-def _left_out(target: Target, compiler: str) -> str:
+def _left_out(cell: Cell) -> str:
     tools = {"cmake": "cmake", "ninja": "ninja-build"}
-    if compiler == "clang":
-        if not target.clang:
+    if cell.compiler == "clang":
+        if not cell.target.clang:
             return "clang does not build for it"
-        tools |= {"clang": "clang", "ld.lld": "lld"}
-    missing = target.missing(*tools)
+        tools |= {"clang": "clang"} if cell.target == HOST else {"clang": "clang", "ld.lld": "lld"}
+    missing = cell.target.missing(*tools)
     return f"{missing} {' '.join(tools.values())}" if missing else ""
 
 
-def _play(target: Target, compiler: str, level: str, vectors: tuple[str, ...]) -> int:
+def _play(cell: Cell, vectors: tuple[str, ...]) -> int:
     """Build and run an image; returns its bytes. Raises BuildError, or PlayError if it is not in order."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        image = build(target.name, folder, *settings_of(target, compiler, level, vectors))
-        odd = set() if "LTO" in level else _unexpected(target, folder)
+        image = build(cell.target.name, folder, *settings_of(cell, vectors))
+        odd = set() if "LTO" in cell.level else _unexpected(cell.target, folder)
         if odd:
             raise PlayError(f"the core needs {', '.join(sorted(odd))}")
         passed, printed = run(folder)
@@ -264,7 +313,11 @@ def _play(target: Target, compiler: str, level: str, vectors: tuple[str, ...]) -
 
 
 def _unexpected(target: Target, folder: Path) -> set[str]:
-    return {name for name in needed_symbols(core_object(folder)) if not re.fullmatch(target.helpers, name)}
+    """Symbols that the core needs and may not need; those of the core itself are none of them."""
+    core = core_objects(folder)
+    own = {symbol.name for elf in core for symbol in symbols(elf) if symbol["st_shndx"] != "SHN_UNDEF"}
+    needed = set[str]().union(*map(needed_symbols, core)) - own
+    return {name for name in needed if not re.fullmatch(target.helpers, name)}
 
 
 def main() -> int:
@@ -272,16 +325,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description="Run the golden vectors on every target with every compiler."
     )
-    names = [target.name for target in TARGETS]
+    known = (*TARGETS, HOST)
+    names = [target.name for target in known]
     parser.add_argument("--target", choices=names, action="append", help="only this one (may be repeated)")
     chosen = parser.parse_args().target or names
-    targets = [target for target in TARGETS if target.name in chosen]
-    cells = list(product(targets, ("gcc", "clang"), LEVELS))
+    cells = [cell for target in known if target.name in chosen for cell in cells_of(target)]
     verdicts = Counter[str]()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = pool.map(cell, *zip(*cells, strict=True))
-        for (target, compiler, level), (verdict, details) in zip(cells, results, strict=True):
-            print(f"{target.name:16} {compiler:6} {level:8} {verdict:8} {details}", flush=True)
+        for cell, (verdict, details) in zip(cells, pool.map(result_of, cells), strict=True):
+            print(f"{cell} {verdict:8} {details}", flush=True)
             verdicts[verdict] += 1
     print(", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items())))
     return 1 if verdicts["FAILED"] or not verdicts["passed"] else 0

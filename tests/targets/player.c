@@ -1,19 +1,20 @@
 /* Plays the golden vectors on the firmware of this image and prints the verdict; docs/targets.md has their
  * format. host_tools/golden_vectors.py is the same player in Python, function by function. A scenario's
  * digest covers every call; where it is not the expected one the scenario is played again with a line for
- * every call, and `python -m host_tools.golden_vectors --explain` tells from these lines which call differed
- * first. */
-#include "mcp_asdf.h"
+ * every call, from which `python -m host_tools.golden_vectors --explain` finds the first call that differed.
+ */
+#include "mcp_asdf_arithmetic.h"
+#include "mcp_asdf_image.h"
 #include "port.h"
 
 #define MAGIC UINT32_C(0x5647434D)
 #define STATE_WORDS (MCP_ASDF_IMAGE_SIZE / 4U)
 
-enum { END, OBSERVE, STEP, SETTLE, RECEIVE, ADD, RESTORE, DAMAGE, RUN };
+enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE, CROWD, RUN };
 enum { TABLE_NONE, TABLE_SOUND, TABLE_SPOILT };
 
 extern const uint8_t golden_vectors[]; /* files one behind the other, then a word that starts none */
-extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 static mcp_asdf_config_t config;
 static mcp_asdf_t robot;
@@ -56,12 +57,6 @@ static uint32_t take(uint8_t bytes)
     return value;
 }
 
-static uint64_t take_double(void)
-{
-    const uint32_t low = take(4);
-    return (uint64_t)take(4) << 32 | low;
-}
-
 static uint32_t image_word(uint8_t index)
 {
     const uint8_t *const at = &image[4U * index];
@@ -83,14 +78,17 @@ static uint32_t mix(uint32_t hash, uint32_t word)
     return hash ^ hash >> 15;
 }
 
+/* Of all members but the config: what b_hat alone decides is not in an image. */
 static uint32_t digest_of_state(void)
 {
+    const mcp_asdf_accuracy_t *const accuracy = &robot.accuracy;
     uint32_t hash = mix(mix(0, mcp_asdf_x(&robot)), mcp_asdf_x_bar(&robot));
     mcp_asdf_save(&robot, image);
     for (uint8_t i = 0; i < STATE_WORDS; ++i) {
         hash = mix(hash, image_word(i));
     }
-    return hash;
+    hash = mix(mix(mix(hash, accuracy->c), accuracy->common), accuracy->rare);
+    return mix(hash, (uint32_t)accuracy->rare_shift << 8 | accuracy->g_shift);
 }
 
 static void tell(uint32_t status, uint32_t state)
@@ -145,17 +143,16 @@ static void play_receive(void)
     receive(sender, x_hat, take(4));
 }
 
-static void play_add(void)
+static void play_crowd(void)
 {
-    mcp_asdf_sums_t sums;
-    const uint8_t messages = (uint8_t)take(1);
-    sums.alpha = take_double();
-    sums.alpha_x_low = take_double();
-    sums.alpha_x_high = take_double();
-    sums.x_squared = take_double();
-    sums.x = take(4);
-    sums.count = take(4);
-    note(mcp_asdf_add_round(&robot, &sums, messages), true);
+    uint8_t sender = (uint8_t)take(1);
+    uint8_t left = (uint8_t)take(1);
+    uint32_t x_hat = take(4);
+    const uint32_t step_of_x_hat = take(4), alpha = take(4);
+    for (; left > 0; --left) {
+        receive(sender++, x_hat, alpha);
+        x_hat += step_of_x_hat;
+    }
 }
 
 /* Replace words of the robot's image and make its checksum right again; the robot becomes what it says. */
@@ -192,30 +189,42 @@ static uint32_t draw(void)
     return randomness;
 }
 
+/* Mostly a canonical word of any magnitude, sometimes a small mantissa, or any bits. */
+static uint32_t draw_alpha(void)
+{
+    const uint32_t word = draw();
+    switch (word >> 5 & 7) {
+    case 0:
+        return draw();
+    case 1:
+        return word >> (word & 31);
+    default:
+        return (word | UINT32_C(0x80000000)) & ~UINT32_C(0xE0);
+    }
+}
+
 static void receive_drawn(uint32_t centre, uint8_t spread)
 {
     const uint32_t who = draw();
     const uint8_t stranger = (who & 31) == 0 ? 128 : 0;
     const uint32_t x_hat = centre + (draw() >> spread) - (UINT32_C(0x80000000) >> spread);
-    const uint32_t alpha = draw();
-    receive((uint8_t)(who >> 25 | stranger), x_hat,
-            (alpha & 7) == 0 ? draw() : UINT32_C(0x33000000) + (alpha >> 3));
+    receive((uint8_t)(who >> 25 | stranger), x_hat, draw_alpha());
 }
 
-static void tick_drawn(uint8_t black)
+static void tick_drawn(uint8_t black, uint8_t settled)
 {
     const uint32_t bits = draw();
-    const uint8_t rare = bits >> 8 & 63;
-    uint8_t z = (bits & 255) < black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
-    if (rare < 2) { /* none, and an error */
-        z = (uint8_t)(MCP_ASDF_NONE + rare);
-    }
-    if ((bits >> 14 & 1) != 0) {
+    const uint8_t rare = bits >> 8 & 63; /* 0: nothing is seen; 1: what is no observation */
+    const bool settles = (bits >> 14 & 255) < settled;
+    const uint8_t z = rare == 1 ? 2 : (bits & 255) < black;
+    if (rare != 0 && settles && (bits >> 22 & 1) != 0) {
         step((mcp_asdf_observation_t)z);
         return;
     }
-    observe((mcp_asdf_observation_t)z);
-    if ((bits >> 15 & 15) != 0) {
+    if (rare != 0) {
+        observe((mcp_asdf_observation_t)z);
+    }
+    if (settles) {
         settle();
     }
 }
@@ -224,13 +233,14 @@ static void play_run(void)
 {
     randomness = take(4);
     uint32_t left = take(2);
-    const uint8_t black = (uint8_t)take(1), messages = (uint8_t)take(1), spread = (uint8_t)take(1);
+    const uint8_t black = (uint8_t)take(1), settled = (uint8_t)take(1);
+    const uint8_t messages = (uint8_t)take(1), spread = (uint8_t)take(1);
     const uint32_t centre = take(4);
     for (; left > 0; --left) {
         for (uint32_t more = (draw() >> 16) * (messages + UINT32_C(1)) >> 16; more > 0; --more) {
             receive_drawn(centre, spread);
         }
-        tick_drawn(black);
+        tick_drawn(black, settled);
     }
 }
 
@@ -243,7 +253,6 @@ static void make_robot(void)
     const uint8_t kind = (uint8_t)take(1), id = (uint8_t)take(1);
     config.table =
         kind == TABLE_NONE ? 0 : table + (kind == TABLE_SPOILT); /* spoilt: its header is missing */
-    config.comms_period = take(4);
     config.filter_period = take(4);
     config.memory = take(4);
     const mcp_asdf_status_t status = mcp_asdf_init(&robot, &config, id, take(4));
@@ -267,14 +276,14 @@ static bool play_item(void)
     case RECEIVE:
         play_receive();
         return true;
-    case ADD:
-        play_add();
-        return true;
     case RESTORE:
         play_restore();
         return true;
     case DAMAGE:
         play_damage();
+        return true;
+    case CROWD:
+        play_crowd();
         return true;
     case RUN:
         play_run();

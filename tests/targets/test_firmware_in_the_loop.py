@@ -294,7 +294,7 @@ class Talk:
         return line_of(encode_command(Command(126, tick, target, action, tick % 32)))
 
     def estimate(self, sender: int) -> bytes:
-        x_hat, alpha = self._random.randint(0, 1 << 23), self._random.randint(0, 0x50000000)
+        x_hat, alpha = self._random.randint(0, 1 << 23), self._random.getrandbits(32)
         return line_of(encode(Message(sender, x_hat, alpha, self._tick % 32), FrameFormat()))
 
     def noise(self) -> bytes:

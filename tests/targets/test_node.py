@@ -149,7 +149,7 @@ def any_frame(draw: random.Random) -> can.Message:
     """A frame for the test above: legal, or with something wrong."""
     if draw.random() < 0.5:
         message = Message(
-            draw.randrange(8), draw.randrange(2**23 + 1), draw.choice((0, 1, draw.getrandbits(30))), 0
+            draw.randrange(8), draw.randrange(2**23 + 1), draw.choice((0, 0xFF, draw.getrandbits(32))), 0
         )
         frame = encode(message, SUBJECTS.estimates)
     else:
@@ -168,6 +168,7 @@ def spoilt(frame: can.Message, **changes: object) -> can.Message:
 SPOILERS: tuple[Callable[[can.Message, random.Random], can.Message], ...] = (
     lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id ^ 1 << draw.randrange(29)),
     lambda frame, draw: spoilt(frame, data=draw.randbytes(8)),
+    lambda frame, draw: spoilt(frame, data=frame.data[:3] + draw.randbytes(4) + frame.data[7:]),
     lambda frame, draw: spoilt(frame, data=frame.data[: draw.randrange(8)]),
     lambda frame, draw: spoilt(frame, data=b"\xff" * 7 + frame.data[7:]),
     lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id & 0x7FF, is_extended_id=False),
@@ -188,6 +189,28 @@ def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: 
         assert bus.recv(20) is not None, f"{len(peer.said)} answers, expected {answers}"
 
 
+@pytest.mark.parametrize(("ticks", "rounds"), [(2, 0), (3, 1), (5, 1), (6, 2)])
+def test_a_tick_that_is_not_due_leaves_the_round_open(
+    start: Start, bus: UnixBus, ticks: int, rounds: int
+) -> None:
+    """The command to settle ends each tick, and every third one is the end of a round."""
+    node = start(5, "--lockstep", "--comms-period", 3, "--filter-period", 6, "--ticks", ticks)
+    peer = bus.accept()
+    lockstep = Lockstep(bus, timeout=20)
+    lockstep.wait_until_up([5], 20)
+    for tick in range(ticks):
+        lockstep.observe({5: Observation.BLACK})
+        if tick % 3 == 0:
+            bus.send(encode(Message(1, 2**21, 0x80000001, 0), FrameFormat()))
+        lockstep.settle([5])
+    figures = node.summary()
+    assert (figures["estimates"], figures["telemetry"]) == (rounds, ticks)
+    assert (figures["accepted"], figures["repeated"]) == (-(-ticks // 3), 0)
+    assert figures["beta"] == (2**24 if rounds else 0)
+    assert figures["x_bar"] == (2**21 if rounds else 2**22)
+    assert len(peer.said) == 1 + rounds + ticks
+
+
 # ---- Real time ----
 
 
@@ -201,7 +224,8 @@ def test_observations_come_from_a_file_or_the_standard_input(
     options = ("--rate", 1000, "--telemetry-period", 100, "--filter-period", 30, "--observations")
     expected = twin(5, filter_period=30)
     for symbol in symbols:
-        expected.robot.step(Observation("01-".index(symbol)))
+        expected.observe(None if symbol == "-" else Observation(int(symbol)))
+        expected.settle()
     for path in (text, "-"):
         with text.open() as stream:
             node = start(5, *options, path, stdin=stream)
@@ -389,6 +413,21 @@ def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path)
     assert not state.with_name("state.new").exists()
 
 
+def test_a_restart_begins_a_period_of_broadcasts_anew(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    """The firmware's rounds go on: with three ticks a run, of which the second is due, one round a run."""
+    text, state = tmp_path / "observations", tmp_path / "state"
+    text.write_text("101", encoding="ascii")
+    options = ("--comms-period", 2, "--filter-period", 20, "--state", state, "--rate", 1000)
+    for run_number in range(1, 4):
+        node = start(5, *options, "--observations", text)
+        peer = bus.accept()
+        figures = node.summary()
+        hear_out(bus, peer)
+        assert (figures["t"], figures["estimates"]) == (3 * run_number, 1)
+        left = int.from_bytes(state.read_bytes()[24:28], "little")
+        assert left == 10 - run_number, "rounds until the filter runs"
+
+
 def test_state_is_saved_in_between(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     state = tmp_path / "state"
     node = start(5, "--lockstep", "--state", state, "--save-period", 4)
@@ -455,7 +494,8 @@ def complaint(node: CNode) -> str:
             "--id 1 --lockstep --comms-period 3",
             "--filter-period is 1000; choose a multiple of --comms-period",
         ),
-        ("--id 1 --lockstep --memory 65", "--memory is 65; choose an even number"),
+        ("--id 1 --lockstep --memory 66", "--memory is 66; choose a multiple of 4"),
+        ("--id 1 --lockstep --memory 2147483652", "--memory is 2147483652; choose a whole number, 64 to "),
         ("--id 1 --lockstep --rate 0", "--rate is 0; choose a whole number, 1 to 1000"),
         ("--id 1 --lockstep --ticks 4294967296", "--ticks is 4294967296; "),
         ("--id 1 --lockstep --subject 6144", "--subject is 6144; "),

@@ -1,4 +1,4 @@
-"""Every target computes the mirror's bits in an image that holds nothing else, and tells where it differs."""
+"""Every target computes the mirror's bits in an image that holds nothing else, and shows where it differs."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import re
 import shutil
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support import CORE, ROOT, require, run
 from targets import matrix
-from targets.matrix import TARGETS, VECTORS, Target
+from targets.matrix import CHOICES, CORE_SOURCES, HOST, TARGETS, VECTORS, Cell, Target, cells_of
 from targets.slcan_model import OPENING
 
 from host_tools.golden_scenarios import edge_scenarios, run_scenarios
@@ -21,7 +20,7 @@ from host_tools.golden_vectors import encode, explain
 
 SCENARIOS = edge_scenarios() + run_scenarios()
 EDGES = Path(__file__).with_name("golden_edges.bin")
-OUR_SOURCES = {"mcp_asdf.c", "t_table_omega05_q30.c", "player.c", "golden_vectors.c"}
+OUR_SOURCES = {*CORE_SOURCES, "t_table_omega05_q30.c", "player.c", "golden_vectors.c"}
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|crt\w*\.o|")
 PORTS = sorted(
     path
@@ -69,6 +68,44 @@ def check_contents(image: Path) -> None:
     ours = {name for name in files if not COMPILERS_OWN.fullmatch(name)}
     assert ours >= OUR_SOURCES
     assert ours - OUR_SOURCES <= {path.name for path in PORTS}
+
+
+@pytest.mark.parametrize("choice", [choice for choice in CHOICES if choice != "own"])
+def test_this_computer_computes_the_same_by_every_choice(choice: str) -> None:
+    require("ninja", "ninja-build")
+    verdict, details = matrix.result_of(Cell(HOST, choice=choice))
+    assert verdict == "passed", details
+
+
+FLAGS = {
+    "avr": "-mmcu=atmega328p",
+    **{name: f"-mcpu={name} -mthumb" for name in ("cortex-m0", "cortex-m3", "cortex-m4")},
+    **{name: f"-march={name} -mabi=ilp32 -ffreestanding" for name in ("rv32imc", "rv32imac")},
+    "cortex-a8": "-mcpu=cortex-a8",
+}
+"""For the compilers of targets that choose by it."""
+ARITHMETIC = {"DIVIDE": range(1, 5), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
+"""Macros of mcp_asdf_arithmetic.h, and their values."""
+
+
+def chosen_by(cell: Cell) -> list[tuple[str, int]]:
+    """The macros that the cell's core is compiled with."""
+    compiler = require(cell.target.tools[0], cell.target.packages)
+    settings = [f"-D{setting}" for setting in CHOICES[cell.choice]]
+    probe = '#include "mcp_asdf_arithmetic.h"\nchosen ' + " ".join(f"MCP_ASDF_{name}" for name in ARITHMETIC)
+    flags = [*FLAGS.get(cell.target.name, "").split(), f"-I{CORE.parent}", *settings]
+    command = [compiler, *flags, "-E", "-P", "-x", "c", "-"]
+    done = subprocess.run(command, input=probe, capture_output=True, text=True, check=True)
+    values = done.stdout.splitlines()[-1].split()[1:]
+    return [(name, int(value)) for name, value in zip(ARITHMETIC, values, strict=True)]
+
+
+def test_the_matrix_plays_every_choice_of_the_arithmetic() -> None:
+    cells = {
+        (cell.target.name, cell.choice): cell for target in (*TARGETS, HOST) for cell in cells_of(target)
+    }
+    played = {pair for cell in cells.values() for pair in chosen_by(cell)}
+    assert played == {(name, value) for name, values in ARITHMETIC.items() for value in values}
 
 
 @pytest.mark.parametrize("path", PORTS, ids=lambda path: path.name)
@@ -189,24 +226,39 @@ def core_with(folder: Path, right: str, wrong: str) -> str:
             "scenario 6 (a memory of 64 halves, ties to even), call 4, step:1:",
         ),
         (  # a message whose effect the digest covers only with the next call
-            "*mark.heard = (uint8_t)mark.marked;",
-            "*mark.heard = (uint8_t)(mark.marked | mark.marked << 1);",
-            "scenario 0 (nothing observed), call 5, receive:1:8388608:1065353216:",
+            "before | UINT32_C(1) << (sender & 7)",
+            "before | UINT32_C(3) << (sender & 7)",
+            "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
         ),
         (  # one bit of a sum: seen when a round stays open
-            "sums->x_squared += multiply(x_hat, x_hat);",
-            "sums->x_squared += multiply(x_hat, x_hat) | 1;",
-            "scenario 39 (senders), call 1, receive:0:8388608:1065353216:",
+            "multiply(x_hat, x_hat)",
+            "(multiply(x_hat, x_hat) | 1)",
+            "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
+        ),
+        (  # a member that is in no image
+            "shift_left(c, c_shift));",
+            "shift_left(c, c_shift)) ^ 1;",
+            "scenario 0 (nothing observed), call 0, table:0.05:30,robot:0:1:2147483648:0:3221225472:",
+        ),
+        (  # the edge of what says something
+            "if (g < INFORMATIVE) {",
+            "if (g <= INFORMATIVE) {",
+            "scenario 73 (x_bar below 1/2 that hardly says something), call 14, settle:",
+        ),
+        (  # the flag of an update
+            "    robot->updated = 0;\n",
+            "",
+            "scenario 11 (1 black among 2), call 2, observe:1:",
         ),
         (  # the last bit of 60 in the test of eq. 12
-            "multiply(difference, difference) > threshold",
-            "multiply(difference, difference) > threshold + 1",
-            "scenario 53 (the threshold for 2), call 6, settle:",
+            "upper_part + (multiply(k, low_word(spread)) >> 26)",
+            "upper_part + (multiply(k, low_word(spread)) >> 26) + 1",
+            "scenario 58 (the threshold for 2), call 8, settle:",
         ),
         (
-            "multiply(difference, difference) > threshold",
-            "multiply(difference, difference) >= threshold",
-            "scenario 54 (the threshold for 3), call 3, settle:",
+            "multiply(difference, difference) > upper_part",
+            "multiply(difference, difference) >= upper_part",
+            "scenario 59 (the threshold for 3), call 5, settle:",
         ),
     ],
 )
@@ -245,8 +297,6 @@ def test_the_player_counts_what_it_plays(tmp_path: Path) -> None:
 
 # ---- The matrix passes what has played everything ----
 
-HOST = Target("host", ("gcc", "cmake"), "gcc cmake", ".*", bare=False)
-
 
 def cell_with(vectors: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
     """A cell for this computer, whose image is given other vectors than it should."""
@@ -257,12 +307,12 @@ def cell_with(vectors: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, str]:
         return [*settings_of(*cell), f"GOLDEN_VECTORS={vectors}"]
 
     monkeypatch.setattr(matrix, "settings_of", settings)
-    return matrix.cell(HOST, "gcc", "-O2")
+    return matrix.result_of(Cell(HOST))
 
 
 def test_an_image_that_plays_everything_passes() -> None:
     require("ninja", "ninja-build")
-    verdict, details = matrix.cell(HOST, "gcc", "-O2")
+    verdict, details = matrix.result_of(Cell(HOST))
     assert verdict == "passed", details
     assert re.fullmatch(r" *\d+ bytes", details)
 
@@ -284,10 +334,13 @@ def test_nothing_to_play_fails(
     assert re.search(r"is\s+no\s+file\s+of\s+golden\s+vectors|gives\s+nothing\s+to\s+play", details)
 
 
-def test_every_level_plays_everything() -> None:
-    for target, level in product(TARGETS, matrix.LEVELS):
-        played = [name for vectors in matrix.images_of(target, level) for name in vectors]
-        assert played == list(VECTORS)
+CELLS = [cell for target in (*TARGETS, HOST) for cell in cells_of(target)]
+
+
+def test_every_cell_plays_everything() -> None:
+    assert len(set(CELLS)) == len(CELLS)
+    for cell in CELLS:
+        assert [name for vectors in matrix.images_of(cell) for name in vectors] == list(VECTORS)
 
 
 def test_a_matrix_without_tools_fails() -> None:
@@ -296,5 +349,5 @@ def test_a_matrix_without_tools_fails() -> None:
     done = subprocess.run(command, env={"PATH": "/nonexistent"}, capture_output=True, text=True, check=False)
     *cells, summary = done.stdout.splitlines()
     assert (done.returncode, done.stderr, summary) == (1, "", f"{len(cells)} left out")
-    assert len(cells) == 2 * len(TARGETS) * len(matrix.LEVELS)
+    assert len(cells) == len(CELLS) >= 2 * (len(TARGETS) + 1) * len(matrix.LEVELS)
     assert all("no cmake" in line or "clang does not build" in line for line in cells)

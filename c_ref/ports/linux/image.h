@@ -2,7 +2,7 @@
 #ifndef MCP_ASDF_LINUX_IMAGE_H
 #define MCP_ASDF_LINUX_IMAGE_H
 
-#include "mcp_asdf.h"
+#include "mcp_asdf_image.h"
 
 typedef enum { IMAGE_OK, IMAGE_ABSENT, IMAGE_UNREADABLE, IMAGE_REFUSED, IMAGE_OF_ANOTHER } image_status_t;
 

@@ -77,8 +77,7 @@ static void join(bus_t *bus)
 static void restore(run_t *run)
 {
     const char *path = run->options.state;
-    const node_settings_t *settings = &run->options.node;
-    switch (image_load(path, &run->node.robot, &settings->config, settings->id)) {
+    switch (image_load(path, &run->node.robot, &run->node.config, run->options.node.id)) {
     case IMAGE_OK:
     case IMAGE_ABSENT:
         break;
@@ -86,7 +85,7 @@ static void restore(run_t *run)
         fail("cannot read the state", path, strerror(errno), "choose another file for --state");
         break;
     case IMAGE_REFUSED:
-        fail("cannot use the state", path, "damaged or not made with these periods and this memory",
+        fail("cannot use the state", path, "damaged, or it does not fit the periods and the memory",
              "remove it to begin anew");
         break;
     case IMAGE_OF_ANOTHER:
@@ -188,15 +187,15 @@ static void tick(run_t *run)
     if (run->ended != NULL) {
         return;
     }
-    const mcp_asdf_observation_t z = source_next(&run->source);
+    const mcp_asdf_action_t seen = source_next(&run->source);
     if (run->source.odd != 0) {
         (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
                       (unsigned long)run->source.taken + 1, run->source.path);
         end(run, "observations not valid", EXIT_FAILURE);
-    } else if (run->source.has_ended && z == MCP_ASDF_NONE) {
+    } else if (run->source.has_ended && seen == MCP_ASDF_OBSERVE_NONE) {
         end(run, "observations", run->status);
     } else {
-        node_observe(&run->node, z);
+        node_observe(&run->node, seen);
     }
 }
 

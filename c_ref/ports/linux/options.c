@@ -21,7 +21,7 @@ static const char usage[] =
     "  --filter WHEN          re-estimate that: adaptive (if the test rejects), always, off (adaptive)\n"
     "  --comms-period TICKS   between broadcasts (1)\n"
     "  --filter-period TICKS  between tests, a multiple of the former (1000)\n"
-    "  --memory N             observations at which counts are halved, even, 64 to 2^32 - 2 (2^32 - 2)\n"
+    "  --memory N             observations at which counts are halved, a multiple of 4, 64 to 2^31 (2^31)\n"
     "\n"
     "Clock and observations, one of:\n"
     "  --lockstep             do what command frames say\n"
@@ -187,9 +187,9 @@ static void answer_questions(const char *const given[ALL])
 /* What no option can see alone. */
 static void check(const options_t *options, const char *const given[ALL])
 {
-    const mcp_asdf_config_t *config = &options->node.config;
-    const uint16_t estimate = options->node.estimate.subject, telemetry = options->node.telemetry.subject;
-    const uint16_t command = options->node.command.subject;
+    const node_settings_t *node = &options->node;
+    const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
+    const uint16_t command = node->command.subject;
     if (given[INTERFACE] == NULL || given[ID] == NULL) {
         fail(given[INTERFACE] == NULL ? INTERFACE : ID, "missing", "see --help");
     }
@@ -197,12 +197,12 @@ static void check(const options_t *options, const char *const given[ALL])
         fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
     }
-    if (config->filter_period % config->comms_period != 0) {
+    if (node->filter_period % node->comms_period != 0) {
         fail(FILTER_PERIOD, given[FILTER_PERIOD] == NULL ? "1000" : given[FILTER_PERIOD],
              "choose a multiple of --comms-period");
     }
-    if (config->memory % 2 != 0) {
-        fail(MEMORY, given[MEMORY], "choose an even number");
+    if (node->memory % 4 != 0) {
+        fail(MEMORY, given[MEMORY], "choose a multiple of 4");
     }
     if (estimate == telemetry || estimate == command || telemetry == command) {
         fail(SUBJECT, given[SUBJECT] == NULL ? "3000" : given[SUBJECT],
@@ -213,11 +213,11 @@ static void check(const options_t *options, const char *const given[ALL])
 static node_settings_t node_settings(const char *const given[ALL])
 {
     const node_settings_t settings = {
-        .config = {.table = MCP_ASDF_NODE_TABLE,
-                   .comms_period = number(given, COMMS_PERIOD),
-                   .filter_period = number(given, FILTER_PERIOD),
-                   .memory = number(given, MEMORY),
-                   .filter = filter(given[FILTER])},
+        .table = MCP_ASDF_NODE_TABLE,
+        .comms_period = number(given, COMMS_PERIOD),
+        .filter_period = number(given, FILTER_PERIOD),
+        .memory = number(given, MEMORY),
+        .filter = filter(given[FILTER]),
         .estimate = {(uint16_t)number(given, SUBJECT), (uint8_t)number(given, PRIORITY)},
         .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
         .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},

@@ -16,7 +16,7 @@ int source_open(source_t *source)
 }
 
 /* Opened again each time: a file that was replaced is a new one. */
-static mcp_asdf_observation_t sense(source_t *source)
+static mcp_asdf_action_t sense(source_t *source)
 {
     char colour = 0;
     const int fd = open(source->path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
@@ -27,9 +27,9 @@ static mcp_asdf_observation_t sense(source_t *source)
         (void)close(fd);
     }
     if (colour == '1') {
-        return MCP_ASDF_BLACK;
+        return MCP_ASDF_OBSERVE_BLACK;
     }
-    return colour == '0' ? MCP_ASDF_WHITE : MCP_ASDF_NONE;
+    return colour == '0' ? MCP_ASDF_OBSERVE_WHITE : MCP_ASDF_OBSERVE_NONE;
 }
 
 /* Make sure that the buffer has a character, if that needs no waiting. */
@@ -49,9 +49,9 @@ static bool fill(source_t *source)
     return size > 0;
 }
 
-static bool take(source_t *source, mcp_asdf_observation_t *z)
+static bool take(source_t *source, mcp_asdf_action_t *seen)
 {
-    static const char symbols[] = "01-"; /* at the places of mcp_asdf_observation_t */
+    static const char symbols[] = "01-"; /* at the places of mcp_asdf_action_t */
     while (source->odd == 0 && fill(source)) {
         const char symbol = source->buffer[source->at];
         const char *found = symbol == 0 ? NULL : strchr(symbols, symbol);
@@ -63,23 +63,23 @@ static bool take(source_t *source, mcp_asdf_observation_t *z)
         ++source->at;
         ++source->taken;
         if (found != NULL) {
-            *z = (mcp_asdf_observation_t)(found - symbols);
+            *seen = (mcp_asdf_action_t)(found - symbols);
             return true;
         }
     }
     return false;
 }
 
-mcp_asdf_observation_t source_next(source_t *source)
+mcp_asdf_action_t source_next(source_t *source)
 {
-    mcp_asdf_observation_t z = MCP_ASDF_NONE;
+    mcp_asdf_action_t seen = MCP_ASDF_OBSERVE_NONE;
     bool is_seen;
     if (source->is_sensor) {
-        z = sense(source);
-        is_seen = z != MCP_ASDF_NONE;
+        seen = sense(source);
+        is_seen = seen != MCP_ASDF_OBSERVE_NONE;
     } else {
-        is_seen = take(source, &z);
+        is_seen = take(source, &seen);
     }
     source->missing += !is_seen && !source->has_ended;
-    return z;
+    return seen;
 }

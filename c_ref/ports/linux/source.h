@@ -2,16 +2,19 @@
 #ifndef MCP_ASDF_LINUX_SOURCE_H
 #define MCP_ASDF_LINUX_SOURCE_H
 
-#include "mcp_asdf.h"
+#include "mcp_asdf_frame.h"
 
+#include <stdbool.h>
 #include <stddef.h>
 
 /*   path        of the file; "-": the standard input
  *   is_sensor   read anew in every tick, as a GPIO's value file: "0" is white and "1" black, and what follows
- * is ignored. Otherwise a stream of 0 (white), 1 (black) and - (nothing seen), white space ignored has_ended
- * a stream has come to its end odd         a character of a stream that is none of these, or 0; the stream
- * stops before it taken       characters of the stream used so far missing     ticks without an observation:
- * the stream had none ready, the sensor could not be read */
+ *               is ignored. Otherwise a stream of 0 (white), 1 (black) and - (nothing seen); white space is
+ *               ignored
+ *   has_ended   a stream has come to its end
+ *   odd         a character of a stream that is none of these, or 0; the stream stops before it
+ *   taken       characters of the stream used so far
+ *   missing     ticks without an observation: the stream had none ready, the sensor could not be read */
 typedef struct {
     const char *path;
     bool is_sensor;
@@ -26,7 +29,7 @@ typedef struct {
 /* Returns 0, or what went wrong as an errno. */
 int source_open(source_t *source);
 
-/* The observation for the tick that begins, MCP_ASDF_NONE if there is none. Does not wait. */
-mcp_asdf_observation_t source_next(source_t *source);
+/* What is observed in the tick that begins: MCP_ASDF_OBSERVE_WHITE, BLACK or NONE. Does not wait. */
+mcp_asdf_action_t source_next(source_t *source);
 
 #endif

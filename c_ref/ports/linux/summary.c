@@ -10,7 +10,8 @@ static void print_robot(const mcp_asdf_t *robot)
 {
     const mcp_asdf_counters_t counters = mcp_asdf_counters(robot);
     (void)printf("\"t\": " U32 ", \"n\": " U32 ", \"b_hat\": " U32 ", \"x_hat\": " U32 ", \"alpha\": " U32,
-                 robot->t, robot->n, robot->b_hat, mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
+                 mcp_asdf_t_count(robot), mcp_asdf_n_count(robot), mcp_asdf_b_hat(robot),
+                 mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
     (void)printf(", \"x_bar\": " U32 ", \"beta\": %" PRIu64 ", \"x\": " U32, mcp_asdf_x_bar(robot),
                  mcp_asdf_beta(robot), mcp_asdf_x(robot));
     (void)printf(", \"accepted\": %u, \"repeated\": %u, \"rejected\": %u, \"tests\": %u, \"updates\": %u",

@@ -6,22 +6,35 @@
 
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
 {
-    const node_t fresh = {.settings = settings, .output = output, .is_settled = true};
+    const uint32_t comms_period = settings->comms_period, filter_period = settings->filter_period;
+    if (comms_period == 0 || filter_period % comms_period != 0) {
+        return MCP_ASDF_ERR_CONFIG;
+    }
+    const mcp_asdf_config_t config = {settings->table, filter_period / comms_period, settings->memory,
+                                      settings->filter};
+    const node_t fresh = {.config = config,
+                          .settings = settings,
+                          .output = output,
+                          .comms_left = comms_period,
+                          .is_settled = true};
     *node = fresh;
-    return mcp_asdf_init(&node->robot, &settings->config, settings->id, settings->b_hat);
+    return mcp_asdf_init(&node->robot, &node->config, settings->id, settings->b_hat);
 }
 
 /* ---- Ticking ---------------------------------------------------------------------------------------- */
 
 static void end_tick(node_t *node)
 {
-    (void)mcp_asdf_settle(&node->robot);
+    if (node->comms_left == 0) {
+        (void)mcp_asdf_settle(&node->robot);
+        node->comms_left = node->settings->comms_period;
+    }
     node->is_settled = true;
 }
 
 void node_start(node_t *node) { node_send_heartbeat(node); }
 
-void node_observe(node_t *node, mcp_asdf_observation_t z)
+void node_observe(node_t *node, mcp_asdf_action_t seen)
 {
     if (!node->is_settled) {
         ++node->counts.unsettled;
@@ -30,7 +43,10 @@ void node_observe(node_t *node, mcp_asdf_observation_t z)
     if (node->ticks != 0 && node->ticks % node->settings->ticks_per_second == 0) {
         node_send_heartbeat(node);
     }
-    if (mcp_asdf_observe(&node->robot, z) == MCP_ASDF_DUE) {
+    if (seen != MCP_ASDF_OBSERVE_NONE) {
+        (void)mcp_asdf_observe(&node->robot, (mcp_asdf_observation_t)seen);
+    }
+    if (--node->comms_left == 0) {
         node_send_estimate(node);
     }
     ++node->ticks;
@@ -64,7 +80,7 @@ static void obey(node_t *node, const mcp_asdf_command_t *command)
         node_settle(node);
     } else {
         node->number = command->tick;
-        node_observe(node, (mcp_asdf_observation_t)command->action);
+        node_observe(node, (mcp_asdf_action_t)command->action);
     }
 }
 

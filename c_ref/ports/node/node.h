@@ -1,5 +1,15 @@
 /* A robot as a node of the bus, without bus, clock or operating system: frames in, frames out. docs/frame.md
- * has the rules that it follows in lockstep; host_tools/node.py is the same node in Python. */
+ * has the rules that it follows in lockstep; host_tools/node.py is the same node in Python.
+ *
+ * A control tick, of which every comms_period-th is due:
+ *
+ *     observe     the firmware counts the observation, if there is one
+ *     broadcast   in a due tick
+ *     receive     what neighbours send until the tick ends
+ *     settle      in a due tick: the firmware closes the round
+ *
+ * A round therefore lasts from the end of one due tick to the end of the next. Here all periods are in ticks;
+ * only the firmware counts its filter_period in rounds. */
 #ifndef MCP_ASDF_PORT_NODE_H
 #define MCP_ASDF_PORT_NODE_H
 
@@ -7,7 +17,9 @@
 #include "mcp_asdf_frame.h"
 
 /* What a node is told at start.
- *   config             periods, memory, filter and table of the firmware
+ *   table, memory, filter   as in mcp_asdf_config_t
+ *   comms_period       ticks between broadcasts, 1 or more
+ *   filter_period      ticks between runs of the filter, the paper's tau: a multiple of comms_period
  *   estimate ... command   where messages are; three different subjects
  *   b_hat              initial assumed accuracy, unit 2^-32
  *   ticks_per_second   a heartbeat is due every so many ticks, 1 or more
@@ -15,11 +27,14 @@
  *   id                 robot and node, 0 .. 127
  *   lockstep           whether commands are the clock, and every settle is answered */
 typedef struct {
-    mcp_asdf_config_t config;
+    const uint32_t *table;
+    uint32_t comms_period, filter_period;
+    uint32_t memory;
     mcp_asdf_frame_format_t estimate, telemetry, command;
     uint32_t b_hat;
     uint32_t ticks_per_second;
     uint32_t telemetry_period;
+    uint8_t filter;
     uint8_t id;
     bool lockstep;
 } node_settings_t;
@@ -47,27 +62,30 @@ typedef struct {
 
 typedef struct {
     mcp_asdf_t robot;
+    mcp_asdf_config_t config; /* the robot's, made of the settings */
     const node_settings_t *settings;
     node_output_t output;
     node_counts_t counts;
-    uint32_t ticks;  /* begun; modulo 2^32 */
-    uint32_t number; /* of the last observe command */
-    uint8_t health;  /* mcp_asdf_health_t for the next heartbeat; the owner may write it */
-    bool is_settled; /* whether the last tick is over */
+    uint32_t ticks;      /* begun; modulo 2^32 */
+    uint32_t comms_left; /* ticks still to begin until one is due; 0 in a due tick */
+    uint32_t number;     /* of the last observe command */
+    uint8_t health;      /* mcp_asdf_health_t for the next heartbeat; the owner may write it */
+    bool is_settled;     /* whether the last tick is over */
 } node_t;
 
-/* Make a node with a robot that has done nothing yet. Settings must outlive it. Returns what mcp_asdf_init
- * does. */
+/* Make a node with a robot that has done nothing yet. Settings must outlive it, and it must stay where it is,
+ * as its robot refers to its config. Returns what mcp_asdf_init does, and ERR_CONFIG for periods that do not
+ * fit together. */
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output);
 
 /* Say that the node is there: its first heartbeat. */
 void node_start(node_t *node);
 
 /* Begin a tick: a heartbeat if due, the observation, a broadcast if due. Ends one that is open, unanswered.
- * Ignores what is no observation. */
-void node_observe(node_t *node, mcp_asdf_observation_t z);
+ * `seen` is a white or a black tile, or MCP_ASDF_OBSERVE_NONE. */
+void node_observe(node_t *node, mcp_asdf_action_t seen);
 
-/* End the tick: telemetry if due, in lockstep always. */
+/* End the tick: the round if due; telemetry if due, in lockstep always. */
 void node_settle(node_t *node);
 
 /* Take in any frame whatever, but none that this node has sent itself. */

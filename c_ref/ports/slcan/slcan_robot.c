@@ -23,10 +23,14 @@
 #error "ROBOT_FILTER_PERIOD has to be 1 to 4294967295 ticks"
 #endif
 
-extern const uint32_t mcp_asdf_t_table_omega05_q30[34];
+extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 static const node_settings_t settings = {
-    .config = {mcp_asdf_t_table_omega05_q30, 1, ROBOT_FILTER_PERIOD, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE},
+    .table = mcp_asdf_t_table_omega05_q30,
+    .comms_period = 1,
+    .filter_period = ROBOT_FILTER_PERIOD,
+    .memory = MCP_ASDF_MEMORY_MAX,
+    .filter = MCP_ASDF_ADAPTIVE,
     .estimate = MCP_ASDF_FORMAT_ESTIMATE,
     .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
     .command = MCP_ASDF_FORMAT_COMMAND,

@@ -1,0 +1,109 @@
+/* What the C files of the arena share; not for others. arena.c says which file does what. */
+#ifndef MCP_ASDF_ARENA_PRIVATE_H
+#define MCP_ASDF_ARENA_PRIVATE_H
+
+#include "arena.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <string.h>
+
+/* Fusing a * b + c would change the bits. gcc does not know the pragma, but -std=c99 stops it. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+/* The Khepera IV, in metres; docs/arena.md has the sources. */
+#define BODY_RADIUS 0.0704
+#define DIAMETER (2 * BODY_RADIUS)
+#define WHEEL_DISTANCE 0.1054
+#define SENSOR_REACH 0.12        /* of a proximity sensor, from the edge of the body */
+#define ACCELERATION (1.5 / 0.4) /* of the motors: 1.5 N on 0.4 kg */
+#define PI 3.14159265358979323846
+
+#define PARTS 10         /* of a tick; in each, bodies move by the velocities of the part before */
+#define LARGEST_TURN 1.6 /* in a tick; arena_rotate() takes no more */
+
+static inline double larger(double a, double b) { return a > b ? a : b; }
+
+static inline double smaller(double a, double b) { return a < b ? a : b; }
+
+static inline double clamp(double value, double low, double high)
+{
+    return larger(low, smaller(high, value));
+}
+
+/* Sets of robots: bit j % 64 of word j / 64 stands for robot j. */
+static inline void set_bit(uint64_t mask[2], uint32_t bit) { mask[bit >> 6] |= (uint64_t)1 << (bit & 63); }
+
+/* Remove the lowest bit and return its number; -1 if the set is empty. No index depends on the set, so that a
+ * loop over a set can keep it in registers. */
+static inline int take_bit(uint64_t mask[2])
+{
+    if (mask[0] != 0) {
+        const int bit = __builtin_ctzll(mask[0]);
+        mask[0] &= mask[0] - 1;
+        return bit;
+    }
+    if (mask[1] != 0) {
+        const int bit = __builtin_ctzll(mask[1]);
+        mask[1] &= mask[1] - 1;
+        return 64 + bit;
+    }
+    return -1;
+}
+
+static inline double squared_distance(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
+{
+    const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];
+    return dx * dx + dy * dy;
+}
+
+/* Whether a wall is less than `distance` from the edge of body i. */
+static inline bool wall_within(const mcp_asdf_arena_t *arena, uint32_t i, double distance)
+{
+    const double margin = BODY_RADIUS + distance;
+    return fabs(arena->x[i]) > arena->config.width / 2 - margin ||
+           fabs(arena->y[i]) > arena->config.height / 2 - margin;
+}
+
+/* Rotate (*cx, *cy), of length 1, by at most LARGEST_TURN either way. Error up to 1e-13. */
+void arena_rotate(double *cx, double *cy, double angle);
+
+/* Unsigned angle between (x, y) and straight ahead, in [0, pi]. */
+double arena_bearing(double x, double y);
+
+/* exp(-x) for x in [0, 4]. Relative error below 1e-12. */
+double arena_fading(double x);
+
+/* Move body i for `time` at its present velocity. */
+static inline void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
+{
+    arena->x[i] += arena->vx[i] * time;
+    arena->y[i] += arena->vy[i] * time;
+}
+
+/* Turn body i through a whole tick: one part of it with the spin it had, the rest with the wanted one,
+ * because the motors are strong enough to reach any spin within a part. */
+static inline void turn(mcp_asdf_arena_t *arena, uint32_t i)
+{
+    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
+    arena->spin[i] = arena->wanted_spin[i];
+    if (angle != 0) {
+        arena_rotate(&arena->cx[i], &arena->cy[i], angle);
+    }
+}
+
+/* The steps of a tick: move all bodies, in it those that may touch something; find who is near and who hears
+ * whom; set wheels from proximity sensors; read the ground sensors. */
+void arena_move(mcp_asdf_arena_t *arena);
+void arena_move_crowd(mcp_asdf_arena_t *arena);
+void arena_find_links(mcp_asdf_arena_t *arena);
+void arena_set_wheels(mcp_asdf_arena_t *arena);
+void arena_see_floor(mcp_asdf_arena_t *arena);
+
+/* All of a tick but the motion. */
+void arena_look(mcp_asdf_arena_t *arena);
+
+#endif

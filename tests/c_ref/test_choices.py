@@ -1,0 +1,114 @@
+"""The core's choices for a target compile in every combination, and what is wrong does not compile at all."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from itertools import product
+from pathlib import Path
+
+import pytest
+from c_ref.consumer import CONSUMER, answer
+from support import CORE, ROOT, TABLE, require, run
+
+PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
+CHOICES = {"DIVIDE": range(1, 5), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
+DIVISIONS = ("BY_HARDWARE", "BY_TABLE", "BY_BITS", "IN_LANES")
+
+
+def complaint(*flags: str, source: Path = CORE) -> str:
+    """What the compiler prints while it refuses the core under these flags."""
+    command = ["gcc", "-std=c99", "-fsyntax-only", *flags, str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0, f"{flags} compiles"
+    return done.stderr
+
+
+@pytest.mark.parametrize("way", ["gcc -O2 -c", "gcc -Os -fsyntax-only", "clang -O2 -fsyntax-only"])
+def test_every_combination_compiles_without_a_warning(way: str, tmp_path: Path) -> None:
+    compiler, *flags = way.split()
+    require(compiler, compiler)
+    for values in product(*CHOICES.values()):
+        chosen = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(CHOICES, values, strict=True)]
+        run(compiler, "-std=c99", *flags, *WARNINGS, *chosen, CORE, cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name, legal in CHOICES.items() for value in (legal[0] - 1, legal[-1] + 1)],
+)
+def test_a_choice_out_of_range_is_refused(name: str, value: int) -> None:
+    said = complaint(f"-DMCP_ASDF_{name}={value}")
+    assert f'#error "MCP_ASDF_{name} is out of range: choose ' in said
+
+
+@pytest.mark.parametrize("name", DIVISIONS)
+def test_divisions_are_chosen_by_name(name: str, tmp_path: Path) -> None:
+    """All of them give the same result."""
+    (tmp_path / "main.c").write_text(CONSUMER)
+    own = ("-std=c99", f"-I{CORE.parent}", f"-DMCP_ASDF_DIVIDE=MCP_ASDF_DIVIDE_{name}")
+    run("gcc", *own, "main.c", CORE, TABLE, "-o", "consumer", cwd=tmp_path)
+    assert run(tmp_path / "consumer") == answer()
+
+
+READERS = (
+    "-DMCP_ASDF_ROM=",
+    "-DMCP_ASDF_READ_WORD(address)=(*(address))",
+    "-DMCP_ASDF_READ_BYTE(address)=(*(address))",
+)
+
+
+@pytest.mark.parametrize("left_out", range(3))
+def test_half_a_way_to_read_tables_is_refused(left_out: int) -> None:
+    defined = [reader for i, reader in enumerate(READERS) if i != left_out]
+    assert "define all of MCP_ASDF_ROM" in complaint(*defined)
+    assert "define all of MCP_ASDF_ROM" in complaint(READERS[left_out])
+
+
+WORD_READER = """
+#include <stdint.h>
+static inline uint32_t read_word(const uint32_t *address) { return *address ^ 0xA5A5A5A5; }
+static inline uint8_t read_byte(const uint8_t *address) { return *address; }
+"""
+
+
+def test_every_word_of_a_table_is_read_as_the_target_says(tmp_path: Path) -> None:
+    """A target that keeps its t-table's words changed, and changes them back in its way of reading."""
+    (tmp_path / "reader.h").write_text(WORD_READER)
+    (tmp_path / "main.c").write_text(CONSUMER)
+    text = TABLE.read_text(encoding="utf-8")
+    changed = re.sub(r"0x([0-9A-F]{8})U", lambda word: f"0x{int(word[1], 16) ^ 0xA5A5A5A5:08X}U", text)
+    (tmp_path / "table.c").write_text(changed)
+    own = ("-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_WORD=read_word", "-DMCP_ASDF_READ_BYTE=read_byte")
+    flags = ("-std=c99", f"-I{CORE.parent}", "-include", "reader.h", *own)
+    run("gcc", *flags, "main.c", CORE, "table.c", "-o", "consumer", cwd=tmp_path)
+    assert run(tmp_path / "consumer") == answer()
+
+
+VIOLATIONS = {
+    "enough_senders": ("MCP_ASDF_MAX_ID 127", "MCP_ASDF_MAX_ID 128"),
+    "t_is_a_word": ("MCP_ASDF_MEMORY_MAX (UINT32_C(1) << 31)", "MCP_ASDF_MEMORY_MAX UINT32_C(0x80000004)"),
+    "halves_mirror": ("MCP_ASDF_MEMORY_MIN UINT32_C(64)", "MCP_ASDF_MEMORY_MIN UINT32_C(66)"),
+    "b_hat_mirrors": ("MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)", "MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF001)"),
+}
+"""Name of each assertion of the core, and a change in the header that breaks it."""
+
+
+def test_each_assertion_has_a_violation_here() -> None:
+    assert set(re.findall(r"^ASSERT\((\w+),", CORE.read_text(encoding="utf-8"), re.MULTILINE)) == set(
+        VIOLATIONS
+    )
+
+
+@pytest.mark.parametrize("name", VIOLATIONS)
+def test_a_broken_assertion_does_not_compile(name: str, tmp_path: Path) -> None:
+    shutil.copytree(CORE.parent, tmp_path, dirs_exist_ok=True)
+    header = tmp_path / "mcp_asdf.h"
+    good, bad = VIOLATIONS[name]
+    text = header.read_text(encoding="utf-8")
+    assert text.count(good) == 1
+    header.write_text(text.replace(good, bad))
+    assert f"assert_{name}" in complaint(source=tmp_path / CORE.name)

@@ -1,0 +1,543 @@
+/* Runs the model of model.hpp and the C side by side on random calls and compares every reading after every
+ * call. `test_third SEED CALLS` repeats a run; a difference prints that line and exits with 1.
+ *
+ * Calls come in lives of some hundred. A life begins with random settings and either a new robot or one of
+ * any age, whose image the model writes and the C restores. */
+#include "model.hpp"
+
+#include <cinttypes>
+#include <cstdio>
+#include <cstdlib>
+
+extern "C" const uint32_t mcp_asdf_t_table_omega05_q30[33];
+
+using namespace third;
+
+namespace
+{
+/* splitmix64 */
+class Random
+{
+  public:
+    explicit Random(uint64_t seed) : state(seed) {}
+    uint64_t next()
+    {
+        uint64_t z = state += 0x9E3779B97F4A7C15;
+        z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9;
+        z = (z ^ z >> 27) * 0x94D049BB133111EB;
+        return z ^ z >> 31;
+    }
+    uint32_t word() { return u32(next() >> 32); }
+    uint32_t below(uint64_t limit) { return u32(next() >> 32) % u32(limit); } /* limit below 2^32 */
+    bool one_in(uint32_t k) { return below(k) == 0; }
+    /* Of every length up to so many bits, and so often small. */
+    uint32_t any_length(uint32_t most) { return u32((next() >> 32) >> (32 - most) >> below(most)); }
+    /* v or nearly v, held within 0 .. limit. */
+    uint32_t near(int64_t v, int64_t limit)
+    {
+        int64_t offset = one_in(2) ? int64_t(below(9)) - 4 : int64_t(any_length(24)) * (one_in(2) ? 1 : -1);
+        return static_cast<uint32_t>(std::clamp<int64_t>(v + offset, 0, limit));
+    }
+
+  private:
+    uint64_t state;
+};
+
+/* A t-table of up to q = 128, one more than init may accept. */
+struct Table {
+    uint32_t words[131] = {};
+    void seal(uint32_t q) { words[q + 2] = checksum(words, q + 2); }
+};
+
+/* What a robot in C keeps pointers to. */
+struct Settings {
+    mcp_asdf_config_t config{};
+    Table table;
+};
+
+class Run
+{
+  public:
+    Run(uint64_t seed, uint64_t limit) : seed_(seed), limit_(limit), random(seed)
+    {
+        std::copy(std::begin(mcp_asdf_t_table_omega05_q30), std::end(mcp_asdf_t_table_omega05_q30),
+                  real.words);
+        expect("soundness of the real table", table_is_sound(real.words), 1);
+    }
+
+    bool go()
+    {
+        while (same && calls < limit_)
+            live();
+        if (!same)
+            return false;
+        std::printf("third: %" PRIu64 " calls of seed %" PRIu64 " in %" PRIu64 " lives without a difference"
+                    " (%" PRIu64 " updates of b_hat, %" PRIu64 " images restored)\n",
+                    calls, seed_, lives, updates, restored);
+        return true;
+    }
+
+  private:
+    uint64_t seed_, limit_;
+    Random random;
+    Table real;
+    Settings slots[2], *current = &slots[0], *spare = &slots[1];
+    mcp_asdf_t c{};
+    Robot model;
+    bool same = true;
+    uint64_t calls = 0, lives = 0, updates = 0, restored = 0;
+    uint32_t sender = 0, centre = 0, spread = 0, alphas = 0;
+    const char *call = "";
+    uint32_t arguments[3] = {};
+
+    /* Counts a call and notes it for the report. */
+    void note(const char *name, uint32_t a = 0, uint32_t b = 0, uint32_t d = 0)
+    {
+        ++calls;
+        call = name;
+        arguments[0] = a, arguments[1] = b, arguments[2] = d;
+    }
+    void differ(const char *what, uint64_t page, uint64_t in_c)
+    {
+        if (!same)
+            return;
+        same = false;
+        std::printf("third: call %" PRIu64 ", %s(%" PRIu32 ", %" PRIu32 ", %" PRIu32 "): %s is 0x%" PRIX64
+                    " by the page and 0x%" PRIX64 " in the C\n",
+                    calls, call, arguments[0], arguments[1], arguments[2], what, page, in_c);
+        std::printf("robot %u: b_hat 0x%" PRIX32 ", t %" PRIu32 ", n %" PRIu32 ", m %" PRIu32
+                    ", memory 0x%" PRIX32 ", filter %u every %" PRIu32 "\n",
+                    model.id, model.b_hat, model.t, model.n, model.open.m, current->config.memory,
+                    current->config.filter, current->config.filter_period);
+        std::printf("repeat with: test_third %" PRIu64 " %" PRIu64 "\n", seed_, calls);
+    }
+    void expect(const char *what, uint64_t page, uint64_t in_c)
+    {
+        if (page != in_c)
+            differ(what, page, in_c);
+    }
+    void compare(mcp_asdf_status_t page, mcp_asdf_status_t in_c)
+    {
+        updates += page == MCP_ASDF_UPDATED;
+        mcp_asdf_counters_t a = model.counters;
+        mcp_asdf_counters_t b = mcp_asdf_counters(&c);
+        expect("status, as 32 bits,", u32(static_cast<uint64_t>(page)), u32(static_cast<uint64_t>(in_c)));
+        expect("id", model.id, mcp_asdf_id(&c));
+        expect("t", model.t, mcp_asdf_t_count(&c));
+        expect("n", model.n, mcp_asdf_n_count(&c));
+        expect("b_hat", model.b_hat, mcp_asdf_b_hat(&c));
+        expect("x_hat", model.local.x_hat, mcp_asdf_x_hat(&c));
+        expect("alpha", model.local.alpha, mcp_asdf_alpha(&c));
+        expect("x", model.x(), mcp_asdf_x(&c));
+        expect("x_bar", model.x_bar(), mcp_asdf_x_bar(&c));
+        expect("beta", model.beta(), mcp_asdf_beta(&c));
+        expect("accepted", a.accepted, b.accepted);
+        expect("repeated", a.repeated, b.repeated);
+        expect("rejected", a.rejected, b.rejected);
+        expect("tests", a.tests, b.tests);
+        expect("updates", a.updates, b.updates);
+    }
+
+    uint32_t some_b_hat()
+    {
+        uint32_t offset = random.any_length(31);
+        uint32_t b_hat = 0;
+        switch (random.below(6)) {
+        case 0:
+            b_hat = random.word();
+            break;
+        case 1:
+            b_hat = MCP_ASDF_B_HAT_MIN + offset;
+            break;
+        case 2:
+            b_hat = u32(two31) + offset;
+            break;
+        case 3:
+            b_hat = u32(two31) + informative / 2 + random.below(9) - 4;
+            break; /* g is nearly 2^20 */
+        case 4:
+            b_hat = u32(two31) + random.word() / 2;
+            break;
+        default:
+            b_hat = random.one_in(2) ? MCP_ASDF_B_HAT_MAX : 0xF0000000 + random.below(16) * 0x1000000;
+        }
+        b_hat = random.one_in(3) ? u32(two32 - b_hat) : b_hat;
+        return std::clamp(b_hat, MCP_ASDF_B_HAT_MIN, MCP_ASDF_B_HAT_MAX);
+    }
+
+    uint32_t some_memory()
+    {
+        switch (random.below(4)) {
+        case 0:
+            return MCP_ASDF_MEMORY_MAX;
+        case 1:
+            return 64 + 4 * random.below(20);
+        default:
+            return std::clamp(random.any_length(31) & ~3u, MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX);
+        }
+    }
+
+    void some_settings(Settings &settings)
+    {
+        mcp_asdf_config_t &config = settings.config;
+        config.memory = some_memory();
+        config.filter = static_cast<uint8_t>(random.one_in(3) ? random.below(3) : 0u);
+        config.filter_period =
+            random.one_in(2) ? 1 : std::max(1u, random.any_length(random.one_in(4) ? 32 : 5));
+        settings.table = random.one_in(4) ? real : falling(2 + random.below(126));
+        config.table = settings.table.words;
+        if (config.filter != MCP_ASDF_ADAPTIVE && random.one_in(2))
+            config.table = nullptr;
+    }
+
+    /* Any falling numbers above 1. */
+    Table falling(uint32_t q)
+    {
+        Table table;
+        uint64_t k = (uint64_t(1) << 26) + 200 + random.any_length(32) % (two32 - (uint64_t(1) << 26) - 200);
+        table.words[0] = 0x4D435400 + q;
+        table.words[1] = 1 + random.below(3865470566);
+        for (uint32_t m = 2; m <= q + 1; ++m) {
+            uint64_t room = k - (uint64_t(1) << 26) - (q + 2 - m);
+            k -= 1 + (random.one_in(8) ? random.word() : random.any_length(26)) % room;
+            table.words[m] = u32(k);
+        }
+        table.seal(q);
+        return table;
+    }
+
+    /* n for a t, of every kind that section 5 tells apart. */
+    uint32_t some_n(uint32_t t, uint32_t b_hat)
+    {
+        uint32_t n = 0;
+        switch (random.below(6)) {
+        case 0:
+            break;
+        case 1:
+            n = random.near(0, t);
+            break;
+        case 2:
+            n = random.near(t / 2, t);
+            break;
+        case 3:
+            n = t / 2;
+            break;
+        case 4:
+            n = random.near(int64_t(uint64_t(b_hat) * t >> 32), t);
+            break; /* where x_hat reaches an end */
+        default:
+            n = u32(random.next() % (uint64_t(t) + 1));
+        }
+        return random.one_in(2) ? n : t - n;
+    }
+
+    /* A word nothing is known of, for alpha. */
+    uint32_t some_alpha()
+    {
+        switch (random.one_in(4) ? random.below(6) : alphas) {
+        case 0:
+            return random.word();
+        case 1:
+            return (random.word() | 0x80000000) & 0xFFFFFF1F;
+        case 2:
+            return random.below(8) << 8 | (random.one_in(8) ? random.below(256) : 0);
+        case 3:
+            return random.one_in(2) ? 0xFFFFFFFF : 0xFFFFFF1F;
+        case 4:
+            return model.local.alpha;
+        default:
+            return random.any_length(24) << 8 | random.below(12);
+        }
+    }
+
+    uint32_t some_x_hat()
+    {
+        if (random.one_in(50))
+            return random.one_in(2) ? random.word() : MCP_ASDF_ONE + random.below(3);
+        int64_t x = int64_t(centre) + random.below(2 * uint64_t(spread) + 1) - spread;
+        return static_cast<uint32_t>(std::clamp<int64_t>(x, 0, MCP_ASDF_ONE));
+    }
+
+    /* Where the next messages lie. */
+    void some_centre()
+    {
+        switch (random.below(6)) {
+        case 0:
+            centre = model.local.x_hat;
+            break;
+        case 1:
+            centre = random.near(MCP_ASDF_HALF, MCP_ASDF_ONE);
+            break;
+        case 2:
+            centre = random.one_in(2) ? 0 : MCP_ASDF_ONE;
+            break;
+        case 3:
+            centre = MCP_ASDF_HALF + (random.one_in(2) ? 1024 : -1024u);
+            break; /* G is nearly 2^20 */
+        default:
+            centre = random.below(MCP_ASDF_ONE + 1);
+        }
+        spread = random.one_in(4) ? 0 : random.any_length(random.one_in(2) ? 3 : 23);
+        alphas = random.below(6);
+    }
+
+    void do_observe(uint32_t odds)
+    {
+        static const uint32_t wrong[] = {2, 3, 255, 256, 257, 0x80000000, 0xFFFFFFFF};
+        uint32_t z = random.one_in(100) ? wrong[random.below(7)] : random.below(256) < odds;
+        auto as_enum = static_cast<mcp_asdf_observation_t>(z);
+        if (random.one_in(4)) {
+            note("step", z);
+            mcp_asdf_status_t page = model.step(z);
+            compare(page, mcp_asdf_step(&c, as_enum));
+        } else {
+            note("observe", z);
+            mcp_asdf_status_t page = model.observe(z);
+            compare(page, mcp_asdf_observe(&c, as_enum));
+        }
+    }
+
+    void do_receive()
+    {
+        if (random.one_in(16))
+            sender = random.below(256);
+        else
+            sender = random.one_in(4) ? random.below(128) : (sender + 1) % 128;
+        uint32_t x_hat = some_x_hat();
+        uint32_t alpha = some_alpha();
+        note("receive", sender, x_hat, alpha);
+        mcp_asdf_status_t page = model.receive(static_cast<uint8_t>(sender), x_hat, alpha);
+        compare(page, mcp_asdf_receive(&c, static_cast<uint8_t>(sender), x_hat, alpha));
+    }
+
+    void do_settle()
+    {
+        note("settle");
+        mcp_asdf_status_t page = model.settle();
+        compare(page, mcp_asdf_settle(&c));
+        some_centre();
+    }
+
+    Image saved()
+    {
+        Image page = model.save();
+        Image in_c;
+        mcp_asdf_save(&c, in_c.data());
+        auto a = Robot::to_words(page);
+        auto b = Robot::to_words(in_c);
+        for (uint32_t i = 0; i < a.size(); ++i)
+            if (a[i] != b[i]) {
+                char what[32];
+                std::snprintf(what, sizeof what, "word %" PRIu32 " of the image", i);
+                differ(what, a[i], b[i]);
+            }
+        expect("invariants_hold", 1, mcp_asdf_invariants_hold(&c));
+        return page;
+    }
+
+    /* Both take an image; where they refuse it, both stay as they were. */
+    void do_restore(const char *name, const Image &image, uint32_t a = 0, uint32_t b = 0, uint32_t d = 0)
+    {
+        note(name, a, b, d);
+        mcp_asdf_status_t page = model.restore(current->config, image);
+        compare(page, mcp_asdf_restore(&c, &current->config, image.data()));
+        restored += page == MCP_ASDF_OK;
+    }
+
+    /* An image with wrong words. */
+    void do_damage()
+    {
+        auto words = Robot::to_words(saved());
+        uint32_t i = 0;
+        uint32_t before = 0;
+        do {
+            i = random.below(words.size());
+            before = words[i];
+            words[i] = random.one_in(2) ? before ^ 1u << random.below(32) : random.any_length(32);
+            if (random.one_in(8))
+                words[i] = random.near(before, 0xFFFFFFFF);
+        } while (random.one_in(4));
+        if (!random.one_in(8))
+            words.back() = checksum(words, words.size() - 1);
+        Image image{};
+        for (uint32_t at = 0; at < image.size(); ++at)
+            image[at] = static_cast<uint8_t>(words[at / 4] >> 8 * (at % 4));
+        do_restore("restore of a damaged image", image, i, before, words[i]);
+        saved();
+    }
+
+    /* A robot that can nearly be: it breaks one rule, or just keeps it. */
+    void do_doubtful()
+    {
+        Robot robot = model;
+        Round &open = robot.open;
+        switch (random.below(9)) {
+        case 0:
+            robot.t = random.near(current->config.memory, 0xFFFFFFFF);
+            break;
+        case 1:
+            robot.t = robot.n = 0, robot.updated = static_cast<uint8_t>(random.below(3));
+            break;
+        case 2:
+            robot.filter_left = random.near(current->config.filter_period, 0xFFFFFFFF);
+            break;
+        case 3:
+            robot.filter_left = random.below(2);
+            break;
+        case 4:
+            robot.heard[robot.id / 32] ^= uint32_t(1) << robot.id % 32;
+            break;
+        case 5:
+            open.m = random.near(open.m, 0xFFFFFFFF);
+            break;
+        case 6:
+            open.alpha = random.near(open.m, 256), open.low_x = open.high_x = 0;
+            break;
+        case 7:
+            open.low_x = 0xFFFFFFFF * uint64_t(open.x) + random.below(2);
+            break;
+        default:
+            open.high_x = 0x7FFFFF * uint64_t(open.x) + random.below(2);
+        }
+        if (robot.updated == 0)
+            robot.local = form(robot.t, std::min(robot.n, robot.t), robot.b_hat);
+        do_restore("restore of a doubtful robot", robot.save());
+        saved();
+    }
+
+    /* Settings that may have a fault. */
+    void some_hostile_settings(Settings &settings)
+    {
+        some_settings(settings);
+        mcp_asdf_config_t &config = settings.config;
+        uint32_t word = random.below(settings.table.words[0] - 0x4D435400 + 3);
+        switch (random.below(6)) {
+        case 0:
+            config.filter_period = random.below(2);
+            break;
+        case 1:
+            config.memory = random.near(random.one_in(2) ? 64 : int64_t(two31), 0xFFFFFFFF);
+            break;
+        case 2:
+            config.filter = static_cast<uint8_t>(random.below(256));
+            break;
+        case 3:
+            config.table = random.one_in(8) ? nullptr : settings.table.words;
+            if (random.one_in(4))
+                settings.table = falling(random.one_in(2) ? 1 : 128);
+            else
+                settings.table.words[word] ^= 1u << random.below(32);
+            break;
+        case 4: {
+            uint32_t q = settings.table.words[0] - 0x4D435400;
+            uint32_t *words = settings.table.words;
+            if (random.one_in(4))
+                words[1] = random.near(random.one_in(2) ? 0 : 3865470566, 0xFFFFFFFF);
+            else if (random.one_in(3))
+                words[q + 1] = random.near(int64_t(1) << 26, 0xFFFFFFFF);
+            else
+                words[word] = random.near(words[word], 0xFFFFFFFF);
+            settings.table.seal(q);
+            break;
+        }
+        default:
+            break;
+        }
+    }
+
+    /* A new robot; where init fails, the old one stays. */
+    void do_init(bool hostile)
+    {
+        uint32_t id = random.below(hostile && random.one_in(8) ? 256 : 128);
+        uint32_t b_hat = some_b_hat();
+        if (hostile)
+            some_hostile_settings(*spare);
+        else
+            some_settings(*spare);
+        if (hostile && random.one_in(8))
+            b_hat = random.word() << (random.one_in(2) ? 0 : 20);
+        note("init", id, b_hat, spare->config.memory);
+        mcp_asdf_status_t page = model.init(spare->config, static_cast<uint8_t>(id), b_hat);
+        compare(page, mcp_asdf_init(&c, &spare->config, static_cast<uint8_t>(id), b_hat));
+        if (page == MCP_ASDF_OK)
+            std::swap(current, spare);
+        saved();
+    }
+
+    /* The robot moves to other settings, if they let it. */
+    void do_move()
+    {
+        some_hostile_settings(*spare);
+        Image image = saved();
+        note("restore with other settings", spare->config.memory, spare->config.filter_period);
+        mcp_asdf_status_t page = model.restore(spare->config, image);
+        compare(page, mcp_asdf_restore(&c, &spare->config, image.data()));
+        if (page == MCP_ASDF_OK)
+            std::swap(current, spare);
+        saved();
+    }
+
+    /* The robot gets any age. */
+    void do_age()
+    {
+        uint32_t memory = current->config.memory;
+        model.t = random.one_in(3) ? memory - 1 - random.below(4) : random.below(memory);
+        if (random.one_in(3))
+            model.t = random.any_length(31) % memory;
+        model.n = some_n(model.t, model.b_hat);
+        model.local = form(model.t, model.n, model.b_hat);
+        model.updated = 0;
+        model.filter_left = 1 + random.word() % current->config.filter_period;
+        if (random.one_in(8))
+            model.counters = {0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF};
+        do_restore("restore of an age", model.save());
+    }
+
+    void live()
+    {
+        ++lives;
+        do_init(false);
+        if (random.one_in(2))
+            do_age();
+        some_centre();
+
+        static const uint32_t lengths[] = {1, 3, 10, 40, 200, 1000};
+        uint32_t length = lengths[random.below(6)];
+        uint32_t odds = random.below(257);
+        for (uint32_t left = 1 + random.below(400); same && calls < limit_ && left > 0; --left) {
+            uint32_t what = random.below(1000);
+            if (what < 10) {
+                note("save");
+                saved();
+            } else if (what < 13) {
+                do_restore("restore", saved());
+            } else if (what < 16) {
+                do_damage();
+            } else if (what < 18) {
+                do_doubtful();
+            } else if (what < 20) {
+                do_move();
+            } else if (what < 22) {
+                do_init(true);
+            } else if (what < 42) {
+                do_age();
+            } else if (random.one_in(length)) {
+                do_settle();
+            } else if (random.one_in(4)) {
+                do_observe(odds);
+            } else {
+                do_receive();
+            }
+        }
+        if (same)
+            saved();
+    }
+};
+} // namespace
+
+int main(int argc, char **argv)
+{
+    uint64_t seed = argc > 1 ? std::strtoull(argv[1], nullptr, 0) : 1;
+    uint64_t limit = argc > 2 ? std::strtoull(argv[2], nullptr, 0) : 2000000;
+    return Run(seed, limit).go() ? 0 : 1;
+}
