@@ -57,7 +57,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load the compiled firmware and SciPy's functions only for who asks: the rest works without them."""
+    """Load the compiled firmware and SciPy's functions on demand: the rest works without them."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"firmware_py.{_MODULES[name]}"), name)

@@ -11,12 +11,12 @@ from abc import ABC, abstractmethod
 from operator import index
 
 from firmware_py.robot import MAX_ID, Status, Sums, check_alpha, whole_number
+from firmware_py.table import MAX_WORD
 
 ONE = 1 << 23
 """1.0 as x_hat, x_bar or x."""
 HALF = 1 << 22
 B_HAT_MIN, B_HAT_MAX = 1 << 12, (1 << 32) - (1 << 12)
-MAX_WORD = 0xFFFFFFFF
 MANTISSA_MAX, SHIFT_MAX = 0xFFFFFF, 31
 ALPHA_MAX = MANTISSA_MAX << 8 | SHIFT_MAX
 """Word of the largest confidence, 2**31 - 2**7."""

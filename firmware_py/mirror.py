@@ -16,7 +16,6 @@ from firmware_py.fixed_point import (
     B_HAT_MAX,
     B_HAT_MIN,
     HALF,
-    MAX_WORD,
     ONE,
     SHIFT_MAX,
     FixedPointView,
@@ -40,7 +39,7 @@ from firmware_py.robot import (
     check_table,
     whole_number,
 )
-from firmware_py.table import FRACTION_BITS, Table, checksum
+from firmware_py.table import FRACTION_BITS, MAX_WORD, Table, checksum
 
 INFORMATIVE_G = 1 << 20
 COUNTER_MASK = 0xFFFF

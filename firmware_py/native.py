@@ -13,7 +13,7 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from firmware_py._native import ffi, lib
-from firmware_py.fixed_point import MAX_WORD, FixedPointView, b_hat_to_raw
+from firmware_py.fixed_point import FixedPointView, b_hat_to_raw
 from firmware_py.robot import (
     B_HAT_MARGIN,
     MAX_ID,
@@ -27,7 +27,7 @@ from firmware_py.robot import (
     whole_number,
     whole_settings,
 )
-from firmware_py.table import EXTRA_WORDS, MAX_Q, Table
+from firmware_py.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
 __all__ = ["NativeRobot", "ffi", "lib"]
 

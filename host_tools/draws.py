@@ -2,7 +2,7 @@
 
 A draw is a function of seed, trial, robot and step alone. With steps, robots and trials counted from 0, the
 counter of a block of four draws is (step div 4, robot, trial, stream), the key is the seed's lower and upper
-32 bits, and the draw is word step mod 4. Stream 0 says what sensors see: a robot observes black if its draw,
+32 bits, and the draw is word step mod 4. Stream 0 is for the sensors: a robot observes black if its draw,
 without the last bit, is below the probability in units of 2**-31. Stream 1 moves sensors that drift at
 random. Stream 2 has one block for each trial, (0, 0, trial, 2), whose first two words are the lower and upper
 half of the seed of the trial's arena.

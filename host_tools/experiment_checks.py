@@ -1,4 +1,4 @@
-"""What values an experiment may have, and what to change if they will not do."""
+"""Checks of an experiment's values; their messages name the value, the range and the fix."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ _RANGES: tuple[tuple[str, float, float], ...] = (
 
 
 def check(experiment: Experiment) -> None:
-    """Raises ExperimentError for the first value that will not do. Notes the digest of a new picture."""
+    """Raises ExperimentError for the first value out of range. Notes the digest of a new picture."""
     for name, least, most in _RANGES:
         value = getattr(experiment, name)
         if not least <= value <= most:
@@ -143,12 +143,12 @@ _OF_ARENA = (
 
 
 def _check_topology(experiment: Experiment) -> None:
-    """What only a moving world has is not given to another."""
+    """Settings of a moving world are given to no other."""
     for name in () if experiment.is_dynamic else _OF_ARENA:
         value = getattr(experiment, name)
         if value != _default(experiment, name):
             said = value.value if isinstance(value, Enum) else value
-            message = f"{name} is {said} but nobody moves; choose topology dynamic"
+            message = f"{name} is {said} but robots do not move; choose topology dynamic"
             raise ExperimentError(name, message)
 
 

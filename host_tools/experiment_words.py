@@ -6,16 +6,16 @@ from enum import Enum
 
 
 class Topology(Enum):
-    """Who hears whom."""
+    """Which robots hear each other."""
 
     FULLY_CONNECTED = "fully_connected"
     """Every robot hears every other, in the same tick."""
     DYNAMIC = "dynamic"
-    """Robots move through an arena and hear who is near; see docs/arena.md."""
+    """Robots move through an arena and hear those nearby; see docs/arena.md."""
 
 
 class Floor(Enum):
-    """What moving robots observe."""
+    """The floor that moving robots observe."""
 
     TILES = "tiles"
     """Square tiles, each black with probability f; every trial has its own."""

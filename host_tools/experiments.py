@@ -32,11 +32,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Experiment:
-    """What defines an experiment; equal experiments give equal results. Raises UsageError if a value will not
-    do.
+    """A definition; equal ones give equal results. Raises UsageError for a value out of range.
 
     Attributes:
-        topology: Who hears whom. The attributes from ``density`` to ``latency`` are for DYNAMIC only.
+        topology: Which robots hear each other. ``density`` to ``latency`` are for DYNAMIC only.
         robots: N, 1 .. 128.
         flawed: How many robots, the first ones, have a flawed assumed accuracy, 0 .. N.
         fill_ratio: f, 0 .. 1.
@@ -45,7 +44,7 @@ class Experiment:
         mode: Which robots re-estimate it.
         activation: Whether they test first.
         filter_period: Nominal filtering period tau in steps, a multiple of ``comms_period``.
-        comms_period: Steps between broadcasts.
+        comms_period: Steps between broadcasts, which close a round; the firmware counts periods in rounds.
         omega: Type II error probability of the test, above 0 and at most 0.9.
         memory: Observations at which t and n are halved, a multiple of 4, 64 .. 2**31.
         drift: How the true accuracy changes.
@@ -62,10 +61,10 @@ class Experiment:
         floor: What the robots stand on.
         tile: Side of a tile in metres.
         picture: Path of the picture of a PICTURE floor; ``fill_ratio`` has to be its share of black.
-        picture_sha256: Of the picture's file; filled in if empty, so that results say what was run on.
-        ticks_per_second: Steps in a second.
+        picture_sha256: Of the picture's file; filled in if empty, so that results record the floor.
+        ticks_per_second: Steps per second.
         observation_period: Steps between observations.
-        latency: Steps that a message takes: 0, or 1, when it reaches who is near in the step after.
+        latency: Steps that a message takes: 0, or 1, when it reaches robots that are near in the next step.
         steps: Length of a trial.
         trials: How many.
         seed: Of everything random, 0 .. 2**64 - 1. Trial i of two experiments with one seed sees the same
@@ -113,7 +112,7 @@ class Experiment:
         check(self)
         for name, value in vars(self).items():
             if isinstance(_FIELDS[name].default, float):
-                object.__setattr__(self, name, float(value))  # equal ones shall be written alike
+                object.__setattr__(self, name, float(value))  # so that equal ones are written alike
         try:
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
         except UsageError as error:
@@ -128,7 +127,7 @@ class Experiment:
         return Config(table, kind, self.filter_period // self.comms_period, self.memory)
 
     def b_hat(self, robot: int) -> float:
-        """What a robot assumes at the start, kept within the firmware's [2**-20, 1 - 2**-20]."""
+        """A robot's assumed accuracy at the start, kept within the firmware's [2**-20, 1 - 2**-20]."""
         accuracy = self.flawed_accuracy if robot < self.flawed else self.true_accuracy
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
@@ -153,7 +152,7 @@ class Experiment:
     def from_parameters(cls, parameters: dict[str, Any]) -> Experiment:
         """An experiment of plain values; keys left out have their defaults.
 
-        Raises ExperimentError for a key that is none and a value that will not do.
+        Raises ExperimentError for an unknown key or a value out of range.
         """
         return cls(**{key: _typed(key, value) for key, value in parameters.items()})
 

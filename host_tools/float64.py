@@ -45,7 +45,7 @@ class Outcome(NamedTuple):
 
 
 class _Said(NamedTuple):
-    """What robots say in some steps, shape (steps, N)."""
+    """Messages of robots in some steps, shape (steps, N)."""
 
     x_hat: Floats
     alpha: Floats
@@ -155,7 +155,7 @@ def _informed(own: _Said, spoken: _Said, hears: NDArray[np.bool_]) -> Floats:
 
 
 def _rounds(spoken: _Said, hears: NDArray[np.bool_]) -> list[list[Message]]:
-    """What each robot hears in the last of some steps, less what has no weight."""
+    """The messages that each robot hears in the last of some steps, without those that have no weight."""
     said = [
         Message(float(x_hat), float(alpha)) for x_hat, alpha in zip(*(v[-1] for v in spoken), strict=True)
     ]

@@ -80,7 +80,7 @@ class _Author:
             return Scenario(_spoilt(self._setup, source), ())
         actions = (self._tick, self._jump, self._image, self._sums, self._forge, self._decide, self._hesitate)
         weights = source.choice(
-            [(20, 4, 2, 2, 1, 4, 2), (1, 0, 0, 0, 0, 0, 0), (1, 1, 0, 0, 0, 0, 0), (2, 2, 2, 1, 1, 12, 2)]
+            [(20, 4, 2, 2, 2, 4, 2), (1, 0, 0, 0, 0, 0, 0), (1, 1, 0, 0, 0, 0, 0), (2, 2, 2, 1, 3, 12, 2)]
         )
         for action in source.choices(actions, weights, k=source.choice([3, 10, 30])):
             action()
@@ -171,12 +171,12 @@ class _Author:
         """Add or restore a round, open or closed, whose sums are at their limits, or beyond."""
         source = self._source
         numbers = list(astuple(_extreme_sums(source)))
-        for _ in range(source.choice([0, 1, 1, 2])):
+        if source.random() < 0.7:
             member = source.randrange(len(numbers))
-            numbers[member] = max(numbers[member] + source.choice([-1, 1]), 0)
+            numbers[member] = max(numbers[member] + source.choice([-1, 1, 1]), 0)
         self._call("settle")
         words = [word for number in numbers[:4] for word in (number & _BITS_32, number >> 32)]
-        if source.random() < 0.3:
+        if source.random() < 0.4:
             self._call("add", min(numbers[-1], MAX_ID), *numbers)
         elif source.random() < 0.3:
             self._restore(_CLOSED, words[:6])
@@ -234,8 +234,9 @@ def _extreme_sums(source: Random) -> Sums:
     """Sums that messages might have, each as large or as small as the others before it allow."""
     m = source.choice([1, 2, 3, MAX_ID, source.randint(1, MAX_ID)])
     x = source.choice([0, 1, source.randint(0, m * ONE), m * ONE - 1, m * ONE])
-    alpha = source.choice([m, source.randrange(m, m << 55), m * MANTISSA_MAX << SHIFT_MAX])
-    total = source.choice([0, alpha * ONE, source.randint(0, alpha * ONE)])
+    largest = m * MANTISSA_MAX << SHIFT_MAX
+    alpha = source.choice([m, source.randint(m, largest), largest, largest])
+    total = source.choice([0, source.randint(0, alpha * ONE), alpha * ONE, alpha * ONE])
     high = min(x * (MANTISSA_MAX >> 1), total >> 32)
     return Sums(
         alpha=alpha,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from host_tools.engine.native import RawOutcome
 
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
-"""What is recorded of a robot, named as the attributes of ``Robot``."""
+"""Recorded values of a robot, named as the attributes of ``Robot``."""
 
 _STEPS_AT_ONCE = 512
 _COLOURS = (Observation.WHITE, Observation.BLACK)
@@ -37,7 +37,7 @@ _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 @dataclass(frozen=True)
 class Measured:
-    """What is kept of trials ``first`` .. of an experiment; the first axis is the trial.
+    """Results of trials ``first`` .. of an experiment; the first axis is the trial.
 
     Attributes:
         first: Number of the first trial.
@@ -93,7 +93,7 @@ def measure(
 
 def _run_native(experiment: Experiment, first: int, trials: int, thinning: int) -> Measured:
     try:
-        # Other firmwares shall run where nothing has been built.
+        # Imported here, so that other firmwares run where nothing has been built.
         from host_tools.engine import native  # noqa: PLC0415
     except ImportError as error:
         raise UsageError(
@@ -181,7 +181,7 @@ def _measured(
 
 
 Pairs = Sequence[Sequence[int]]
-"""Robots and whom they hear."""
+"""Receiver and sender of each message."""
 
 
 def _steps(experiment: Experiment, trial: int) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:

@@ -1,4 +1,4 @@
-"""What happens to the robots of a trial, for firmware in Python: what sensors say and who hears whom."""
+"""The world of a trial, for firmware in Python: observations, and which robots hear each other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Scene:
     """Some steps in a row.
 
     Attributes:
-        black: Whether a sensor says black, shape (steps, N).
+        black: Whether a sensor sees black, shape (steps, N).
         observes: Whether robots observe in a step, shape (steps,).
         hears: Whether robot i and robot j hear each other, shape (steps, N, N).
     """
@@ -38,7 +38,7 @@ class TrialWorld:
         self._limits = np.broadcast_to(black_probabilities(experiment, trial), shape)
         self._arena = None
         if experiment.is_dynamic:
-            # Robots that do not move shall run where no arena has been built.
+            # Imported here, so that robots that do not move run where no arena has been built.
             from host_tools.moving import make_arena  # noqa: PLC0415
 
             self._arena = make_arena(experiment, trial)

@@ -361,7 +361,8 @@ ALWAYS_INLINE uint32_t prepare(uint32_t d)
 /* 2^46 / d, at most 0.25 2^-13 of it too small, never too large: all d were tried. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
-    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)((d >> 8) + 2));
+    const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
+    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)(y + 2));
 }
 #endif
 

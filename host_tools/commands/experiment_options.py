@@ -1,4 +1,4 @@
-"""What the commands that run experiments share: options, progress, output."""
+"""Options, progress and output shared by the commands that run experiments."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from host_tools.sweeps import Report, default_workers
 from host_tools.tables import parse_omega
 
 _HELP = {
-    "topology": "who hears whom",
+    "topology": "topology",
     "robots": "N",
     "flawed": "how many robots have a flawed assumed accuracy",
     "fill_ratio": "f, the share of black tiles",
@@ -35,11 +35,11 @@ _HELP = {
     "filter_period": "nominal filtering period tau, steps",
     "comms_period": "steps between broadcasts",
     "omega": "type II error probability of the test",
-    "memory": "observations at which t and n are halved",
+    "memory": "forgetting: halve t and n at this many observations, a multiple of 4",
     "drift": "how the true accuracy changes",
-    "drift_rate": "change of the true accuracy in a step",
+    "drift_rate": "change of the true accuracy per step",
     "drift_period": "steps between the changes of a stepped drift",
-    "drift_diffusion": "standard deviation of a Wiener process's change in a step",
+    "drift_diffusion": "standard deviation of a Wiener process's change per step",
     "lowest_accuracy": "below which no drift takes the true accuracy",
     "density": "swarm density D of a square arena",
     "width": "side of a rectangular arena along x in place of a density, metres",
@@ -50,7 +50,7 @@ _HELP = {
     "tile": "side of a tile, metres",
     "picture": "path of the picture of a floor",
     "picture_sha256": "of that file, checked if given",
-    "ticks_per_second": "steps in a second",
+    "ticks_per_second": "steps per second",
     "observation_period": "steps between observations",
     "latency": "steps that a message takes, 0 or 1",
     "steps": "length of a trial",
@@ -91,7 +91,7 @@ def given_parameters(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def with_parameters(experiment: Experiment, args: argparse.Namespace) -> Experiment:
-    """``experiment`` with the parameters that were given. Raises UsageError if they will not do."""
+    """``experiment`` with the parameters that were given. Raises UsageError for a value out of range."""
     given = {**experiment.parameters(), **given_parameters(args)}
     if args.flawed_proportion is not None:
         given["flawed"] = flawed_count(args.flawed_proportion, given["robots"])

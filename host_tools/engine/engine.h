@@ -2,9 +2,12 @@
  *
  * A trial is N robots that take T steps together: all observe, each hears others, all settle. In a fully
  * connected swarm each hears all others (latency 0 of Algorithm 1); in a moving world, arena.h, those that
- * are linked in this step. What happens depends on the experiment, the seed and the trial's number alone, not
- * on which trials run in one call or on which of the two functions runs them; docs/experiments.md describes
- * the draws. Nothing here is static or shared: any number of threads may run trials at once.
+ * are linked in this step. A trial depends on the experiment, the seed and its number alone, not on the other
+ * trials of a call or on which of the two functions runs it; docs/experiments.md describes the draws. Nothing
+ * here is static or shared: any number of threads may run trials at once.
+ *
+ * The engine draws observations, carries messages and keeps results. All estimates come from the core, which
+ * is compiled into it (lanes.c).
  */
 #ifndef MCP_ASDF_ENGINE_H
 #define MCP_ASDF_ENGINE_H
@@ -17,7 +20,7 @@
 #define MCP_ASDF_ENGINE_MAX_ROBOTS 128
 #define MCP_ASDF_ENGINE_CERTAIN (UINT32_C(1) << 31) /* probability 1 of an observation */
 
-/* What is run.
+/* A run of trials.
  *   seed          of all draws
  *   first_trial   number of the first of `trials` trials
  *   robots        N, 1 .. 128
@@ -33,7 +36,7 @@
  *   thinning      record every robot each `thinning` steps; 0 for never
  *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
- *   latency       0: a message reaches who is linked in its step; 1: in the step after */
+ *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;
@@ -65,7 +68,7 @@ typedef struct {
     uint32_t b_hat;
 } mcp_asdf_record_t;
 
-/* What comes out, in memory of the caller.
+/* Results, in memory of the caller.
  *   robots    [trials][N] at the end
  *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 in a fully
  *             connected swarm if comms_period is 1, as all robots then have the same x to the bit, otherwise

@@ -99,8 +99,8 @@ static void load_all(block_t *block)
     }
 }
 
-/* Hand a robot over: what `ticks` ticks without its filter leave behind, but for what its next tick forms
- * anew. */
+/* Bring a robot to the state after `ticks` ticks in lanes, except for members that its next tick forms anew.
+ */
 static void hand_over(mcp_asdf_t *robot, uint32_t n, uint32_t ticks, uint32_t messages)
 {
     robot->t += ticks;

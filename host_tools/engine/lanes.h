@@ -1,6 +1,5 @@
-/* The firmware's estimates of many robots side by side, in vector registers; not for others than the engine.
- *
- * A lane is a robot. What is computed is the firmware's own: lanes.c is compiled with its source.
+/* Private to the engine: estimates of many robots side by side, in vector registers. A lane is a robot. The
+ * arithmetic is the core's own, which lanes.c includes.
  */
 #ifndef MCP_ASDF_LANES_H
 #define MCP_ASDF_LANES_H

@@ -39,7 +39,7 @@ void moving_see(const moving_t *moving, uint32_t k, uint32_t *restrict black)
     }
 }
 
-/* What everybody said last reaches who is linked now. */
+/* The last message of each robot reaches the robots that are linked to it now. */
 static void deliver(mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
 {
     for (uint32_t p = 0; p < arena->link_count; ++p) {

@@ -1,4 +1,4 @@
-/* A trial in a moving world, shared by the plain engine and the lanes; not for others. */
+/* Private to the engine: a trial in a moving world, shared by its two ways to run one. */
 #ifndef MCP_ASDF_MOVING_H
 #define MCP_ASDF_MOVING_H
 
@@ -26,7 +26,7 @@ static inline bool moving_observes(const moving_t *moving, uint32_t k)
 /* Draw the words of steps 4 block .. 4 block + 3. */
 void moving_draw(moving_t *moving, uint32_t block);
 
-/* What each robot's sensor says of the floor in step k: 1 for black. Needs the words of the step. */
+/* Each robot's observation of the floor in step k, 1 for black. Needs the words of the step. */
 void moving_see(const moving_t *moving, uint32_t k, uint32_t *restrict black);
 
 /* The firmware's part of step k (from 0), in an arena that has moved and with words that are drawn. */

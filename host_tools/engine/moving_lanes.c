@@ -71,8 +71,8 @@ static void inform(world_t *world, uint32_t step)
     }
 }
 
-/* Step k (from 0) of robots in an arena that has moved. What they say is still of the step before until they
- * observe; in step 0 nobody has said anything. */
+/* Step k (from 0) of robots in an arena that has moved. Until they observe, their messages are still those of
+ * the step before; before step 0 there were none. */
 static void run_step(world_t *world, uint32_t k)
 {
     const bool is_late = world->moving.experiment->latency != 0;
@@ -89,7 +89,8 @@ static void run_step(world_t *world, uint32_t k)
     ++world->ticks;
 }
 
-/* What the steps in lanes leave behind, but for what the next step of the firmware forms anew. */
+/* Bring the robots to the state after the steps in lanes, except for members that the next step of the
+ * firmware forms anew. */
 static void hand_over(world_t *world)
 {
     for (uint32_t j = 0; j < world->moving.experiment->robots; ++j) {

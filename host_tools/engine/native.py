@@ -38,7 +38,7 @@ _STRIDES = ("trial_stride", "step_stride", "robot_stride")
 
 @dataclass(frozen=True)
 class RawOutcome:
-    """What trials give, in the firmware's units.
+    """Results of trials, in the firmware's units.
 
     Attributes:
         x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have

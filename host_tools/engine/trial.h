@@ -1,11 +1,12 @@
-/* What the plain engine and the lanes share; not for others. */
+/* Private to the engine: trials, shared by its two ways to run them. */
 #ifndef MCP_ASDF_TRIAL_H
 #define MCP_ASDF_TRIAL_H
 
 #include "engine.h"
 #include "philox.h"
 
-/* One kernel for the processor at hand, chosen when the program starts: results are the same. */
+/* Compiles a function for several vector sizes; the one for the processor at hand is chosen when the program
+ * starts. Results are the same. */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) &&             \
     !defined(LANES_ONE_TARGET)
 #define FOR_EACH_TARGET __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))

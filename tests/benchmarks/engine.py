@@ -1,7 +1,7 @@
-"""How fast the engine is beside float64 in Python, plain double C and the physics simulator, in one run.
+"""Speed of the engine compared with float64 in Python, plain double C and the physics simulator, in one run.
 
 ``python tests/benchmarks/engine.py [--json] [--check] [--march x86-64-v3]``, with the compiler that ``CC``
-names (default ``cc``). Robot-steps in a second of processor time of one core, fully connected (N = 10) and in
+names (default ``cc``). Robot-steps per second of processor time on one core, fully connected (N = 10) and in
 the moving world (N = 20, D = 1, messages a step late), 40 000 steps, filter on. All are measured in turn, ten
 times over, and the best of each counts. The physics simulator's figure, with its logging removed, is that of
 tests/data/motion_statistics.json. With ``--march`` the engine is the one of these sources, built for that
@@ -45,15 +45,15 @@ FLOORS = {
     "fully connected": {(LANES, DOUBLE): 0.7, (LANES, CALLS): 4.0},
     "moving": {(LANES, DOUBLE): 0.7, (LANES, CALLS): 1.25},
 }
-"""Least ratio of two rates, with vectors of 64 bytes."""
+"""Minimum ratio of two rates, with vectors of 64 bytes."""
 SHORT_VECTORS_FLOOR = 0.4
-"""Of fully connected lanes beside plain double C, with vectors of 32 bytes."""
+"""Minimum ratio of fully connected lanes to plain double C, with vectors of 32 bytes."""
 
 Measurement = Callable[[], float]
 
 
 def rate_of(experiment: Experiment, trials: int, work: Callable[[], object]) -> Measurement:
-    """Robot-steps of a second of processor time."""
+    """Robot-steps per second of processor time."""
 
     def measure() -> float:
         start = time.process_time()
@@ -116,7 +116,7 @@ def build_engine(folder: Path, architecture: str) -> ModuleType:
 
 
 def fully_connected(folder: Path) -> dict[str, float]:
-    """Rates by name, robot-steps a second."""
+    """Rates by name, robot-steps per second."""
     short = replace(FULL, steps=400, filter_period=100, firmware="reference")
     return best_of(
         {

@@ -1,4 +1,4 @@
-/* A fully connected swarm: a yardstick of engine.py. Prints the robot-steps of a second of processor time. */
+/* A fully connected swarm: a yardstick of engine.py. Prints robot-steps per second of processor time. */
 #include "plain_double.h"
 
 #include <stdio.h>

@@ -1,5 +1,4 @@
-/* The method in plain double C, as one writes it who wants nothing but speed: what the yardsticks of
- * engine.py share. */
+/* The method in plain double C, written for speed alone: shared by the yardsticks of engine.py. */
 #ifndef PLAIN_DOUBLE_H
 #define PLAIN_DOUBLE_H
 

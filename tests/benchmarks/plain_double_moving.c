@@ -1,4 +1,4 @@
-/* A swarm in the moving world of arena.c: a yardstick of engine.py. Prints the robot-ticks of a second of
+/* A swarm in the moving world of arena.c: a yardstick of engine.py. Prints robot-ticks per second of
  * processor time. */
 #include "arena.h"
 #include "plain_double.h"

@@ -10,7 +10,7 @@ import subprocess
 import threading
 from collections.abc import Iterable
 from contextlib import suppress
-from itertools import repeat
+from itertools import product, repeat
 from pathlib import Path
 
 import can
@@ -20,8 +20,9 @@ from benchmarks.cost.budgets import stack_of_tick
 from benchmarks.cost.images import LEVELS
 from support import CORE, ROOT, require, run
 
+from firmware_py.fixed_point import alpha_to_word
 from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import Config, Observation, Status
+from firmware_py.robot import Config, Observation
 from host_tools import frames
 from host_tools.frames import FrameFormat, Heartbeat, Message, Telemetry
 from host_tools.tables import generate, parse_omega
@@ -31,7 +32,9 @@ PORTS = ROOT / "c_ref/ports"
 ROBOT_ID, B_HAT = 7, 0xF3333333
 ESTIMATES = FrameFormat()
 MARK, PACKET, SLOTS = 0x7E, 13, 8
-IMAGE_SIZE = 136
+IMAGE_SIZE = 124
+NO_TILE = 2
+"""Of a script: a tick in which the sensor cannot tell."""
 GREETING = b"?"
 """Of the board that takes a script."""
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
@@ -84,9 +87,10 @@ class Expected:
             if isinstance(message, Message):
                 self._robot.receive_raw(message.sender, message.x_hat, message.alpha)
 
-    def tick(self, z: Observation) -> None:
+    def tick(self, tile: int) -> None:
         robot = self._robot
-        assert robot.observe(z) is Status.DUE
+        if tile != NO_TILE:
+            robot.observe(Observation(tile))
         own = Message(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, self._ticks % 32)
         self.sent += packet(frames.encode(own, ESTIMATES))
         robot.settle()
@@ -105,11 +109,11 @@ class Expected:
         """What it sends while a script is played; demo_scripted.c has the format."""
         at = 0
         while at < len(script):
-            length = max(0, script[at] - Observation.NONE)
+            length = max(0, script[at] - NO_TILE)
             if length:
                 self.hear(script[at + 1 : at + 1 + length])
             else:
-                self.tick(Observation(script[at]))
+                self.tick(script[at])
             at += 1 + length
         return self.sent
 
@@ -127,13 +131,15 @@ def script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> 
 def records(packets: list[bytes]) -> bytes:
     """The packets with noise between them, as one record of the script."""
     content = b"\x00\xff".join(packets)
-    return bytes([Observation.NONE + len(content)]) + content if packets else b""
+    return bytes([NO_TILE + len(content)]) + content if packets else b""
 
 
 def a_packet(stream: random.Random) -> bytes:
     sender, x_hat = stream.choice((1, 2, 3, ROBOT_ID, 127)), round(2**23 * stream.uniform(0.6, 0.8))
-    alpha = frames.bits_of(stream.choice((0.0, 1.0, 1e3, 1e8)))
+    alpha = alpha_to_word(stream.choice((0.0, 1.0, 1e3, 1e8)))
     frame = frames.encode(Message(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
+    if stream.random() < 0.1:  # off the grid, too large, too small, or none
+        frame.data[3:7] = stream.randbytes(4)
     if stream.random() < 0.2:  # another subject, x_hat too large, no estimate at all
         frame.arbitration_id ^= stream.choice((0, 1 << 8))
         frame.data[stream.choice((2, 6, 7))] ^= 0x80
@@ -183,18 +189,29 @@ def in_tens(numbers: list[int]) -> str:
     return f"{min(numbers) // 10 * 10} to {-(-max(numbers) // 10) * 10}"
 
 
-def test_the_page_budgets_for_every_core() -> None:
-    assert [core for _, core in re.findall(r"([\d.]+) KB \(([\w+-]+)\)", PAGE)] == list(CORES)
+PARTS = {"method": "mcp_asdf.c", "saving": "mcp_asdf_image.c", "frames": "mcp_asdf_frame.c"}
+"""Rows of the page's budget of flash, and what they are for."""
 
 
-@pytest.mark.parametrize("core", CORES)
-def test_the_core_keeps_to_the_page_s_budget(core: str, tmp_path: Path) -> None:
+def budgets(part: str) -> dict[str, float]:
+    """Kilobytes for every core, as the page has them."""
+    (row,) = re.findall(rf"^\| flash, {part} \| (.*) \|$", PAGE, re.MULTILINE)
+    return {core: float(kilobytes) for kilobytes, core in re.findall(r"([\d.]+) KB \(([\w+-]+)\)", row)}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_page_budgets_for_every_core(part: str) -> None:
+    assert list(budgets(part)) == list(CORES)
+
+
+@pytest.mark.parametrize(("core", "part"), list(product(CORES, PARTS)))
+def test_the_core_keeps_to_the_page_s_budget(core: str, part: str, tmp_path: Path) -> None:
     tools, flags, packages = CORES[core]
     compiler, out = require(f"{tools}gcc", packages), tmp_path / "core.o"
-    run(compiler, *flags.split(), "-std=c99", "-ffreestanding", "-Os", "-c", CORE, "-o", out)
+    source = CORE.with_name(PARTS[part])
+    run(compiler, *flags.split(), "-std=c99", "-ffreestanding", "-Os", "-c", source, "-o", out)
     text, data, bss = map(int, run(f"{tools}size", out).splitlines()[1].split()[:3])
-    (budget,) = re.findall(rf"([\d.]+) KB \({re.escape(core)}\)", PAGE)
-    assert text <= 1000 * float(budget)
+    assert 0.8 * budgets(part)[core] < text / 1000 <= budgets(part)[core]
     assert (data, bss) == (0, 0)
 
 
@@ -288,9 +305,9 @@ def test_its_interrupts_receive_while_it_sends(project: Path) -> None:
     than any line can: most of it is lost, which shows in the heartbeat only.
     """
     command = machine("cortex-m3")
-    neighbours = [frames.encode(Message(node, 2**22, 0x42000000, 0), ESTIMATES) for node in (1, 2)]
+    neighbours = [frames.encode(Message(node, 2**22, 0x80000006, 0), ESTIMATES) for node in (1, 2)]
     heard = b"".join(map(packet, neighbours))
-    in_a_tick = bytes([Observation.NONE + len(heard)]) + heard + bytes([Observation.WHITE])
+    in_a_tick = bytes([NO_TILE + len(heard)]) + heard + bytes([Observation.WHITE])
     expected = Expected().play(in_a_tick * 10)
     image = build(project, "cortex_m/demo_mps2.c", "cortex-m3")
     sent = answers([*command, image], repeat(heard), len(expected))
@@ -321,7 +338,7 @@ void board_load(uint8_t copy, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 
 int main(void)
 {
-    static const mcp_asdf_config_t config = {0, 1, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    static const mcp_asdf_config_t config = {0, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
     const unsigned whole = 2 * MCP_ASDF_IMAGE_SIZE;
     mcp_asdf_t robot, found;
     memset(memory, 0xFF, sizeof memory);
@@ -348,7 +365,7 @@ def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
     end both copies are, and a robot of another id begins anew in spite of them.
     """
     (tmp_path / "main.c").write_text(blocks("c")[1] + POWER_FAILS)
-    sources = [tmp_path / "main.c", ROOT / "c_ref/src/mcp_asdf.c"]
+    sources = [tmp_path / "main.c", CORE, CORE.with_name("mcp_asdf_image.c")]
     run("cc", "-std=c99", *WARNINGS.split(), f"-I{ROOT}/c_ref/src", *sources, "-o", tmp_path / "robot")
     lost = [int(number) for number in run(tmp_path / "robot").split()]
     assert lost == [1] * IMAGE_SIZE + [0] * (IMAGE_SIZE + 1)
@@ -376,8 +393,8 @@ def avr_image(folder: Path, *macros: str) -> Path:
 def test_it_leaves_half_of_an_atmega_s_flash_and_most_of_its_memory(tmp_path: Path) -> None:
     _, numbers = run(require("avr-size"), avr_image(tmp_path)).splitlines()
     text, data, bss = map(int, numbers.split()[:3])
-    assert text + data < 16 * 1024
-    assert data + bss < 320
+    assert text + data < 15 * 1000
+    assert data + bss < 300
 
 
 def check_on_an_atmega(image: Path, clock: int, baud: int, folder: Path) -> None:

@@ -355,6 +355,39 @@ def test_c_reads_no_word_that_is_not_there(claimed: int) -> None:
 # --- Memory ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("filter_mode", Filter)
+@pytest.mark.parametrize("fill", ["random", "ones", "zeros", "few bits"])
+def test_calls_survive_any_contents_of_a_robot(filter_mode: Filter, fill: str) -> None:
+    """All of a robot but its config pointer spoilt: every call returns one of its own results, and init makes
+    a sound robot of it again."""
+    rng = random.Random(fill)
+    config = replace(CONFIG, filter=filter_mode, filter_period=1)
+    for _ in range(300):
+        native = NativeRobot(config, 3, 0.8)
+        memory = ffi.buffer(native.pointer)
+        spoilt = {"ones": b"\xff" * len(memory), "zeros": bytes(len(memory))}.get(
+            fill, rng.randbytes(len(memory))
+        )
+        if fill == "few bits":
+            spoilt = bytes(
+                old ^ (1 << rng.randrange(8) if rng.random() < 0.05 else 0) for old in bytes(memory)
+            )
+        memory[ffi.offsetof("mcp_asdf_t", "t") :] = spoilt[ffi.offsetof("mcp_asdf_t", "t") :]
+        native.holds_invariants()
+        for _ in range(3):
+            assert native.receive_raw(*message(rng)) in (
+                Status.OK,
+                Status.REPEATED,
+                Status.ERR_SENDER,
+                Status.ERR_X_HAT,
+            )
+            assert native.observe(rng.choice(list(Observation))) == Status.OK
+            assert native.settle() in (Status.OK, Status.UPDATED)
+            views(native)
+        assert lib.mcp_asdf_init(native.pointer, native.pointer.config, 3, 1 << 31) == Status.OK
+        assert native.holds_invariants()
+
+
 def test_robots_of_equal_configs_share_one_in_c() -> None:
     one, two = NativeRobot(CONFIG, 1, 0.8), NativeRobot(replace(CONFIG), 2, 0.6)
     other = NativeRobot(replace(CONFIG, filter_period=20), 3, 0.8)

@@ -35,7 +35,7 @@ from firmware_py.fixed_point import ALPHA_MAX, HALF, ONE, alpha_units, word_to_a
 from firmware_py.mirror import MirrorRobot
 from firmware_py.native import NativeRobot
 from firmware_py.reference import ReferenceRobot
-from firmware_py.robot import Config, Filter, Observation, Robot, Status
+from firmware_py.robot import Config, Filter, Observation, Status
 from firmware_py.table import FRACTION_BITS, MAGIC, checksum
 from host_tools import audit as audit_module
 from host_tools import cli, exact
@@ -69,6 +69,8 @@ SOURCES = {
 SEED = 1
 CALLS = 40_000
 """Maximum number of calls to catch a fault; most take a few hundred."""
+
+AnyRobot = type[MirrorRobot] | type[NativeRobot] | type[ReferenceRobot]
 
 
 def silent(done: int) -> None:
@@ -211,7 +213,7 @@ def test_scenarios_reach_every_kind_of_state(trait: str) -> None:
 
 @pytest.mark.parametrize("robot", [NativeRobot, MirrorRobot, ReferenceRobot])
 @pytest.mark.parametrize("alpha", [-1.0, -0.0, math.inf, -math.inf, math.nan])
-def test_a_float_that_is_no_confidence_raises(robot: type[Robot], alpha: float) -> None:
+def test_a_float_that_is_no_confidence_raises(robot: AnyRobot, alpha: float) -> None:
     """Not in the scenarios: every word is a confidence."""
     made = robot(Config(filter=Filter.OFF), 0, 0.75)
     with pytest.raises(ValueError, match="alpha is"):

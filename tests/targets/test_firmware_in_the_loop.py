@@ -617,7 +617,7 @@ def test_the_image_holds_the_firmware_and_its_port(target: str, image_of: Builde
     assert ours >= SOURCES
     assert ours - SOURCES <= {"start.c", "mps2.c", "virt.c", "virt_uart.c", "memory.c"}
     assert not ours & {path.name for path in LINUX.glob("*.c")}, "this needs no Linux"
-    assert matrix.flash(image) < 12 * 1024
+    assert matrix.flash(image) < 8 * 1024
     assert sum(matrix.ram_sections(image).values()) < 1024
 
 

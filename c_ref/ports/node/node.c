@@ -6,18 +6,12 @@
 
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
 {
-    const uint32_t comms_period = settings->comms_period, filter_period = settings->filter_period;
-    if (comms_period == 0 || filter_period % comms_period != 0) {
+    const uint32_t period = settings->comms_period, tau = settings->filter_period;
+    if (period == 0 || tau % period != 0) {
         return MCP_ASDF_ERR_CONFIG;
     }
-    const mcp_asdf_config_t config = {settings->table, filter_period / comms_period, settings->memory,
-                                      settings->filter};
-    const node_t fresh = {.config = config,
-                          .settings = settings,
-                          .output = output,
-                          .comms_left = comms_period,
-                          .is_settled = true};
-    *node = fresh;
+    *node = (node_t){.settings = settings, .output = output, .comms_left = period, .is_settled = true};
+    node->config = (mcp_asdf_config_t){settings->table, tau / period, settings->memory, settings->filter};
     return mcp_asdf_init(&node->robot, &node->config, settings->id, settings->b_hat);
 }
 
@@ -31,8 +25,6 @@ static void end_tick(node_t *node)
     }
     node->is_settled = true;
 }
-
-void node_start(node_t *node) { node_send_heartbeat(node); }
 
 void node_observe(node_t *node, mcp_asdf_action_t seen)
 {

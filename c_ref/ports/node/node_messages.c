@@ -23,6 +23,8 @@ void node_send_heartbeat(node_t *node)
     }
 }
 
+void node_start(node_t *node) { node_send_heartbeat(node); }
+
 void node_send_estimate(node_t *node)
 {
     const mcp_asdf_estimate_t message = {.node = node->settings->id,

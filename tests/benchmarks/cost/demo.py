@@ -22,6 +22,7 @@ _SOURCES = (
     PORTS / "avr" / "demo_atmega.c",
     PORTS / "avr" / "atmega.c",
     FIRMWARE / "mcp_asdf.c",
+    FIRMWARE / "mcp_asdf_image.c",
     FIRMWARE / "mcp_asdf_frame.c",
     ROOT / "tables" / "t_table_omega05_q30.c",
 )

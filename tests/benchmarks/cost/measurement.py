@@ -43,7 +43,8 @@ SETTINGS = {
 
 def firmware_image(target: Target, level: str, folder: Path) -> Image:
     """The firmware, ready to be called."""
-    sources = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", FIRMWARE / "mcp_asdf_frame.c", _TABLES[30]]
+    names = ("mcp_asdf.c", "mcp_asdf_image.c", "mcp_asdf_frame.c")
+    sources = [HERE / "firmware.c", *(FIRMWARE / name for name in names), _TABLES[30]]
     calls = [f"mcp_asdf_{name}" for name in (*STACK_CALLS, "encode_estimate", "decode_estimate")]
     kept = (*_KEPT, *calls, "frame", "format", "estimate", "image")
     return build(target, folder, sources, level, *_keep(kept))
@@ -51,7 +52,7 @@ def firmware_image(target: Target, level: str, folder: Path) -> Image:
 
 def baseline_image(target: Target, level: str, folder: Path, kind: str) -> Image:
     """The same equations in floating point, ready to be called."""
-    calls = [f"plain_{name}" for name in ("observe", "receive", "settle", "step")]
+    calls = [f"plain_{name}" for name in TICK_CALLS]
     flags = (level, BASELINES[kind], *_keep((*_KEPT, *calls)))
     return build(target, folder, [HERE / "plain.c", _TABLES[30]], *flags)
 
@@ -66,10 +67,11 @@ def _keep(names: Iterable[str]) -> list[str]:
 def flash(target: Target, level: str, folder: Path) -> Figures:
     """Bytes of flash that the firmware and the baselines add to a program, without main() and table."""
     core = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", _TABLES[30]]
+    whole = [*core, FIRMWARE / "mcp_asdf_image.c"]
     nothing = _code(build(target, folder / "nothing", [HERE / "empty.c"], level))
     sizes = {
         "least": _code(build(target, folder / "least", core, level)) - nothing,
-        "whole": _code(build(target, folder / "whole", core, level, "-DWHOLE")) - nothing,
+        "whole": _code(build(target, folder / "whole", whole, level, "-DWHOLE")) - nothing,
     }
     for kind in kinds(target):
         plain = [HERE / "plain.c", _TABLES[30]]
@@ -91,9 +93,8 @@ def table_bytes(folder: Path) -> list[int]:
     """[a, b] where a table takes a + b q bytes."""
     sizes = {}
     for q, file in _TABLES.items():
-        image = build(
-            TARGETS[0], folder / str(q), [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", file], f"-DQ={q}"
-        )
+        sources = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", file]
+        image = build(TARGETS[0], folder / str(q), sources, f"-DQ={q}")
         sizes[q] = int(image.symbols[f"mcp_asdf_t_table_omega05_q{q}"]["st_size"])
     entry = (sizes[127] - sizes[30]) // (127 - 30)
     return [sizes[30] - 30 * entry, entry]

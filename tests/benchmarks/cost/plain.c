@@ -1,14 +1,16 @@
-/* The baseline: the same equations as one would write them down, in REAL (float or double). It checks
- * nothing, does not look for repeated messages, and forgets nothing; the test has no square root, as the
- * firmware's. */
+/* The baseline: the same equations as one would write them down, in REAL (float or double), divided like the
+ * firmware's: x when it is read, x_bar when the test has rejected. It checks nothing, does not look for repeated
+ * messages, and forgets nothing; the test has no square root, as the firmware's. */
 #include "robot.h"
+
+#include "mcp_asdf_arithmetic.h"
 
 #ifndef REAL
 #define REAL double
 #endif
 
 typedef struct {
-    REAL b_hat, x_hat, alpha, x_bar, beta, x;
+    REAL b_hat, x_hat, alpha, beta, beta_x;
     REAL sum_alpha, sum_alpha_x, sum_x, sum_x_squared;
     uint32_t t, n, m, filter_left, filter_period, updates;
 } plain_t;
@@ -19,6 +21,7 @@ void plain_observe(plain_t *own, mcp_asdf_observation_t z);
 void plain_receive(plain_t *own, uint8_t sender, uint32_t x_hat, uint32_t alpha);
 void plain_settle(plain_t *own);
 void plain_step(plain_t *own, mcp_asdf_observation_t z);
+uint32_t plain_x(const plain_t *own);
 
 void bench_start(uint32_t b_hat)
 {
@@ -80,9 +83,10 @@ static void filter(plain_t *own)
 {
     const REAL m = (REAL)own->m, difference = own->sum_x - m * own->x_hat;
     const REAL spread = m * own->sum_x_squared - own->sum_x * own->sum_x;
-    const REAL k = (REAL)MCP_ASDF_READ_WORD(&TABLE_OF(Q)[own->m + 2]) * (REAL)(1.0 / 1073741824.0);
+    const REAL k = (REAL)MCP_ASDF_READ_WORD(&TABLE_OF(Q)[own->m <= Q ? own->m : Q + 1]) * (REAL)(1.0 / 67108864.0);
     if (difference * difference > k * spread) {
-        const REAL b = ((REAL)own->n / (REAL)own->t + own->x_bar - 1) / (2 * own->x_bar - 1);
+        const REAL x_bar = own->sum_alpha_x / own->sum_alpha;
+        const REAL b = ((REAL)own->n / (REAL)own->t + x_bar - 1) / (2 * x_bar - 1);
         ++own->updates;
         own->b_hat = b < (REAL)1e-6 ? (REAL)1e-6 : b > 1 - (REAL)1e-6 ? 1 - (REAL)1e-6 : b;
     }
@@ -91,8 +95,7 @@ static void filter(plain_t *own)
 void plain_settle(plain_t *own)
 {
     own->beta = own->sum_alpha;
-    own->x_bar = own->m > 0 ? own->sum_alpha_x / own->sum_alpha : 0;
-    own->x = (own->alpha * own->x_hat + own->sum_alpha_x) / (own->alpha + own->sum_alpha);
+    own->beta_x = own->sum_alpha_x;
     if (--own->filter_left == 0) {
         own->filter_left = own->filter_period;
         if (own->m >= 2) {
@@ -109,6 +112,12 @@ void plain_step(plain_t *own, mcp_asdf_observation_t z)
     plain_settle(own);
 }
 
+/* Unit 2^-23. */
+uint32_t plain_x(const plain_t *own)
+{
+    return (uint32_t)((own->alpha * own->x_hat + own->beta_x) / (own->alpha + own->beta) * 8388608);
+}
+
 int main(void)
 {
     bench_start(UINT32_C(0xF3333333));
@@ -116,5 +125,5 @@ int main(void)
     plain_observe(&robot, MCP_ASDF_BLACK);
     plain_receive(&robot, 6, 0, 0);
     plain_settle(&robot);
-    return (int)(robot.x * 8388608);
+    return (int)plain_x(&robot);
 }

@@ -10,12 +10,12 @@
 #endif
 #define PASTE(a, b) a##b
 #define TABLE_OF(q) PASTE(mcp_asdf_t_table_omega05_q, q)
-extern const uint32_t TABLE_OF(Q)[Q + 4];
+extern const uint32_t TABLE_OF(Q)[Q + 3];
 
 /* Make a robot with id 5. */
 void bench_start(uint32_t b_hat);
 
-/* Let it filter every filter_period ticks and halve t when it reaches memory, and set the numbers of
+/* Let it filter every filter_period rounds and halve t when it reaches memory, and set the numbers of
  * observations and of black ones among them. */
 void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
 

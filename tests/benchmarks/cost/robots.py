@@ -66,7 +66,7 @@ class Robot:
     def start(
         self, b_hat: int, period: int = NEVER, t: int = 0, n: int = 0, memory: int = runs.MEMORIES[1]
     ) -> None:
-        """Make it new, then give it a past; it filters every ``period`` ticks."""
+        """Make it new, then give it a past; it filters every ``period`` rounds."""
         own = self._own[1]
         if b_hat in self._new:
             self._machine.write(own, self._new[b_hat])
@@ -77,8 +77,10 @@ class Robot:
         self._machine.do("bench_set", *past)
 
     def receive(self, message: runs.Message) -> Cost:
-        """Take a message."""
+        """Take a message, whose confidence the baseline takes as the frame has it."""
         sender, x_hat, alpha = message
+        if self._prefix != "mcp_asdf":
+            alpha = runs.binary32(alpha)
         return self.call("receive", ("byte", sender), ("word", x_hat), ("word", alpha))
 
     def step(self, observation: int) -> Cost:
@@ -105,8 +107,7 @@ class Robot:
     def _note_halves(self, observation: int, due: bool) -> None:
         self._note("observe", self.call("observe", ("enum", observation)))
         self._note("settle, filter due" if due else "settle", self.call("settle"))
-        if self._prefix == "mcp_asdf":  # the baseline has x after settle
-            self._note("x", self.call("x"))
+        self._note("x", self.call("x"))
 
     # ---- Lives and situations ----
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import random
+import struct
 from dataclasses import dataclass, replace
 from functools import cache
 
 from firmware_py import Config, Filter, NativeRobot, Observation
+from firmware_py.fixed_point import alpha_units, alpha_word, word_to_alpha
 
 OWN_ID = 5
 NEIGHBOURS = (0, 1, 10, 127)
 """Of the robots whose lives are measured."""
-MEMORIES = (64, 2**32 - 2)
+MEMORIES = (64, 2**31)
 """Of a robot: the least and the most, which is usual."""
-AGES = (*(2**k for k in range(32)), MEMORIES[1])
+AGES = tuple(2**k for k in range(32))
 """Observations counted by the steps that are looked at one by one; at the last one t is halved."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
@@ -30,13 +32,11 @@ _HALF, _INFORMATIVE = 2**31, 2**19
 """Accuracy 1/2, and how far from it a robot begins to learn; units of 2**-32."""
 _ONE = 2**23
 """Of x_hat, units of 2**-23."""
-_UNIT, _MOST, _LARGEST = 0x33800000, 0x4EFFFFFF, 0x7F7FFFFF
-"""As binary32 bits the alpha of one unit, the most of the firmware, and the largest there is."""
-_ALPHAS = (0, _UNIT - 1, _UNIT, 0x33FFFFFF, 0x34000000, 0x3EFFFFFF, 0x3F000000, _MOST, _MOST + 1, _LARGEST)
+_ALPHAS = tuple(map(alpha_word, (0, 1, 2, 2**24 - 1, 2**24, 2**32 - 2**8, 2**32, 2**54, 2**55)))
 """Where one way through the code gives way to another, and the numbers beside."""
 
 Message = tuple[int, int, int]
-"""Sender, x_hat in units of 2**-23, alpha as binary32 bits."""
+"""Sender, x_hat in units of 2**-23, alpha as the firmware's word."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Situation:
     @property
     def audible(self) -> int:
         """Messages that say something: of alpha from one unit on."""
-        return sum(alpha >= _UNIT for _, _, alpha in self.messages)
+        return sum(alpha_units(alpha) > 0 for _, _, alpha in self.messages)
 
 
 @dataclass(frozen=True)
@@ -109,22 +109,18 @@ DEAR = (
     Situation(2151478824, 400, 399, 199, (), 0),
     Situation(2190624173, 88, 87, 44, (), 0),
     Situation(4096, 221264, 221263, 3, (), 0),
-    Situation(65841, 2**32 - 2, 2**32 - 3, 131926, (), 0),
-    Situation(4117, 378148, 378147, 11, ((0, 2**23, 0x3387C747), (1, 2**23 - 1, 0x34000000)), 0),
-    Situation(11119630, 2**32 - 2, 2**32 - 3, 1922344842, ((0, 0, _UNIT), (1, 0, 0x3F800000)), 0),
-    Situation(2166151516, 2046, 2045, 1023, ((0, 2**23, 0x3F000000), (1, 2**23, 0x33FFFFFF)), 1),
-    Situation(
-        4294891937, 2**32 - 2, 2**32 - 3, 4292443597, ((0, 2**23, 0x3F000000), (1, 2**23, 0x34000000)), 1
-    ),
-    Situation(4294963200, 356012, 356011, 355999, ((0, 2**23 - 3, 0x3EFFFFFF), (1, 2**23, 0x4C5BF4BE)), 0),
-    Situation(4294963200, 450978, 450977, 450957, ((0, 2**23, 0x33FFFFED), (1, 2**23, 0x34000000)), 0),
 )
 """What long searches found: a small memory halved, b_hat at a clamp or beside 1/2, n beside c t or t/2."""
 
 
 def usual_round(messages: int) -> tuple[Message, ...]:
     """Messages of middling x_hat and confidence."""
-    return tuple((sender, _ONE // 4 * 3, 0x48000000) for sender in senders(messages))
+    return tuple((sender, _ONE // 4 * 3, 0x80000012) for sender in senders(messages))
+
+
+def binary32(alpha: int) -> int:
+    """The bits of an alpha word's value as a float."""
+    return int.from_bytes(struct.pack("<f", word_to_alpha(alpha)), "little")
 
 
 # ---- Situations ----
@@ -178,11 +174,11 @@ def _moment(rng: random.Random) -> tuple[int, int]:
         return MEMORIES[1], MEMORIES[1] - 1
     if kind < 7:
         memory = (
-            2 ** rng.randrange(6, 32) + 2 * rng.randint(-1, 1) if kind == 3 else int(2 ** rng.uniform(6, 32))
+            2 ** rng.randrange(6, 32) + 4 * rng.randint(-1, 1) if kind == 3 else int(2 ** rng.uniform(6, 31))
         )
-        memory = _clamped(memory // 2 * 2, *MEMORIES)
+        memory = _clamped(memory // 4 * 4, *MEMORIES)
         return memory, memory - 1
-    t = 2 ** rng.randrange(32) + rng.randint(-1, 1) if kind == 7 else int(2 ** rng.uniform(0, 32))
+    t = 2 ** rng.randrange(31) + rng.randint(-1, 1) if kind == 7 else int(2 ** rng.uniform(0, 31))
     return MEMORIES[1], _clamped(rng.randint(1, 5) if kind == 8 else t, 1, MEMORIES[1] - 1) - 1
 
 
@@ -206,8 +202,8 @@ def _round(rng: random.Random, messages: int) -> tuple[Message, ...]:
 
 
 def _alpha(rng: random.Random) -> int:
-    """Of any valid message, off the firmware's grid, too; as binary32 bits."""
-    return rng.choice((rng.choice(_ALPHAS), rng.randint(_UNIT, _MOST), rng.randint(0, _LARGEST)))
+    """Any word, or that of a confidence on a logarithmic scale."""
+    return rng.choice((rng.choice(_ALPHAS), rng.getrandbits(32), alpha_word(int(2 ** rng.uniform(0, 55)))))
 
 
 def _changed(rng: random.Random, messages: tuple[Message, ...]) -> tuple[Message, ...]:
@@ -217,7 +213,7 @@ def _changed(rng: random.Random, messages: tuple[Message, ...]) -> tuple[Message
     if rng.getrandbits(1):
         new = sender, _near(rng, x_hat, 0, _ONE), alpha
     else:
-        new = sender, x_hat, rng.choice((_alpha(rng), _near(rng, alpha, 0, _LARGEST)))
+        new = sender, x_hat, rng.choice((_alpha(rng), _near(rng, alpha, 0, 2**32 - 1)))
     return (*messages[:at], new, *messages[at + 1 :])
 
 
