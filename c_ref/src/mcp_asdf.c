@@ -31,15 +31,6 @@ ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2
 /* An alpha in units of 2^-24, below 2^55. */
 ALWAYS_INLINE word_pair_t units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
 
-/* What a message adds to the sums of its round: < 2^55, < 2^55 and < 2^46. */
-ALWAYS_INLINE mcp_asdf_closed_t sums_of(uint32_t x_hat, uint32_t alpha)
-{
-    const word_pair_t said = units(alpha);
-    const mcp_asdf_closed_t sums = {join(said.high, said.low), multiply(said.low, x_hat),
-                                    multiply(said.high, x_hat)};
-    return sums;
-}
-
 /* Sum of alpha x_hat over sum of alpha > 0 (eq. 5 and 7), which is at most 1.0, as Q32. */
 HOT uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
@@ -57,13 +48,13 @@ HOT uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
  * the quotient are right or one too small; the rest of the division, which is below 2 alpha, shows which. */
 HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, uint32_t own_alpha)
 {
-    const mcp_asdf_closed_t own = sums_of(x_hat, own_alpha);
-    const uint64_t alpha = closed->alpha + own.alpha; /* of 128 robots: < 2^62 */
-    const uint64_t alpha_x_low = closed->alpha_x_low + own.alpha_x_low;
-    const uint64_t alpha_x_high = closed->alpha_x_high + own.alpha_x_high;
+    const word_pair_t own = units(own_alpha);
+    const uint64_t alpha = closed->alpha + join(own.high, own.low); /* of 128 robots: < 2^62 */
     if (alpha == 0) {
         return x_hat;
     }
+    const uint64_t alpha_x_low = closed->alpha_x_low + multiply(own.low, x_hat);
+    const uint64_t alpha_x_high = closed->alpha_x_high + multiply(own.high, x_hat);
     const uint32_t x = mean(alpha, alpha_x_low, alpha_x_high) >> 9;
     const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);                    /* modulo 2^64 */
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0); /* the same */
@@ -101,15 +92,15 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
     accuracy->c = g < INFORMATIVE ? UINT32_MAX : c;
     accuracy->common = square_of_ratio(shift_left(g, g_shift), 0 - c);
     accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
-    accuracy->g_shift = (uint8_t)g_shift;
-    accuracy->rare_shift = (uint8_t)(2 * c_shift);
+    accuracy->g_shift = g_shift;
+    accuracy->rare_shift = 2 * c_shift;
 }
 
 typedef struct {
     uint32_t x_hat, alpha;
 } message_t;
 
-/* The alpha word of mantissa 2^exponent units; mantissa in [2^23, 2^24). */
+/* The alpha word of mantissa 2^exponent units, rounded down to whole units; mantissa in [2^23, 2^24). */
 HOT uint32_t alpha_word(uint32_t mantissa, int32_t exponent)
 {
     if ((uint32_t)exponent > SHIFT_MAX) {
@@ -117,8 +108,7 @@ HOT uint32_t alpha_word(uint32_t mantissa, int32_t exponent)
             mantissa = MANTISSA_MAX;
             exponent = SHIFT_MAX;
         } else {
-            mantissa =
-                shift_right(mantissa, (uint32_t)-exponent & 31); /* at most 21: what is below a unit goes */
+            mantissa = shift_right(mantissa, (uint32_t)-exponent & 31); /* at most 21 */
             exponent = 0;
         }
     }
@@ -127,27 +117,27 @@ HOT uint32_t alpha_word(uint32_t mantissa, int32_t exponent)
 
 /* Eq. 3 and 4 for t > 0. White and black are mirror images, and so are b_hat and 1 - b_hat: only the rarer
  * colour is looked at, under the accuracy above 1/2. With p = part / t, all cases of eq. 4 are
- * part (g / p')^2 + (t - part) (g / (1 - p'))^2, where p' is p, but at least c. The shifts of the accuracy
- * come apart, as whole words: bytes would slow engines that compute many robots side by side. */
-HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy, uint32_t g_shift,
-                       uint32_t rare_shift)
+ * part (g / p')^2 + (t - part) (g / (1 - p'))^2, where p' is p, but at least c. */
+HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
+    const uint32_t g_shift = accuracy->g_shift & SHIFT_MAX;
     const uint32_t white = t - n, part = n < white ? n : white;
     const uint32_t shift = leading_zeros(t);
-    const uint32_t total = shift_left(t, shift),
-                   rarer = shift_left(part, shift);           /* [2^31, 2^32), <= total / 2 */
+    const uint32_t total = shift_left(t, shift);              /* [2^31, 2^32) */
+    const uint32_t rarer = shift_left(part, shift);           /* <= total / 2 */
     const uint32_t least = multiply_high(accuracy->c, total); /* c t */
     uint32_t x = 0, mantissa;
-    int32_t exponent = -(int32_t)(2 * g_shift);
+    int32_t exponent;
     if (rarer <= least) { /* p' = c; always so without information */
         if (accuracy->c == UINT32_MAX) {
             const message_t nothing = {MCP_ASDF_HALF, 0};
             return nothing;
         }
         uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
+        exponent = 34 - 2 * (int32_t)g_shift;
         if (part != 0) {
-            sum = multiply(part, accuracy->rare) + shift_right_64(sum, rare_shift); /* < 2^64 */
-            exponent += (int32_t)rare_shift;
+            sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
+            exponent += (int32_t)accuracy->rare_shift;
         }
         if (high_word(sum) == 0) {
             sum = join(low_word(sum), 0);
@@ -155,23 +145,22 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         }
         const uint32_t sum_shift = leading_zeros(high_word(sum));
         mantissa = upper(sum, sum_shift) >> 8;
-        exponent += 34 - (int32_t)sum_shift;
-    } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) = g^2 total^2 t / (rarer (total -
-                rarer)) */
+        exponent -= (int32_t)sum_shift;
+    } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) */
         const uint32_t scale = shift_left(total - 2 * least, g_shift); /* g t: [2^30, 2^32) */
         const uint32_t above = shift_left(rarer - least, g_shift);     /* <= scale / 2, where x is 1/2 */
         x = divide_24(above, scale >> 1) >> 2;
         const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
         const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
         const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
+        exponent = 32 + (int32_t)spread_shift - (int32_t)square_shift - (int32_t)shift - 2 * (int32_t)g_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-        exponent += (int32_t)(32 + spread_shift - square_shift) - (int32_t)shift;
         const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in (2^23, 2^25) */
         mantissa >>= excess;
         exponent += (int32_t)excess;
     }
     const bool mirrored =
-        ((n - white) ^ accuracy->b_hat) >> 31 != 0; /* black is the rarer under b_hat < 1/2, or ... */
+        ((n - white) ^ accuracy->b_hat) >> 31 != 0; /* either white is rarer or b_hat < 1/2 */
     const message_t found = {mirrored ? MCP_ASDF_ONE - x : x, alpha_word(mantissa, exponent)};
     return found;
 }
@@ -189,8 +178,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     robot->t = t;
     robot->n = n;
     robot->updated = 0;
-    const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
-    const message_t own = estimate(t, n, accuracy, accuracy->g_shift & SHIFT_MAX, accuracy->rare_shift);
+    const message_t own = estimate(t, n, &robot->accuracy);
     robot->x_hat = own.x_hat;
     robot->alpha = own.alpha;
     return MCP_ASDF_OK;
@@ -374,12 +362,8 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
 {
     const mcp_asdf_status_t status = check(config, id, b_hat);
     if (status == MCP_ASDF_OK) {
-        const mcp_asdf_t empty = {0};
-        *robot = empty;
-        robot->config = config;
-        robot->id = id;
-        robot->x_hat = MCP_ASDF_HALF;
-        robot->filter_left = config->filter_period;
+        *robot = (mcp_asdf_t){
+            .id = id, .config = config, .x_hat = MCP_ASDF_HALF, .filter_left = config->filter_period};
         set_b_hat(robot, b_hat);
     }
     return status;

@@ -237,7 +237,7 @@ ALWAYS_INLINE uint32_t leading_zeros(uint32_t value)
         int32_t bits;
     } as = {(float)(int32_t)((value | 1) & ~(value >> 1))};
     const int32_t zeros = 158 - (as.bits >> 23 & 0x1FF); /* negative numbers, with bit 31 set: below 0 */
-    return (uint32_t)(zeros > 0 ? zeros : 0) & 31; /* which is there for analysers only */
+    return (uint32_t)(zeros > 0 ? zeros : 0) & 31;       /* which is there for analysers only */
 }
 #elif MCP_ASDF_SHIFT_BYTES
 WARM uint32_t leading_zeros(uint32_t value)

@@ -13,11 +13,10 @@
 
 /* A robot like this one that has just formed x_hat and alpha from the same t, n and b_hat. False if there can
  * be none. */
-static bool form_anew(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
+static bool form_anew(const mcp_asdf_t *robot, const mcp_asdf_config_t *unfiltered, mcp_asdf_t *fresh)
 {
-    static const mcp_asdf_config_t unfiltered = {0, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
     if (robot->n > robot->t ||
-        mcp_asdf_init(fresh, &unfiltered, robot->id, robot->accuracy.b_hat) != MCP_ASDF_OK) {
+        mcp_asdf_init(fresh, unfiltered, robot->id, robot->accuracy.b_hat) != MCP_ASDF_OK) {
         return false;
     }
     if (robot->t != 0) {
@@ -39,10 +38,13 @@ static bool is_canonical(uint32_t alpha)
 static bool estimate_current(const mcp_asdf_t *robot)
 {
     const mcp_asdf_accuracy_t *const held = &robot->accuracy;
+    mcp_asdf_config_t unfiltered = *robot->config; /* a constant would take RAM on an AVR */
     mcp_asdf_t fresh;
-    return robot->t < MCP_ASDF_MEMORY_MAX && form_anew(robot, &fresh) && held->c == fresh.accuracy.c &&
-           held->common == fresh.accuracy.common && held->rare == fresh.accuracy.rare &&
-           held->g_shift == fresh.accuracy.g_shift && held->rare_shift == fresh.accuracy.rare_shift &&
+    unfiltered.filter = MCP_ASDF_OFF;
+    return robot->t < unfiltered.memory && form_anew(robot, &unfiltered, &fresh) &&
+           held->c == fresh.accuracy.c && held->common == fresh.accuracy.common &&
+           held->rare == fresh.accuracy.rare && held->g_shift == fresh.accuracy.g_shift &&
+           held->rare_shift == fresh.accuracy.rare_shift &&
            ((robot->updated == 1 && robot->t != 0 && robot->x_hat <= MCP_ASDF_ONE &&
              is_canonical(robot->alpha)) ||
             (robot->updated == 0 && robot->x_hat == fresh.x_hat && robot->alpha == fresh.alpha));
@@ -85,7 +87,7 @@ static bool senders_possible(const mcp_asdf_t *robot)
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
 {
     const mcp_asdf_config_t *const config = robot->config;
-    return robot->t < config->memory && estimate_current(robot) && /* checks the id, too */
+    return estimate_current(robot) && /* checks the id, too */
            mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
            open_possible(&robot->open) && senders_possible(robot) && robot->filter_left != 0 &&
            robot->filter_left <= config->filter_period;

@@ -20,17 +20,16 @@ void lanes_load(lanes_t *lanes, uint32_t l, const mcp_asdf_t *robot)
     lanes->c[l] = robot->accuracy.c;
     lanes->common[l] = robot->accuracy.common;
     lanes->rare[l] = robot->accuracy.rare;
-    lanes->g_shift[l] = robot->accuracy.g_shift & SHIFT_MAX;
+    lanes->g_shift[l] = robot->accuracy.g_shift;
     lanes->rare_shift[l] = robot->accuracy.rare_shift;
 }
 
 FOR_EACH_TARGET void lanes_observe(lanes_t *lanes, uint32_t count, uint32_t t, const uint32_t *restrict black)
 {
     for (uint32_t l = 0; l < count; ++l) {
-        const mcp_asdf_accuracy_t accuracy = {
-            .b_hat = lanes->b_hat[l], .c = lanes->c[l], .common = lanes->common[l], .rare = lanes->rare[l]};
-        const message_t own =
-            estimate(t, lanes->n[l] += black[l], &accuracy, lanes->g_shift[l], lanes->rare_shift[l]);
+        const mcp_asdf_accuracy_t accuracy = {lanes->b_hat[l], lanes->c[l],       lanes->common[l],
+                                              lanes->rare[l],  lanes->g_shift[l], lanes->rare_shift[l]};
+        const message_t own = estimate(t, lanes->n[l] += black[l], &accuracy);
         lanes->x_hat[l] = own.x_hat;
         lanes->alpha[l] = own.alpha;
     }
@@ -39,10 +38,10 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *lanes, uint32_t count, uint32_t t, c
 FOR_EACH_TARGET void lanes_say(const lanes_t *lanes, uint32_t count, lanes_sums_t *said)
 {
     for (uint32_t l = 0; l < count; ++l) {
-        const mcp_asdf_closed_t sums = sums_of(lanes->x_hat[l], lanes->alpha[l]);
-        said->alpha[l] = sums.alpha;
-        said->alpha_x_low[l] = sums.alpha_x_low;
-        said->alpha_x_high[l] = sums.alpha_x_high;
+        const word_pair_t alpha = units(lanes->alpha[l]);
+        said->alpha[l] = join(alpha.high, alpha.low);
+        said->alpha_x_low[l] = multiply(alpha.low, lanes->x_hat[l]);
+        said->alpha_x_high[l] = multiply(alpha.high, lanes->x_hat[l]);
     }
 }
 

@@ -468,6 +468,22 @@ static void what_encoders_refuse_of_the_optional_kinds(void)
     REFUSED(mcp_asdf_encode_command(&frame, &priority, &order), MCP_ASDF_FRAME_ERR_FORMAT);
 }
 
+static void encoders_take_the_ends_of_all_ranges(void)
+{
+    const mcp_asdf_frame_format_t last = {6143, 7};
+    const mcp_asdf_estimate_t estimate = {127, 255, UINT32_C(1) << 23, UINT32_MAX};
+    const mcp_asdf_heartbeat_t heartbeat = {127, 255, 3, 3, 255, UINT32_MAX};
+    const mcp_asdf_telemetry_t least = {127, 255, 255, 0, 16}, most = {127, 255, 255, 8388608, 16777200};
+    const mcp_asdf_command_t one = {127, 255, 127, 3, UINT32_MAX}, all = {127, 255, 255, 3, UINT32_MAX};
+    mcp_asdf_frame_t frame;
+    CHECK_EQUAL(mcp_asdf_encode_estimate(&frame, &last, &estimate), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(mcp_asdf_encode_heartbeat(&frame, 7, &heartbeat), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(mcp_asdf_encode_telemetry(&frame, &last, &least), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(mcp_asdf_encode_telemetry(&frame, &last, &most), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(mcp_asdf_encode_command(&frame, &last, &one), MCP_ASDF_FRAME_OK);
+    CHECK_EQUAL(mcp_asdf_encode_command(&frame, &last, &all), MCP_ASDF_FRAME_OK);
+}
+
 /* "exactly those whose identifier decode accepts" */
 static void the_acceptance_filter_passes_what_decode_accepts(void)
 {
@@ -505,6 +521,7 @@ int main(void)
     heartbeats_of_every_health_and_mode();
     what_encoders_refuse();
     what_encoders_refuse_of_the_optional_kinds();
+    encoders_take_the_ends_of_all_ranges();
     the_acceptance_filter_passes_what_decode_accepts();
     no_frame_has_a_larger_subject();
     return check_report();

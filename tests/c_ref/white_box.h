@@ -60,7 +60,7 @@ static inline mcp_asdf_t robot_with(const mcp_asdf_config_t *config, uint8_t id,
 /* x_hat and alpha of t > 0 and n. */
 static inline message_t estimate_under(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
-    return estimate(t, n, accuracy, accuracy->g_shift, accuracy->rare_shift);
+    return estimate(t, n, accuracy);
 }
 
 /* A robot with these observations behind it, whose x_hat and alpha are those of t > 0 and n. */

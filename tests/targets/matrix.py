@@ -44,7 +44,7 @@ _VERDICT = re.compile(r"PASS scenarios \d+ calls \d+ ticks \d+")
 _ANSI = re.compile(r"\x1b\[\d+m")
 _BY_COMPILERS = r"memcpy|memset"
 _ON_CORTEX_M = r"|__aeabi_lmul|__gnu_thumb1_case_\w+"
-_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mulsi3|__mulohisi3|__umulsidi3"
+_ON_AVR = r"|__(ashl|lshr|add|sub|mul)di3|__cmpdi2(_s8)?|__mul(ohi|uhi)?si3|__umulsidi3"
 
 
 class BuildError(Exception):
