@@ -100,19 +100,20 @@ typedef struct {
     uint32_t x_hat, alpha;
 } message_t;
 
-/* The alpha word of mantissa 2^exponent units, rounded down to whole units; mantissa in [2^23, 2^24). */
-HOT uint32_t alpha_word(uint32_t mantissa, int32_t exponent)
+/* The alpha word of mantissa 2^exponent units, rounded down to whole units; mantissa in [2^23, 2^24),
+ * exponent modulo 2^32. */
+HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
 {
-    if ((uint32_t)exponent > SHIFT_MAX) {
-        if (exponent > SHIFT_MAX) {
+    if (exponent > SHIFT_MAX) {
+        if (exponent < ONE_HALF) {
             mantissa = MANTISSA_MAX;
             exponent = SHIFT_MAX;
-        } else {
-            mantissa = shift_right(mantissa, (uint32_t)-exponent & 31); /* at most 21 */
+        } else {                                                   /* negative */
+            mantissa = shift_right(mantissa, (0 - exponent) & 31); /* at most 21 */
             exponent = 0;
         }
     }
-    return mantissa << 8 | (uint32_t)exponent;
+    return mantissa << 8 | exponent;
 }
 
 /* Eq. 3 and 4 for t > 0. White and black are mirror images, and so are b_hat and 1 - b_hat: only the rarer
@@ -126,18 +127,17 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
     const uint32_t total = shift_left(t, shift);              /* [2^31, 2^32) */
     const uint32_t rarer = shift_left(part, shift);           /* <= total / 2 */
     const uint32_t least = multiply_high(accuracy->c, total); /* c t */
-    uint32_t x = 0, mantissa;
-    int32_t exponent;
-    if (rarer <= least) { /* p' = c; always so without information */
+    uint32_t x = 0, mantissa, exponent;                       /* the exponent modulo 2^32 */
+    if (rarer <= least) {                                     /* p' = c; always so without information */
         if (accuracy->c == UINT32_MAX) {
             const message_t nothing = {MCP_ASDF_HALF, 0};
             return nothing;
         }
         uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
-        exponent = 34 - 2 * (int32_t)g_shift;
+        exponent = 34 - 2 * g_shift;
         if (part != 0) {
             sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
-            exponent += (int32_t)accuracy->rare_shift;
+            exponent += accuracy->rare_shift;
         }
         if (high_word(sum) == 0) {
             sum = join(low_word(sum), 0);
@@ -145,7 +145,7 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         }
         const uint32_t sum_shift = leading_zeros(high_word(sum));
         mantissa = upper(sum, sum_shift) >> 8;
-        exponent -= (int32_t)sum_shift;
+        exponent -= sum_shift;
     } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) */
         const uint32_t scale = shift_left(total - 2 * least, g_shift); /* g t: [2^30, 2^32) */
         const uint32_t above = shift_left(rarer - least, g_shift);     /* <= scale / 2, where x is 1/2 */
@@ -153,11 +153,11 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
         const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
         const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-        exponent = 32 + (int32_t)spread_shift - (int32_t)square_shift - (int32_t)shift - 2 * (int32_t)g_shift;
+        exponent = 32 + spread_shift - square_shift - shift - 2 * g_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
         const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in (2^23, 2^25) */
         mantissa >>= excess;
-        exponent += (int32_t)excess;
+        exponent += excess;
     }
     const bool mirrored =
         ((n - white) ^ accuracy->b_hat) >> 31 != 0; /* either white is rarer or b_hat < 1/2 */

@@ -135,7 +135,7 @@ static void alpha_word_over_its_range(void)
 {
     for (int32_t exponent = -31; exponent <= 80; ++exponent) {
         for (size_t i = 0; i < COUNT(mantissas); ++i) {
-            const uint32_t word = alpha_word(mantissas[i], exponent);
+            const uint32_t word = alpha_word(mantissas[i], (uint32_t)exponent);
             GIVEN(mantissas[i], exponent, word);
             CHECK_EQUAL(units_of(word), plain_units(mantissas[i], exponent));
             CHECK_EQUAL(word & 0xE0, 0);

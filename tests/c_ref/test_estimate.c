@@ -24,7 +24,7 @@ static plain_t plain_at_end(const mcp_asdf_accuracy_t *a, uint64_t t, uint64_t p
         found.mantissa >>= a->rare_shift;
         CHECK(part * a->rare <= UINT64_MAX - found.mantissa);
         found.mantissa += part * a->rare;
-        found.exponent += a->rare_shift;
+        found.exponent += (int32_t)a->rare_shift;
     }
     found.exponent -= 16;
     for (; found.mantissa >> 24 != 0; ++found.exponent) {
@@ -87,7 +87,7 @@ static message_t plain_estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_
         const uint64_t scale = (total - 2 * least) << a->g_shift;
         CHECK(scale >> 30 != 0 && scale >> 32 == 0);
         found.x_hat = (uint32_t)((((rarer - least) << a->g_shift) << 22) / (scale >> 1));
-        found.alpha = plain_word(plain_inside(total, rarer, scale, (int32_t)shift, a->g_shift));
+        found.alpha = plain_word(plain_inside(total, rarer, scale, (int32_t)shift, (int32_t)a->g_shift));
     }
     if ((n > t / 2) != (a->b_hat < ONE_HALF)) {
         found.x_hat = MCP_ASDF_ONE - found.x_hat;
@@ -107,10 +107,9 @@ static void check_estimate(uint32_t t, uint32_t n, uint32_t b_hat)
 {
     const mcp_asdf_t robot = robot_at(t, n, b_hat), opposite = robot_with(&white_box_config, 0, 0 - b_hat);
     GIVEN(t, n, b_hat);
-    const message_t found = estimate_under(t, n, &robot.accuracy),
-                    plain = plain_estimate(t, n, &robot.accuracy);
-    const message_t exchanged = estimate_under(t, t - n, &robot.accuracy);
-    const message_t inverted = estimate_under(t, t - n, &opposite.accuracy);
+    const message_t found = estimate(t, n, &robot.accuracy), plain = plain_estimate(t, n, &robot.accuracy);
+    const message_t exchanged = estimate(t, t - n, &robot.accuracy);
+    const message_t inverted = estimate(t, t - n, &opposite.accuracy);
     const uint32_t believed = b_hat < ONE_HALF ? t - n : n; /* blacks, as b_hat has them */
     check_same(&found, &plain);
     check_same(&found, &inverted);

@@ -82,9 +82,6 @@ static void cache_follows_from_b_hat(void)
         BREAKS_UPDATED(robot.accuracy.c ^= flip);
         BREAKS_UPDATED(robot.accuracy.common ^= flip);
         BREAKS_UPDATED(robot.accuracy.rare ^= flip);
-    }
-    for (uint32_t bit = 0; bit < 8; ++bit) {
-        const uint8_t flip = (uint8_t)(1U << bit);
         BREAKS_UPDATED(robot.accuracy.g_shift ^= flip);
         BREAKS_UPDATED(robot.accuracy.rare_shift ^= flip);
     }

@@ -295,7 +295,7 @@ static void check_estimate(uint32_t t, uint32_t part, uint32_t c)
 {
     if (part <= t / 2) {
         const mcp_asdf_t robot = robot_with(&white_box_config, 0, 0 - c);
-        const message_t found = estimate_under(t, part, &robot.accuracy);
+        const message_t found = estimate(t, part, &robot.accuracy);
         GIVEN(t, part, c);
         check_x_hat(t, part, c, found.x_hat);
         check_alpha(t, part, c, found.alpha);

@@ -57,17 +57,11 @@ static inline mcp_asdf_t robot_with(const mcp_asdf_config_t *config, uint8_t id,
     return robot;
 }
 
-/* x_hat and alpha of t > 0 and n. */
-static inline message_t estimate_under(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
-{
-    return estimate(t, n, accuracy);
-}
-
 /* A robot with these observations behind it, whose x_hat and alpha are those of t > 0 and n. */
 static inline mcp_asdf_t robot_at(uint32_t t, uint32_t n, uint32_t b_hat)
 {
     mcp_asdf_t robot = robot_with(&white_box_config, 0, b_hat);
-    const message_t own = estimate_under(t, n, &robot.accuracy);
+    const message_t own = estimate(t, n, &robot.accuracy);
     robot.t = t;
     robot.n = n;
     robot.x_hat = own.x_hat;
