@@ -108,8 +108,8 @@ HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
         if (exponent < ONE_HALF) {
             mantissa = MANTISSA_MAX;
             exponent = SHIFT_MAX;
-        } else {                                                   /* negative */
-            mantissa = shift_right(mantissa, (0 - exponent) & 31); /* at most 21 */
+        } else { /* negative, by at most 21 */
+            mantissa = shift_right(mantissa, (0 - exponent) & 31);
             exponent = 0;
         }
     }
@@ -134,7 +134,7 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
             return nothing;
         }
         uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
-        exponent = 34 - 2 * g_shift;
+        exponent = 2 * (17 - g_shift);
         if (part != 0) {
             sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
             exponent += accuracy->rare_shift;
@@ -153,7 +153,7 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
         const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
         const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-        exponent = 32 + spread_shift - square_shift - shift - 2 * g_shift;
+        exponent = 2 * (16 - g_shift) - shift + spread_shift - square_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
         const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in (2^23, 2^25) */
         mantissa >>= excess;

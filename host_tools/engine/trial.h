@@ -6,12 +6,13 @@
 #include "philox.h"
 
 /* Compiles a function for several vector sizes; the one for the processor at hand is chosen when the program
- * starts. Results are the same. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) &&             \
-    !defined(LANES_ONE_TARGET)
+ * starts. Results are the same. Tests and benchmarks set it to compile for one of them. */
+#ifndef FOR_EACH_TARGET
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
 #define FOR_EACH_TARGET __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
 #else
 #define FOR_EACH_TARGET
+#endif
 #endif
 
 /* One trial's part of the outcome; members as in mcp_asdf_outcome_t. */

@@ -45,6 +45,33 @@ def test_a_choice_out_of_range_is_refused(name: str, value: int) -> None:
     assert f'#error "MCP_ASDF_{name} is out of range: choose ' in said
 
 
+OWN = {
+    "gcc": "1001",
+    "gcc -m32": "2001",
+    "arm-none-eabi-gcc -mcpu=cortex-m4": "1001",
+    "arm-none-eabi-gcc -mcpu=cortex-m3": "1001",
+    "arm-none-eabi-gcc -mcpu=cortex-m0plus": "2100",
+    "arm-none-eabi-gcc -mcpu=cortex-m23": "1100",
+    "riscv64-unknown-elf-gcc -march=rv32imc -mabi=ilp32": "1000",
+    "riscv64-unknown-elf-gcc -march=rv32ec -mabi=ilp32e": "2000",
+    "avr-gcc -mmcu=atmega328p": "3010",
+    "s390x-linux-gnu-gcc": "2000",
+}
+"""What each compiler chooses by itself: the digits are the values of CHOICES."""
+PACKAGES = {"arm": "gcc-arm-none-eabi", "riscv64": "gcc-riscv64-unknown-elf", "avr": "gcc-avr avr-libc"}
+
+
+@pytest.mark.parametrize("command", OWN)
+def test_each_target_chooses_for_itself(command: str, tmp_path: Path) -> None:
+    compiler, *flags = command.split()
+    require(compiler, PACKAGES.get(compiler.partition("-")[0], "gcc-s390x-linux-gnu"))
+    marks = "".join(f"own_choice MCP_ASDF_{name}\n" for name in CHOICES)
+    (tmp_path / "own.c").write_text(f'#include "mcp_asdf_arithmetic.h"\n{marks}')
+    shown = run(compiler, *flags, "-ffreestanding", f"-I{CORE.parent}", "-E", "-P", tmp_path / "own.c")
+    values = [line.split(maxsplit=1)[1] for line in shown.splitlines() if line.startswith("own_choice")]
+    assert "".join(value.strip("()") for value in values) == OWN[command]
+
+
 @pytest.mark.parametrize("name", DIVISIONS)
 def test_divisions_are_chosen_by_name(name: str, tmp_path: Path) -> None:
     """All of them give the same result."""

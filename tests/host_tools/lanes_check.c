@@ -29,7 +29,7 @@ static void check_observations(uint32_t count, uint32_t t)
     lanes_observe(&lanes, count, t, black);
     for (uint32_t l = 0; l < count; ++l) {
         const uint32_t n = before[l] + black[l];
-        const message_t expected = estimate_under(t, n, &robots[l].accuracy);
+        const message_t expected = estimate(t, n, &robots[l].accuracy);
         GIVEN(robots[l].accuracy.b_hat, t, n);
         CHECK_EQUAL(lanes.n[l], n);
         CHECK_EQUAL(lanes.x_hat[l], expected.x_hat);

@@ -257,7 +257,7 @@ LANES_BUILD = (
     "-std=c99",
     "-O3",
     "-fno-trapping-math",  # as CMakeLists.txt has it
-    "-DLANES_ONE_TARGET",
+    "-DFOR_EACH_TARGET=",
     f"-I{LANES.parent}",
     f"-I{ROOT / 'host_tools/arena'}",
     f"-I{CORE.parent}",

@@ -7,16 +7,15 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from .budgets import BUDGETS, STEP_AND_X, Budget, measured, most, stack_of_tick
+from .budgets import AVR, BUDGETS, measured, most, stack_of_tick
 from .demo import CLOCK, FLASH, RAM
 from .images import LEVELS, ROOT
 from .measurement import STEPS, TICK_CALLS, Figures
 from .robots import SHORT, UNITS, UPDATED
 
-README, PAGE, DECISIONS = (ROOT / name for name in ("README.md", "docs/cost.md", "docs/decisions.md"))
+README, PAGE = (ROOT / name for name in ("README.md", "docs/cost.md"))
 USUAL = "step, m = 10"
 """The step that stands for all in short tables."""
-_ON_AVR = "ATmega328P"
 _RESERVE = 1.05
 """On top of the most cycles that a search found, where a rate is said to hold at least: it proves no most."""
 
@@ -38,7 +37,6 @@ def pages(figures: Figures) -> dict[Path, dict[str, str]]:
             "integers on an AVR": _on_avr(figures),
             "whole firmware": _whole_firmware(figures),
         },
-        DECISIONS: {"missed budgets": _missed(figures)},
     }
 
 
@@ -83,14 +81,13 @@ def _short(figures: Figures) -> str:
         return [title, *spans]
 
     rows: list[list[object]] = [
-        instructions("step with 10 neighbours: instructions, mean (most)", USUAL, "step"),
-        [f"{STEP_AND_X}: instructions, most", *(most(core["calls"], STEP_AND_X) for core in cores)],
-        ["step: cycles, most", *(_cycles(name, core) for name, core in zip(targets, cores, strict=True))],
-        instructions("receive: instructions, mean (most)", "receive", "receive"),
-        instructions("x: instructions, mean (most)", "x", "x"),
-        instructions("step with test and update: instructions, mean (most)", UPDATED, UPDATED),
+        instructions("step with 10 neighbours: instructions, mean (max)", USUAL, "step"),
+        ["step: cycles, max", *(_cycles(name, core) for name, core in zip(targets, cores, strict=True))],
+        instructions("receive: instructions, mean (max)", "receive", "receive"),
+        instructions("x: instructions, mean (max)", "x", "x"),
+        instructions("step with test and update: instructions, mean (max)", UPDATED, UPDATED),
         *(
-            [f"plain {kind} C for step and x: times as many", *_ratios(targets, kind)]
+            [f"plain {kind} C, step and x: times as many instructions", *_ratios(targets, kind)]
             for kind in ("double", "float")
         ),
         ["code without save and restore: bytes of flash, -Os (-O2)", *map(_code, targets.values())],
@@ -101,7 +98,7 @@ def _short(figures: Figures) -> str:
 
 
 def _kilobot(figures: Figures) -> str:
-    demo, calls = figures["demo"], figures["targets"][_ON_AVR]["-Os"]["firmware"]["calls"]
+    demo, calls = figures["demo"], figures["targets"][AVR]["-Os"]["firmware"]["calls"]
     steps, updates = (_at_least(_reserved(most(calls, name, "cycles"))) for name in ("step", UPDATED))
     flash, ram = demo["flash"] / FLASH, (demo["variables"] + demo["stack"]) / RAM
     fixed, per_entry = figures["table"]
@@ -110,8 +107,8 @@ def _kilobot(figures: Figures) -> str:
         f"With {compilers}. ~ marks estimates from above.\n"
         f"A t-table takes {fixed} + {per_entry} q bytes of flash. "
         f"A whole Kilobot (ATmega328P, -Os: core, t-table, frames, main loop, radio)\n"
-        f"takes {flash:.0%} of its flash and {ram:.0%} of its RAM, stack included; at 8 MHz it can take at "
-        f"least {steps} steps a second,\nor {updates} if each of them tests and updates."
+        f"takes {flash:.0%} of its flash and {ram:.0%} of its RAM, stack included; at 8 MHz it takes at "
+        f"least {steps} steps per second,\nor {updates} if each of them tests and updates."
     )
 
 
@@ -120,12 +117,12 @@ def _reserved(cycles: int) -> int:
 
 
 def _at_least(cycles: int) -> int:
-    """Times a second."""
+    """Times per second."""
     return CLOCK // cycles
 
 
 def _cycles(target: str, core: Figures) -> str:
-    return f"{'' if target == _ON_AVR else '~ '}{most(core['calls'], 'step', 'cycles')}"
+    return f"{'' if target == AVR else '~ '}{most(core['calls'], 'step', 'cycles')}"
 
 
 def _ratios(targets: Figures, kind: str) -> list[object]:
@@ -133,12 +130,14 @@ def _ratios(targets: Figures, kind: str) -> list[object]:
 
 
 def _ratio(figures: Figures, kind: str) -> str:
-    """Instructions of the baseline's step, which forms x, in those of the firmware's step and x."""
+    """Instructions of the baseline's step and x in those of the firmware's."""
     if kind not in figures:
         return "none"
-    calls = figures["firmware"]["calls"]
-    own = calls[USUAL]["instructions"][1] + calls["x"]["instructions"][1]
-    return f"{figures[kind]['calls'][USUAL]['instructions'][1] / own:.1f}"
+    plain, own = (
+        sum(figures[robot]["calls"][name]["instructions"][1] for name in (USUAL, "x"))
+        for robot in (kind, "firmware")
+    )
+    return f"{plain / own:.1f}"
 
 
 def _code(levels: Figures) -> str:
@@ -150,20 +149,8 @@ def _compilers(figures: Figures) -> str:
 
 
 def _budgets(figures: Figures) -> str:
-    return _budget_table(BUDGETS, figures)
-
-
-def _missed(figures: Figures) -> str:
-    """The budgets of which more is used than the design asks for."""
-    return _budget_table([budget for budget in BUDGETS if measured(budget, figures) > budget.asked], figures)
-
-
-def _budget_table(budgets: Iterable[Budget], figures: Figures) -> str:
-    rows = (
-        [budget.target, budget.what, budget.asked, budget.agreed, measured(budget, figures)]
-        for budget in budgets
-    )
-    return _table(["target", "what", "asked", "agreed", "measured"], rows)
+    rows = ([budget.target, budget.what, budget.limit, measured(budget, figures)] for budget in BUDGETS)
+    return _table(["target", "what", "limit", "measured"], rows)
 
 
 def _memory(figures: Figures) -> str:
@@ -226,7 +213,7 @@ def _baselines(figures: Figures) -> str:
         for kind in ("double", "float"):
             if kind in both:
                 rows.append([name, kind, *_compared(both, levels["-Os"], kind)])
-    head = ("target", "type", "step and x", "receive", f"{UPDATED} and x", "flash at -Os", "RAM", "stack")
+    head = ("target", "type", "step and x", "receive", UPDATED, "flash at -Os", "RAM", "stack")
     return _table(head, rows)
 
 
@@ -240,9 +227,9 @@ def _compared(figures: Figures, small: Figures, kind: str) -> list[str]:
         return sum(float(robot["calls"][name]["cycles"][1]) for name in names)
 
     return [
-        cell(mean(own, USUAL, "x"), mean(plain, USUAL)),
+        cell(mean(own, USUAL, "x"), mean(plain, USUAL, "x")),
         cell(mean(own, "receive"), mean(plain, "receive")),
-        cell(mean(own, UPDATED, "x"), mean(plain, UPDATED)),
+        cell(mean(own, UPDATED), mean(plain, UPDATED)),
         cell(small["flash"]["least"], small["flash"][kind]),
         cell(own["ram"], plain["ram"]),
         cell(stack_of_tick(own), plain["stack"]),
@@ -275,7 +262,7 @@ def _bounds(figures: Figures) -> str:
         ]
         rows.append([name, series["unit"], *spans])
     return _table(
-        ["target", "unit", "step, t from 1 to 2^32", "receive, message 1 to 127", "settle, m from 1 to 127"],
+        ["target", "unit", "step, t from 1 to 2^31", "receive, message 1 to 127", "settle, m from 1 to 127"],
         rows,
     )
 
@@ -311,18 +298,18 @@ def _longest_steps(figures: Figures) -> str:
 
 def _on_avr(figures: Figures) -> str:
     """What plain floats take of what the firmware takes."""
-    own, plain = (figures["targets"][_ON_AVR]["-O2"][kind]["calls"] for kind in ("firmware", "float"))
-    both = (USUAL, "x")
+    own, plain = (figures["targets"][AVR]["-O2"][kind]["calls"] for kind in ("firmware", "float"))
+    kinds = {"step and x": (USUAL, "x"), "receive": ("receive",)}
     shares = {
-        "step and x": plain[USUAL]["cycles"][1] / sum(own[name]["cycles"][1] for name in both),
-        "receive": plain["receive"]["cycles"][1] / own["receive"]["cycles"][1],
+        kind: sum(plain[name]["cycles"][1] for name in names) / sum(own[name]["cycles"][1] for name in names)
+        for kind, names in kinds.items()
     }
     said = " and ".join(f"{share:.0%} of the cycles of {name}" for name, share in shares.items())
     return f"On an AVR plain floats take {said}."
 
 
 def _whole_firmware(figures: Figures) -> str:
-    demo, small = figures["demo"], figures["targets"][_ON_AVR]["-Os"]["firmware"]["calls"]
+    demo, small = figures["demo"], figures["targets"][AVR]["-Os"]["firmware"]["calls"]
     ram = demo["variables"] + demo["stack"]
 
     def cycles(*names: str) -> int:
@@ -330,12 +317,12 @@ def _whole_firmware(figures: Figures) -> str:
 
     rounds = cycles("encode") + 10 * cycles("decode", "receive")
     kinds = {"": "step", " that test and update": UPDATED}
-    steps = [(f"steps a second{kind}, at least", _reserved(cycles(step))) for kind, step in kinds.items()]
+    steps = [(f"steps per second{kind}, at least", _reserved(cycles(step))) for kind, step in kinds.items()]
     ticks = [
-        (f"ticks with 10 neighbours a second{kind}, at least", _reserved(cycles(step) + rounds))
+        (f"ticks with 10 neighbours per second{kind}, at least", _reserved(cycles(step) + rounds))
         for kind, step in kinds.items()
     ]
-    dearest = ticks[-1][1]
+    costliest = ticks[-1][1]
     rows: list[list[object]] = [
         ["flash", f"{demo['flash']} of {FLASH} bytes", f"{demo['flash'] / FLASH:.0%}"],
         [
@@ -345,9 +332,9 @@ def _whole_firmware(figures: Figures) -> str:
         ],
         *([name, f"{CLOCK} / {each} cycles", _at_least(each)] for name, each in steps + ticks),
         [
-            "the dearest of these at 10 a second, at most",
-            f"{dearest} of {CLOCK // 10} cycles",
-            f"{10 * dearest / CLOCK:.1%}",
+            "the costliest of these, 10 per second, at most",
+            f"{costliest} of {CLOCK // 10} cycles",
+            f"{10 * costliest / CLOCK:.1%}",
         ],
     ]
     return _table(["ATmega328P at -Os", "", ""], rows)

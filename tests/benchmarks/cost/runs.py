@@ -109,8 +109,16 @@ DEAR = (
     Situation(2151478824, 400, 399, 199, (), 0),
     Situation(2190624173, 88, 87, 44, (), 0),
     Situation(4096, 221264, 221263, 3, (), 0),
+    Situation(2148008077, 860, 859, 429, (), 1),
+    Situation(2145240280, 158480, 158479, 79219, (), 0),
+    Situation(2165418860, 1232, 1231, 620, (), 1),
+    Situation(2145276522, 131072, 131071, 65524, ((0, 2429867, 0x80000001),), 0),
+    Situation(2146997536, 4636, 4635, 4125, ((0, 4187684, 0x80000001),), 1),
+    Situation(2118891038, 408, 407, 201, ((0, 4202300, 0x100), (1, 4183491, 0x100)), 1),
+    Situation(2145728125, 266560, 266559, 133270, ((0, 2**23, 0x100), (1, 8374204, 0x100)), 1),
+    Situation(2149672830, 88, 87, 43, ((0, 4200436, 0x100), (1, 4200365, 0x100), (2, 5114038, 0)), 1),
 )
-"""What long searches found: a small memory halved, b_hat at a clamp or beside 1/2, n beside c t or t/2."""
+"""What long searches found: a memory halved, b_hat beside 1/2 or at a clamp, n beside t/2 or c t."""
 
 
 def usual_round(messages: int) -> tuple[Message, ...]:
