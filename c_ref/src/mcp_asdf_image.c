@@ -192,7 +192,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t in = {image, 0, HASH_START};
-    mcp_asdf_t read, copy;
+    mcp_asdf_t read = {0}, copy;
     const bool magic = pass(&in, 0) == IMAGE_MAGIC;
     pass_state(&in, &read);
     const uint32_t hash = in.hash;

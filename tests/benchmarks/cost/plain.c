@@ -1,6 +1,6 @@
 /* The baseline: the same equations as one would write them down, in REAL (float or double), divided like the
- * firmware's: x when it is read, x_bar when the test has rejected. It checks nothing, does not look for repeated
- * messages, and forgets nothing; the test has no square root, as the firmware's. */
+ * firmware's: x when it is read, x_bar when the test has rejected. It checks nothing, does not look for
+ * repeated messages, and forgets nothing; the test has no square root, as the firmware's. */
 #include "robot.h"
 
 #include "mcp_asdf_arithmetic.h"
@@ -83,7 +83,8 @@ static void filter(plain_t *own)
 {
     const REAL m = (REAL)own->m, difference = own->sum_x - m * own->x_hat;
     const REAL spread = m * own->sum_x_squared - own->sum_x * own->sum_x;
-    const REAL k = (REAL)MCP_ASDF_READ_WORD(&TABLE_OF(Q)[own->m <= Q ? own->m : Q + 1]) * (REAL)(1.0 / 67108864.0);
+    const REAL k =
+        (REAL)MCP_ASDF_READ_WORD(&TABLE_OF(Q)[own->m <= Q ? own->m : Q + 1]) * (REAL)(1.0 / 67108864.0);
     if (difference * difference > k * spread) {
         const REAL x_bar = own->sum_alpha_x / own->sum_alpha;
         const REAL b = ((REAL)own->n / (REAL)own->t + x_bar - 1) / (2 * x_bar - 1);
