@@ -87,7 +87,7 @@ static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     const uint32_t c = b_hat < ONE_HALF ? b_hat : 0 - b_hat;               /* [2^12, 2^31] */
     const uint32_t g = 0 - 2 * c;                                          /* 2^32 - 2c: [0, 2^32 - 2^13] */
-    const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 11] or 31, [0, 19] */
+    const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE ? UINT32_MAX : c;
     accuracy->common = square_of_ratio(shift_left(g, g_shift), 0 - c);
@@ -108,7 +108,7 @@ HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
         if (exponent < ONE_HALF) {
             mantissa = MANTISSA_MAX;
             exponent = SHIFT_MAX;
-        } else { /* negative, by at most 21 */
+        } else { /* negative, by at most 22 */
             mantissa = shift_right(mantissa, (0 - exponent) & 31);
             exponent = 0;
         }
@@ -155,7 +155,7 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
         exponent = 2 * (16 - g_shift) - shift + spread_shift - square_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-        const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in (2^23, 2^25) */
+        const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in [2^23, 2^25) */
         mantissa >>= excess;
         exponent += excess;
     }

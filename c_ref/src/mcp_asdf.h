@@ -112,7 +112,7 @@ typedef struct {
     uint32_t common;     /* (g / (1 - c))^2, unit 2^(-30 - 2 g_shift): weight of the common colour in eq. 4 */
     uint32_t rare;       /* (g / c)^2, unit 2^(rare_shift - 30 - 2 g_shift): weight of the rare colour */
     uint32_t g_shift;    /* 0 .. 11, or 31 where b_hat is 1/2 */
-    uint32_t rare_shift; /* 2 .. 38 */
+    uint32_t rare_shift; /* 2 .. 38; 0 where b_hat is 1/2 */
 } mcp_asdf_accuracy_t;
 
 /* Sums over the messages of a closed round that have alpha > 0 (eq. 5 and 6). With alpha in units of 2^-24

@@ -358,7 +358,7 @@ ALWAYS_INLINE uint32_t prepare(uint32_t d)
     return (r * ((0 - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
 #else
-/* 2^46 / d, at most 0.25 2^-13 of it too small, never too large: all d were tried. */
+/* 2^46 / d, at most 0.252 2^-13 of it too small, never too large: all d were tried. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
