@@ -34,20 +34,19 @@ static bool is_canonical(uint32_t alpha)
     return (alpha & 0xE0) == 0 && (alpha >> 31 != 0 || (alpha & 0x1F) == 0);
 }
 
-/* I4 and I5. */
-static bool estimate_current(const mcp_asdf_t *robot)
+/* I4 and I5, with room for another robot: the caller's, since a stack may have room for few. */
+static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_accuracy_t *const held = &robot->accuracy;
     mcp_asdf_config_t unfiltered = *robot->config; /* a constant would take RAM on an AVR */
-    mcp_asdf_t fresh;
     unfiltered.filter = MCP_ASDF_OFF;
-    return robot->t < unfiltered.memory && form_anew(robot, &unfiltered, &fresh) &&
-           held->c == fresh.accuracy.c && held->common == fresh.accuracy.common &&
-           held->rare == fresh.accuracy.rare && held->g_shift == fresh.accuracy.g_shift &&
-           held->rare_shift == fresh.accuracy.rare_shift &&
+    return robot->t < unfiltered.memory && form_anew(robot, &unfiltered, fresh) &&
+           held->c == fresh->accuracy.c && held->common == fresh->accuracy.common &&
+           held->rare == fresh->accuracy.rare && held->g_shift == fresh->accuracy.g_shift &&
+           held->rare_shift == fresh->accuracy.rare_shift &&
            ((robot->updated == 1 && robot->t != 0 && robot->x_hat <= MCP_ASDF_ONE &&
              is_canonical(robot->alpha)) ||
-            (robot->updated == 0 && robot->x_hat == fresh.x_hat && robot->alpha == fresh.alpha));
+            (robot->updated == 0 && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
 }
 
 /* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0. */
@@ -84,13 +83,19 @@ static bool senders_possible(const mcp_asdf_t *robot)
     return robot->open.count <= heard && (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
 }
 
-bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
+static bool state_possible(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
-    return estimate_current(robot) && /* checks the id, too */
+    return estimate_current(robot, fresh) && /* checks the id, too */
            mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
            open_possible(&robot->open) && senders_possible(robot) && robot->filter_left != 0 &&
            robot->filter_left <= config->filter_period;
+}
+
+bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
+{
+    mcp_asdf_t fresh;
+    return state_possible(robot, &fresh);
 }
 
 /* ---- Save and restore -----------------------------------------------------------------------------------
@@ -192,12 +197,12 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t in = {image, 0, HASH_START};
-    mcp_asdf_t read = {0}, copy;
+    mcp_asdf_t read = {0}, fresh;
     const bool magic = pass(&in, 0) == IMAGE_MAGIC;
     pass_state(&in, &read);
     const uint32_t hash = in.hash;
     const bool sound = magic && pass(&in, 0) == hash;
-    const mcp_asdf_status_t status = mcp_asdf_init(&copy, config, read.id, read.accuracy.b_hat);
+    const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, read.id, read.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;
     }
@@ -205,8 +210,8 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
         return MCP_ASDF_ERR_IMAGE;
     }
     read.config = config;
-    read.accuracy = copy.accuracy;
-    if (!mcp_asdf_invariants_hold(&read)) {
+    read.accuracy = fresh.accuracy;
+    if (!state_possible(&read, &fresh)) {
         return MCP_ASDF_ERR_IMAGE;
     }
     *robot = read;

@@ -122,8 +122,8 @@ def test_every_function_of_the_core_is_there(source: Path, function: str, tmp_pa
 
 
 def test_a_robot_keeps_within_its_ram() -> None:
-    pointers = ffi.sizeof("void *") - 4  # the budget is that of a machine with 32-bit pointers
-    assert ffi.sizeof("mcp_asdf_t") <= 144 + pointers
+    wide = ffi.sizeof("void *") > 4  # the budget is for 32-bit pointers; a wider one is aligned to itself, too
+    assert ffi.sizeof("mcp_asdf_t") <= (152 if wide else 144)
 
 
 def test_the_usual_config_is_the_macro_of_the_header(tmp_path_factory: pytest.TempPathFactory) -> None:
