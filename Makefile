@@ -4,8 +4,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 
 # What the installed project is built from: the rest is used where it stands.
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
-              $(wildcard c_ref/src/*.c c_ref/src/*.h host_tools/arena/*.c host_tools/arena/*.h) \
-              $(wildcard host_tools/engine/*.c host_tools/engine/*.h)
+              $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 .PHONY: help setup swarm test lint format crosscheck cost targets loop socketcan docs clean

@@ -6,9 +6,8 @@ import argparse
 
 import can
 import pytest
-
-from host_tools.buses import BusChoice, add_arguments, choose_bus
-from host_tools.errors import UsageError
+from mcp_asdf_tools.bus.interfaces import BusChoice, add_arguments, choose_bus
+from mcp_asdf_tools.common.errors import UsageError
 
 
 def multicast(group: int) -> BusChoice:

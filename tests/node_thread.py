@@ -10,8 +10,7 @@ from contextlib import contextmanager
 
 import can
 import pytest
-
-from host_tools.cli import main
+from mcp_asdf_tools.cli.main import main
 
 
 def join() -> can.BusABC:

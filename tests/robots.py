@@ -6,12 +6,11 @@ import struct
 from collections.abc import Iterable
 
 import pytest
-
-from firmware_py.mirror import MirrorRobot
-from firmware_py.native import NativeRobot
-from firmware_py.reference import ReferenceRobot
-from firmware_py.robot import Config, Filter, Observation, Robot
-from firmware_py.table import Table, checksum
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.robot import Config, Filter, Observation, Robot
+from mcp_asdf.table import Table, checksum
 
 FixedPoint = MirrorRobot | NativeRobot
 FixedPointType = type[MirrorRobot] | type[NativeRobot]

@@ -12,10 +12,9 @@ import time
 from pathlib import Path
 
 import pytest
+from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
 from support import PATH, ROOT, require, run
-
-from host_tools import cli
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -28,10 +27,13 @@ SHOWN = ("FAILED at call", "(0.000000) vcan0", "PASS scenarios", "scenario 6", "
 RUN_ELSEWHERE = {
     "tests/benchmarks/test_cost.py": ("cost.md", "benchmarks.cost --draw"),
     "tests/c_ref/test_porting.py": ("porting.md", "avr-gcc"),
-    "tests/host_tools/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
-    "tests/host_tools/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),
+    "tests/host_tools/cli/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
+    "tests/host_tools/bus/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),
     "tests/targets/test_firmware_in_the_loop.py": ("firmware_in_the_loop.md", "build/loop"),
-    "tests/targets/test_golden_vectors.py": ("targets.md", "python -m host_tools.golden_vectors"),
+    "tests/targets/test_golden_vectors.py": (
+        "targets.md",
+        "PYTHONPATH=tests python -m targets.golden_vectors",
+    ),
     "tests/test_setup.py": ("development.md", ".venv"),
 }
 """Tests that run commands of a page: the page, and what is in these commands."""
@@ -50,7 +52,9 @@ CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
-NEEDS_CLUSTER = "wants several machines; tests/host_tools/test_sweep_cluster.py has a cluster on this one"
+NEEDS_CLUSTER = (
+    "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
+)
 NOT_RUN = {
     f"mcp-asdf radio --id 3 --robots 10 {CAN0}": NO_CAN,
     f"mcp-asdf radio --id 3 {CAN0} --verify --wait 60 --report controller.md": NO_CAN,
@@ -61,7 +65,7 @@ NOT_RUN = {
     "modprobe vcan": AS_ROOT,
     "ip link add dev vcan0 type vcan": AS_ROOT,
     "ip link set vcan0 up": AS_ROOT,
-    "mcp-asdf swarm --slcan 20000": "ends with Ctrl-C; tests/host_tools/test_yakut.py joins such a swarm",
+    "mcp-asdf swarm --slcan 20000": "ends with Ctrl-C; tests/host_tools/bus/test_yakut.py joins such a swarm",
     "can_viewer -i slcan -c socket://127.0.0.1:20000": "draws on a terminal until a key is pressed",
     "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
         "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
@@ -263,8 +267,8 @@ def test_the_readme_names_every_exit_code() -> None:
 
 def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
     (code,) = blocks(ROOT / "README.md", "c")
-    (tmp_path / "main.c").write_text(code)
-    sources = [tmp_path / "main.c", ROOT / "c_ref/src/mcp_asdf.c", ROOT / "tables/t_table_omega05_q30.c"]
+    (tmp_path / "cli.c").write_text(code)
+    sources = [tmp_path / "cli.c", ROOT / "c_ref/src/mcp_asdf.c", ROOT / "tables/t_table_omega05_q30.c"]
     compiler = shutil.which("cc") or "gcc"
     flags = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-I", str(ROOT / "c_ref/src")]
     subprocess.run([compiler, *flags, *map(str, sources), "-o", str(tmp_path / "robot")], check=True)

@@ -13,9 +13,8 @@ from support import ROOT, require, run
 C_FILES = sorted(
     path for folder in ("c_ref", "host_tools", "tables", "tests") for path in (ROOT / folder).rglob("*.[ch]")
 )
-INCLUDES = [
-    f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", "host_tools/arena", "host_tools/engine")
-]
+ARENA, ENGINE = (f"host_tools/mcp_asdf_tools/{folder}" for folder in ("world/arena", "experiments/engine"))
+INCLUDES = [f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", ARENA, ENGINE)]
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
 """Those that the C tests are built with, as errors."""
@@ -74,7 +73,10 @@ RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 ROOMS = (
     Room("core", ("c_ref/src/*.c",)),
     Room("tables", ("tables/*.c",)),
-    Room("arena and engine", ("host_tools/arena/*.c", "host_tools/engine/*.c")),
+    Room(
+        "arena and engine",
+        (f"{ARENA}/*.c", f"{ENGINE}/*.c"),
+    ),
     Room("ports", ("c_ref/ports/*.c", "c_ref/ports/node/*.c"), not_clang_tidy=COUNTS_BYTES),
     Room(
         "slcan",

@@ -6,12 +6,11 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-
-from firmware_py.robot import FixedPointRobot
-from host_tools import simulation
-from host_tools.engine import native
-from host_tools.experiments import Experiment
-from host_tools.simulation import run_trials
+from mcp_asdf.robot import FixedPointRobot
+from mcp_asdf_tools.experiments import simulation
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.simulation import run_trials
 
 
 def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:

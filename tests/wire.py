@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from copy import copy
 
 import can
-
-from firmware_py.robot import Filter
-from host_tools.node import NodeSettings, RobotNode
-from host_tools.rounds import TickConfig
-from host_tools.sidecar import RobotRecord
-from host_tools.tables import generate, parse_omega
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.recording.sidecar import RobotRecord
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 TABLE = generate(parse_omega("0.05"), 20)
 

@@ -57,7 +57,7 @@ typedef struct {
 #define MCP_ASDF_FRAME_FD 8U       /* CAN FD */
 
 /* What a frame lacks, in the order in which it is looked for. The numbers are none of mcp_asdf_status_t's, so
- * that one log may hold both; host_tools/frames.py uses the same. */
+ * that one log may hold both; host_tools/mcp_asdf_tools/bus/frames.py uses the same. */
 typedef enum {
     MCP_ASDF_FRAME_OK = 0,
     MCP_ASDF_FRAME_ERR_ERROR_FRAME = -21,

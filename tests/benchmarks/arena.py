@@ -22,9 +22,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-
-from host_tools.arena import Arena, ArenaSettings, square_side
-from host_tools.arena.motion_statistics import motion_statistics
+from benchmarks.motion_statistics import motion_statistics
+from mcp_asdf_tools.world.arena import Arena, ArenaSettings, square_side
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = json.loads((ROOT / "tests/data/motion_statistics.json").read_text(encoding="utf-8"))

@@ -24,13 +24,15 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from host_tools.engine import native
-from host_tools.experiments import Experiment, Topology
-from host_tools.moving import make_arena
-from host_tools.simulation import run_by_message, run_trials
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment, Topology
+from mcp_asdf_tools.experiments.simulation import run_by_message, run_trials
+from mcp_asdf_tools.world.arenas import make_arena
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
-ARENA, ENGINE, CORE = ROOT / "host_tools/arena", ROOT / "host_tools/engine", ROOT / "c_ref/src"
+TOOLS, CORE = ROOT / "host_tools/mcp_asdf_tools", ROOT / "c_ref/src"
+ARENA, ENGINE = TOOLS / "world/arena", TOOLS / "experiments/engine"
+MODULE = "mcp_asdf_tools.experiments._engine"
 MOTION = ROOT / "tests/data/motion_statistics.json"
 FULL = Experiment(trials=1)
 MOVING = Experiment(topology=Topology.DYNAMIC, robots=20, flawed=6, latency=1, trials=1)
@@ -94,14 +96,14 @@ def build_engine(folder: Path, architecture: str) -> ModuleType:
     glue, module = folder / "_engine.c", folder / "_engine.so"
     headers = [CORE / "mcp_asdf.h", CORE / "mcp_asdf_image.h", ARENA / "arena.h", ENGINE / "engine.h"]
     generator = ROOT / "firmware_py/build_native.py"
-    subprocess.run([sys.executable, generator, "host_tools._engine", glue, *headers], check=True)
+    subprocess.run([sys.executable, generator, MODULE, glue, *headers], check=True)
     arena = compile_arena(folder, "-fPIC")
     includes = (f"-I{path}" for path in (CORE, ARENA, ENGINE, sysconfig.get_path("include")))
     target = f'__attribute__((target("arch={architecture}")))'
     options = ("-O3", "-fPIC", "-shared", "-fno-trapping-math", f"-DFOR_EACH_TARGET={target}")
     sources = (glue, *sorted(ENGINE.glob("*.c")), CORE / "mcp_asdf_image.c")
     subprocess.run([COMPILER, *options, *includes, *sources, *arena, "-o", module, "-lm"], check=True)
-    spec = importlib.util.spec_from_file_location("host_tools._engine", module)
+    spec = importlib.util.spec_from_file_location(MODULE, module)
     assert spec is not None
     assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)

@@ -18,13 +18,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import can
+from mcp_asdf_tools.bus.interfaces import WithoutEcho, wrapped
+from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
+from mcp_asdf_tools.swarm.settings import Settings
+from mcp_asdf_tools.swarm.swarm import Swarm
 from rich.console import Console
 from rich.table import Table
-
-from host_tools.buses import WithoutEcho, wrapped
-from host_tools.medium import OpenBus, Wiring
-from host_tools.swarm import Swarm
-from host_tools.swarm_settings import Settings
 
 PORT = 30_000 + os.getpid() % 100 * 130
 """And 128 more: of this process."""

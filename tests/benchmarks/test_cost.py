@@ -39,10 +39,9 @@ from benchmarks.cost.machines import Machine, UnicornMachine, load
 from benchmarks.cost.robots import Robot
 from benchmarks.cost.stacks import Stacks
 from benchmarks.cost.timing import TIMINGS
+from mcp_asdf import Config, MirrorRobot, Observation
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from unicorn import UC_HOOK_CODE
-
-from firmware_py import Config, MirrorRobot, Observation
-from host_tools.tables import generate, parse_omega
 
 KEPT = figures.kept()
 TOLERANCE = 0.02

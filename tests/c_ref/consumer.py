@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from functools import cache
 
+from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Observation
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import HEADER
-
-from firmware_py.fixed_point import alpha_to_word
-from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import Config, Observation
-from host_tools.tables import generate, parse_omega
 
 CONSUMER = """
 #include "mcp_asdf.h"

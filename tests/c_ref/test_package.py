@@ -16,9 +16,8 @@ from pathlib import Path
 
 import pytest
 from c_ref.consumer import CONSUMER, answer, version_of_header
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from support import CORE, HEADER, ROOT, TABLE, require, run
-
-from host_tools.frames import FrameFormat, Message, encode
 
 BUILD = """
 cmake_minimum_required(VERSION 3.21)
@@ -330,14 +329,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"firmware_py", "host_tools"}
-    assert {"firmware_py/py.typed", "host_tools/py.typed", "firmware_py/native.py"} <= names
-    assert len([name for name in names if re.fullmatch(r"firmware_py/_native\..*\.so", name)]) == 1
-    for folder in ("firmware_py", "host_tools"):
-        modules = {str(path.relative_to(ROOT)) for path in (ROOT / folder).rglob("*.py")}
-        assert modules - {"firmware_py/build_native.py"} == {
-            n for n in names if re.match(rf"{folder}/.*\.py$", n)
-        }
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {
+        "mcp_asdf",
+        "mcp_asdf_tools",
+    }
+    assert {
+        "mcp_asdf/py.typed",
+        "mcp_asdf_tools/py.typed",
+        "mcp_asdf/native.py",
+    } <= names
+    assert len([name for name in names if re.fullmatch(r"mcp_asdf/_native\..*\.so", name)]) == 1
+    for package in (ROOT / "firmware_py/mcp_asdf", ROOT / "host_tools/mcp_asdf_tools"):
+        modules = {str(path.relative_to(package.parent)) for path in package.rglob("*.py")}
+        assert modules == {name for name in names if re.match(rf"{package.name}/.*\.py$", name)}
+    assert not [name for name in names if name.endswith((".c", ".h"))]
     assert f"mcp_asdf-{version_of_header()}-" in wheel.name
 
 
@@ -345,9 +350,11 @@ def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> N
     """Unpacked on its own, without the site-packages' links to the sources."""
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
     path = os.pathsep.join([str(tmp_path / "site"), *site.getsitepackages()])
-    code = "import firmware_py.native as n; print(n.__file__); print(n.lib.MCP_ASDF_ONE)"
+    code = "import mcp_asdf.native as n; print(n.__file__); print(n.lib.MCP_ASDF_ONE)"
     where, one = run(sys.executable, "-S", "-c", code, cwd=tmp_path, PYTHONPATH=path).splitlines()
     assert Path(where).is_relative_to(tmp_path)
     assert int(one) == 2**23
-    shown = run(sys.executable, "-S", "-m", "host_tools.cli", "--version", cwd=tmp_path, PYTHONPATH=path)
+    shown = run(
+        sys.executable, "-S", "-m", "mcp_asdf_tools.cli.main", "--version", cwd=tmp_path, PYTHONPATH=path
+    )
     assert shown == f"mcp-asdf {version_of_header()}\n"

@@ -18,14 +18,13 @@ import pytest
 from benchmarks.cost import demo, figures
 from benchmarks.cost.budgets import stack_of_tick
 from benchmarks.cost.images import LEVELS
+from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Observation
+from mcp_asdf_tools.bus import frames
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import CORE, ROOT, require, run
-
-from firmware_py.fixed_point import alpha_to_word
-from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import Config, Observation
-from host_tools import frames
-from host_tools.frames import FrameFormat, Heartbeat, Message, Telemetry
-from host_tools.tables import generate, parse_omega
 
 PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"

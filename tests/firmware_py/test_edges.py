@@ -16,6 +16,20 @@ from fractions import Fraction
 
 import exact
 import pytest
+from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
+from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.robot import (
+    MAX_FILTER_PERIOD,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Robot,
+    Status,
+    Sums,
+)
+from mcp_asdf.table import MAX_OMEGA_WORD, Table, checksum
 from robots import (
     ALPHA_LEAST,
     ALPHA_MOST,
@@ -42,21 +56,6 @@ from robots import (
     unpack,
     watch,
 )
-
-from firmware_py.fixed_point import alpha_to_word, word_to_alpha
-from firmware_py.reference import ReferenceRobot
-from firmware_py.robot import (
-    MAX_FILTER_PERIOD,
-    Config,
-    Counters,
-    Filter,
-    FirmwareError,
-    Observation,
-    Robot,
-    Status,
-    Sums,
-)
-from firmware_py.table import MAX_OMEGA_WORD, Table, checksum
 
 WHITE, BLACK = Observation.WHITE, Observation.BLACK
 EPSILON = 2.0**-20

@@ -14,13 +14,12 @@ from itertools import chain, product
 
 import exact
 import pytest
+from mcp_asdf import mirror
+from mcp_asdf.fixed_point import alpha_to_word, sums_add, word_to_alpha
+from mcp_asdf.mirror import Closed, MirrorRobot, accuracy_of, estimate, reestimate
+from mcp_asdf.robot import Config, Filter, Observation, Sums
+from mcp_asdf.table import Table
 from robots import ALPHA_LEAST, ALPHA_MOST, ALPHA_ONE, HALF, ONE, OWN_ID, PLAIN, robot_at
-
-from firmware_py import mirror
-from firmware_py.fixed_point import alpha_to_word, sums_add, word_to_alpha
-from firmware_py.mirror import Closed, MirrorRobot, accuracy_of, estimate, reestimate
-from firmware_py.robot import Config, Filter, Observation, Sums
-from firmware_py.table import Table
 
 T_MOST = 2**31 - 1
 B_LEAST, B_MOST = 2**12, 2**32 - 2**12

@@ -17,14 +17,13 @@ from enum import IntEnum
 from pathlib import Path
 
 import pytest
+from mcp_asdf import fixed_point, robot
+from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS, MirrorRobot
+from mcp_asdf.native import NativeRobot, _SharedConfig, ffi, lib
+from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Status, Sums
+from mcp_asdf.table import EXTRA_WORDS, MAGIC, MAX_Q, Table, checksum
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import CORE, HEADER, run
-
-from firmware_py import fixed_point, robot
-from firmware_py.mirror import IMAGE_MAGIC, IMAGE_WORDS, MirrorRobot
-from firmware_py.native import NativeRobot, _SharedConfig, ffi, lib
-from firmware_py.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Status, Sums
-from firmware_py.table import EXTRA_WORDS, MAGIC, MAX_Q, Table, checksum
-from host_tools.tables import generate, parse_omega
 
 IMAGE_HEADER, IMAGE = HEADER.with_name("mcp_asdf_image.h"), CORE.with_name("mcp_asdf_image.c")
 ALPHA_TWO = 0x80000002
@@ -122,7 +121,9 @@ def test_every_function_of_the_core_is_there(source: Path, function: str, tmp_pa
 
 
 def test_a_robot_keeps_within_its_ram() -> None:
-    wide = ffi.sizeof("void *") > 4  # the budget is for 32-bit pointers; a wider one is aligned to itself, too
+    wide = (
+        ffi.sizeof("void *") > 4
+    )  # the budget is for 32-bit pointers; a wider one is aligned to itself, too
     assert ffi.sizeof("mcp_asdf_t") <= (152 if wide else 144)
 
 

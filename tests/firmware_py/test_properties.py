@@ -12,6 +12,10 @@ from dataclasses import fields, replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcp_asdf.fixed_point import sums_add
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import MAX_ID, Config, Counters, Filter, FirmwareError, Observation, Status, Sums
 from robots import (
     ALPHA_LEAST,
     ALPHA_MOST,
@@ -33,11 +37,6 @@ from robots import (
     robot_at,
     unpack,
 )
-
-from firmware_py.fixed_point import sums_add
-from firmware_py.mirror import MirrorRobot
-from firmware_py.native import NativeRobot
-from firmware_py.robot import MAX_ID, Config, Counters, Filter, FirmwareError, Observation, Status, Sums
 
 Message = tuple[int, int, int]
 """Sender, x_hat and alpha, raw."""

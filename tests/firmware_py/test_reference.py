@@ -14,10 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats  # type: ignore[import-untyped]
-
-from firmware_py.native import NativeRobot
-from firmware_py.reference import (
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.reference import (
     ALGORITHM_1,
     AUTHORS,
     PAPER,
@@ -34,7 +32,7 @@ from firmware_py.reference import (
     social_estimate,
     t_score,
 )
-from firmware_py.robot import (
+from mcp_asdf.robot import (
     B_HAT_MARGIN,
     Config,
     Counters,
@@ -44,8 +42,9 @@ from firmware_py.robot import (
     Robot,
     Status,
 )
-from firmware_py.table import Table
-from host_tools.tables import generate, parse_omega
+from mcp_asdf.table import Table
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from scipy import stats  # type: ignore[import-untyped]
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcp_asdf.fixed_point import sums_add
+from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Robot, Status, Sums
 from robots import (
     ALPHA_LEAST,
     ALPHA_ONE,
@@ -23,9 +25,6 @@ from robots import (
     of_fixed_point,
     watch,
 )
-
-from firmware_py.fixed_point import sums_add
-from firmware_py.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Robot, Status, Sums
 
 NO_INTEGERS: list[Any] = [
     1.0,

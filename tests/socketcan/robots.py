@@ -8,12 +8,11 @@ from collections.abc import Collection
 from types import TracebackType
 
 import can
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.robots.node import send_all
 from socketcan.vcan import Vcan
 from targets.c_node import twin
-
-from firmware_py.robot import Observation
-from host_tools.lockstep import Lockstep
-from host_tools.node import send_all
 
 PATIENCE = 60.0
 """Seconds for anything to happen: emulated machines may be slow."""

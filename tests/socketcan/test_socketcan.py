@@ -12,15 +12,8 @@ from typing import Any
 import can
 import pytest
 from can.typechecking import CanFilters
-from robots import ALPHA_ONE
-from socketcan.candump import Candump
-from socketcan.robots import PATIENCE, PythonNode, drive
-from socketcan.vcan import FRAME, Vcan
-from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
-
-from firmware_py.robot import Observation
-from host_tools.cli import main
-from host_tools.frames import (
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frames import (
     Command,
     FrameFormat,
     Health,
@@ -30,7 +23,13 @@ from host_tools.frames import (
     decode_heartbeat,
     encode,
 )
-from host_tools.lockstep import DRIVER_ID, Lockstep
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
+from robots import ALPHA_ONE
+from socketcan.candump import Candump
+from socketcan.robots import PATIENCE, PythonNode, drive
+from socketcan.vcan import FRAME, Vcan
+from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
 
 pytestmark = pytest.mark.socketcan
 

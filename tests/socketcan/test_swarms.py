@@ -13,16 +13,15 @@ from pathlib import Path
 
 import can
 import pytest
+from mcp_asdf.fixed_point import alpha_units
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import Config, Filter, Observation, Status
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode, word_of
+from mcp_asdf_tools.cli.main import main
 from socketcan.candump import Candump, listeners
 from socketcan.robots import PATIENCE
 from socketcan.vcan import FRAME, Vcan, interfaces
 from targets.c_node import PLAIN, CNode, built
-
-from firmware_py.fixed_point import alpha_units
-from firmware_py.native import NativeRobot
-from firmware_py.robot import Config, Filter, Observation, Status
-from host_tools.cli import main
-from host_tools.frames import FrameFormat, Message, encode, word_of
 
 ESTIMATE = struct.Struct("<I4xHBIx")
 """What a robot needs of a frame: identifier, x_hat in two parts, alpha as binary32."""

@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import can
-
-from host_tools.buses import choose_bus
+from mcp_asdf_tools.bus.interfaces import choose_bus
 
 _NUMBERS = itertools.count()
 FRAME = struct.Struct("=IB3x8s")

@@ -13,13 +13,12 @@ from typing import Any
 
 import can
 import pytest
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
+from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import ROOT, require, run
-
-from firmware_py.mirror import MirrorRobot
-from firmware_py.robot import Filter
-from host_tools.node import NodeSettings, RobotNode, Subjects
-from host_tools.rounds import TickConfig, TickedRobot
-from host_tools.tables import generate, parse_omega
 
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""

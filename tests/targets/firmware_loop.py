@@ -23,20 +23,19 @@ from functools import cache
 from pathlib import Path
 
 import can
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import Config, Observation
+from mcp_asdf_tools.bus.frames import Action, Command, encode_command
+from mcp_asdf_tools.bus.qemu import Board
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
+from mcp_asdf_tools.tables.thresholds import generate
+from mcp_asdf_tools.world.swarm_world import FullyConnected, World
 from rich.console import Console
 from rich.progress import track
-
-from firmware_py.mirror import MirrorRobot
-from firmware_py.native import NativeRobot
-from firmware_py.robot import Config, Observation
-from host_tools.errors import UsageError
-from host_tools.frames import Action, Command, encode_command
-from host_tools.lockstep import DRIVER_ID
-from host_tools.node import NodeSettings, RobotNode
-from host_tools.qemu import Board
-from host_tools.rounds import TickConfig, TickedRobot
-from host_tools.tables import generate
-from host_tools.world import FullyConnected, World
 
 SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
 BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}

@@ -28,8 +28,7 @@ from pathlib import Path
 from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
-
-from host_tools.golden_scenarios import edge_scenarios, run_scenarios
+from targets.golden_scenarios import edge_scenarios, run_scenarios
 
 HERE = Path(__file__).resolve().parent
 TOOLCHAINS = HERE.parents[1] / "c_ref" / "cmake"

@@ -1,6 +1,6 @@
 """What a robot that speaks slcan has to answer, byte by byte: c_ref/ports/slcan once more, in Python.
 
-Text is matched with regular expressions and the robot is ``host_tools.node.RobotNode`` with the mirror, so
+Text is matched with regular expressions and the robot is ``robots.node.RobotNode`` with the mirror, so
 that nothing is shared with the C but the documents.
 """
 
@@ -10,10 +10,9 @@ import re
 from collections.abc import Callable
 
 import can
-
-from host_tools.frames import Heartbeat, decode_heartbeat
-from host_tools.node import RobotNode
-from host_tools.slcan import line_of
+from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
+from mcp_asdf_tools.bus.slcan_server import line_of
+from mcp_asdf_tools.robots.node import RobotNode
 
 OPENING = b"\r\rC\rS8\rO\r"
 LONGEST = 26

@@ -15,6 +15,23 @@ from pathlib import Path
 
 import can
 import pytest
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frames import (
+    EVERY_ROBOT,
+    Action,
+    Command,
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    decode_heartbeat,
+    encode,
+    encode_command,
+)
+from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
+from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common.errors import UsageError
 from support import ROOT, require, run
 from targets import firmware_loop, matrix
 from targets.firmware_loop import (
@@ -31,24 +48,6 @@ from targets.firmware_loop import (
 from targets.matrix import TARGETS
 from targets.slcan_model import OPENING, Model, frame_in
 from targets.slow_line import SlowLine
-
-from firmware_py.robot import Observation
-from host_tools import cli
-from host_tools.errors import UsageError
-from host_tools.frames import (
-    EVERY_ROBOT,
-    Action,
-    Command,
-    FrameFormat,
-    Health,
-    Heartbeat,
-    Message,
-    decode_heartbeat,
-    encode,
-    encode_command,
-)
-from host_tools.qemu import Board, QemuBus, board_of
-from host_tools.slcan import SlcanServer, line_of
 
 FILTER_PERIOD = 25
 SEED = 20261121
@@ -498,7 +497,7 @@ def test_a_host_that_breaks_off_can_come_again(target: str, board: Board) -> Non
 
 @one_of_each
 def test_an_adapter_opens_the_bus_for_the_robot(target: str, board: Board) -> None:
-    """The adapter is host_tools.slcan, which other tests hold against python-can and Cyphal's tools."""
+    """The adapter is bus.slcan_server, which other tests hold against python-can and Cyphal's tools."""
 
     def join() -> can.BusABC:
         return can.Bus(interface="virtual", channel=f"adapter of {target}", ignore_config=True)
@@ -673,7 +672,7 @@ def test_a_board_whose_program_has_gone_can_be_left(
     """Its adapter no longer hears that the bus is closed."""
     require_target("cortex-m3")
     board = Board("mps2-an385", image_of("cortex-m3"))
-    monkeypatch.setattr("host_tools.qemu.board_of", lambda channel: board)
+    monkeypatch.setattr("mcp_asdf_tools.bus.qemu.board_of", lambda channel: board)
     bus = QemuBus("the board")
     board._process.kill()
     board._process.wait()

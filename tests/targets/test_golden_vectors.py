@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from firmware_py import mirror
-from firmware_py.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
-from firmware_py.robot import DEFAULT_MEMORY, MAX_FILTER_PERIOD, Status
-from firmware_py.table import FRACTION_BITS
-from host_tools import golden_vectors
-from host_tools.errors import UsageError
-from host_tools.golden_runs import Crowd, GoldenScenario, Run, Xorshift
-from host_tools.golden_scenarios import edge_scenarios, run_scenarios
-from host_tools.golden_vectors import Player, digest, explain, main, outcomes
-from host_tools.scenarios import Call, TableChoice, build_table
+from mcp_asdf import mirror
+from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_FILTER_PERIOD, Status
+from mcp_asdf.table import FRACTION_BITS
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.crosscheck.scenario import Call, TableChoice, build_table
+from targets import golden_vectors
+from targets.golden_runs import Crowd, GoldenScenario, Run, Xorshift
+from targets.golden_scenarios import edge_scenarios, run_scenarios
+from targets.golden_vectors import Player, digest, explain, main, outcomes
 
 HERE = Path(__file__).parent
 SCENARIOS = edge_scenarios() + run_scenarios()
@@ -26,7 +25,7 @@ SCENARIOS = edge_scenarios() + run_scenarios()
 
 def test_the_committed_files_are_what_the_mirror_gives() -> None:
     for name, data in golden_vectors.golden_vectors().items():
-        assert (HERE / name).read_bytes() == data, f"{name}: see python -m host_tools.golden_vectors --help"
+        assert (HERE / name).read_bytes() == data, f"{name}: see tests/targets/golden_vectors.py"
 
 
 def test_fast_targets_play_100_000_ticks() -> None:

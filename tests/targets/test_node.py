@@ -16,13 +16,9 @@ from pathlib import Path
 
 import can
 import pytest
-from support import ROOT, require, run
-from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
-from targets.unix_bus import Peer, UnixBus
-
-from firmware_py.fixed_point import b_hat_to_raw
-from firmware_py.robot import Filter, Observation
-from host_tools.frames import (
+from mcp_asdf.fixed_point import b_hat_to_raw
+from mcp_asdf.robot import Filter, Observation
+from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
     FrameFormat,
@@ -35,8 +31,11 @@ from host_tools.frames import (
     encode,
     encode_command,
 )
-from host_tools.lockstep import Lockstep
-from host_tools.node import RobotNode, Subjects
+from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.robots.node import RobotNode, Subjects
+from support import ROOT, require, run
+from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
+from targets.unix_bus import Peer, UnixBus
 
 C_FILES = sorted(SOURCES.glob("*.c"))
 DEFINITIONS = ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table", f"-I{ROOT / 'c_ref/src'}")

@@ -12,11 +12,10 @@ from typing import Any
 import pytest
 from support import CORE, ROOT, require, run
 from targets import matrix
+from targets.golden_scenarios import edge_scenarios, run_scenarios
+from targets.golden_vectors import encode, explain
 from targets.matrix import CHOICES, CORE_SOURCES, HOST, TARGETS, VECTORS, Cell, Target, cells_of
 from targets.slcan_model import OPENING
-
-from host_tools.golden_scenarios import edge_scenarios, run_scenarios
-from host_tools.golden_vectors import encode, explain
 
 SCENARIOS = edge_scenarios() + run_scenarios()
 EDGES = Path(__file__).with_name("golden_edges.bin")

@@ -16,12 +16,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import check_plot_path, image_of, save_figure
+from mcp_asdf_tools.common.files import FileSet
 from rich.console import Console
 from rich.progress import Progress
-
-from host_tools.errors import UsageError
-from host_tools.files import FileSet
-from host_tools.plot_files import check_plot_path, image_of, save_figure
 
 from . import figures, picture, report
 from .images import TARGETS

@@ -7,8 +7,8 @@ import struct
 from dataclasses import dataclass, replace
 from functools import cache
 
-from firmware_py import Config, Filter, NativeRobot, Observation
-from firmware_py.fixed_point import alpha_units, alpha_word, word_to_alpha
+from mcp_asdf import Config, Filter, NativeRobot, Observation
+from mcp_asdf.fixed_point import alpha_units, alpha_word, word_to_alpha
 
 OWN_ID = 5
 NEIGHBOURS = (0, 1, 10, 127)

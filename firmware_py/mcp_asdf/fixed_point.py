@@ -1,0 +1,202 @@
+"""The firmware's number formats, and the float view that both fixed-point robots share.
+
+Units: x_hat, x_bar and x 2**-23; b_hat 2**-32. alpha is a word: a mantissa (bits 8..31) times 2**shift (bits
+0..4) units of 2**-24; bits 5..7 are ignored on input and 0 on output.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from operator import index
+
+from mcp_asdf.robot import MAX_ID, Status, Sums, check_alpha, whole_number
+from mcp_asdf.table import MAX_WORD
+
+ONE = 1 << 23
+"""1.0 as x_hat, x_bar or x."""
+HALF = 1 << 22
+B_HAT_MIN, B_HAT_MAX = 1 << 12, (1 << 32) - (1 << 12)
+MANTISSA_MAX, SHIFT_MAX = 0xFFFFFF, 31
+ALPHA_MAX = MANTISSA_MAX << 8 | SHIFT_MAX
+"""Word of the largest confidence, 2**31 - 2**7."""
+UNITS_PER_ALPHA = 1 << 24
+
+
+def b_hat_to_raw(b_hat: float) -> int:
+    """An accuracy in [2**-20, 1 - 2**-20] in units of 2**-32, to nearest, ties to even."""
+    return round(float(b_hat) * 2**32)
+
+
+def x_hat_to_raw(x_hat: float) -> int:
+    """An estimate in units of 2**-23, rounded down; outside [0, 1] a value that the firmware rejects."""
+    return math.floor(float(x_hat) * ONE) if 0.0 <= x_hat <= 1.0 else MAX_WORD
+
+
+def alpha_units(word: int) -> int:
+    """An alpha word's value in units of 2**-24, below 2**55: every 32-bit word has one."""
+    return (word >> 8) << (word & SHIFT_MAX)
+
+
+def alpha_word(units: int) -> int:
+    """The word of the largest confidence not above ``units`` units of 2**-24: with the smallest shift."""
+    shift = max(units.bit_length() - 24, 0)
+    return (units >> shift) << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
+
+
+def alpha_to_word(alpha: float) -> int:
+    """The word of the largest confidence not above ``alpha``.
+
+    Raises ValueError for what is no confidence: a negative number, -0.0, infinity or NaN.
+    """
+    check_alpha(alpha)
+    return alpha_word(math.floor(math.ldexp(min(alpha, 2.0**31), 24)))
+
+
+def word_to_alpha(word: int) -> float:
+    """The value of an alpha word, exactly."""
+    return alpha_units(word) / UNITS_PER_ALPHA
+
+
+def sums_add(sums: Sums, x_hat: int, alpha: int) -> None:
+    """Enter a message into the sums, x_hat in units of 2**-23 and alpha as a word; alpha = 0 says nothing."""
+    units = alpha_units(alpha)
+    if units == 0:
+        return
+    sums.alpha += units
+    sums.alpha_x_low += (units & MAX_WORD) * x_hat
+    sums.alpha_x_high += (units >> 32) * x_hat
+    sums.x_squared += x_hat * x_hat
+    sums.x += x_hat
+    sums.count += 1
+
+
+def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
+    """Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
+    return (
+        alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
+        and 0 <= alpha_x_low < 1 << 62
+        and 0 <= alpha_x_high < 1 << 53
+        and (alpha_x_high << 32) + alpha_x_low <= alpha * ONE
+    )
+
+
+def sums_possible(sums: Sums) -> bool:
+    """Whether ``count`` messages can have given these sums."""
+    return (
+        0 <= sums.count <= MAX_ID
+        and 0 <= sums.x <= sums.count * ONE
+        and 0 <= sums.x_squared <= sums.x * ONE
+        and sums.count * sums.x_squared >= sums.x * sums.x
+        and sums.count <= sums.alpha <= sums.count * MANTISSA_MAX << SHIFT_MAX
+        and sums.alpha_x_low <= sums.x * MAX_WORD
+        and sums.alpha_x_high <= sums.x * (MANTISSA_MAX >> 1)
+        and mean_possible(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
+    )
+
+
+class FixedPointView(ABC):
+    """Floats in and out of a robot that computes in integers. Every value but ``beta`` is exact.
+
+    What reaches the robot's own methods, ``_receive`` and ``_add``, are Python's integers.
+    """
+
+    @property
+    @abstractmethod
+    def b_hat_raw(self) -> int:
+        """b_hat in units of 2**-32."""
+
+    @property
+    @abstractmethod
+    def x_hat_raw(self) -> int:
+        """x_hat in units of 2**-23."""
+
+    @property
+    @abstractmethod
+    def alpha_raw(self) -> int:
+        """alpha as the firmware's word."""
+
+    @property
+    @abstractmethod
+    def x_bar_raw(self) -> int:
+        """x_bar in units of 2**-23."""
+
+    @property
+    @abstractmethod
+    def beta_raw(self) -> int:
+        """beta in units of 2**-24."""
+
+    @property
+    @abstractmethod
+    def x_raw(self) -> int:
+        """x in units of 2**-23."""
+
+    @abstractmethod
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """``receive_raw``, given integers of Python's own."""
+
+    @abstractmethod
+    def _unheard(self) -> list[int]:
+        """Ids of the other robots that were not heard in this round, from the lowest."""
+
+    @abstractmethod
+    def _add(self, sums: Sums, senders: list[int]) -> None:
+        """Add sums of messages of these senders to the open round."""
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as the firmware's word.
+
+        Raises ValueError, and changes nothing, for an ``alpha`` that is no word of 32 bits.
+        """
+        match sender, x_hat, alpha:
+            case int(), int(), int():  # as a rule, and quicker than asking one by one
+                pass
+            case _:
+                sender, x_hat, alpha = index(sender), index(x_hat), index(alpha)
+        if not 0 <= alpha <= MAX_WORD:
+            raise ValueError(f"alpha is {alpha}; the firmware's word has 32 bits")
+        return self._receive(sender, x_hat, alpha)
+
+    def add_round(self, sums: Sums, messages: int) -> None:
+        """Receive ``messages`` messages at once, of which these are the exact sums."""
+        whole = Sums(**{name: whole_number(value) for name, value in vars(sums).items()})
+        unheard = self._unheard()
+        if not (sums_possible(whole) and whole.count <= whole_number(messages) <= len(unheard)):
+            raise ValueError(
+                f"{messages} messages of {len(unheard)} robots not heard yet cannot sum up to {whole}"
+            )
+        self._add(whole, unheard[:messages])
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a neighbour's message; values off the firmware's grids are rounded down."""
+        return self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_to_word(alpha))
+
+    @property
+    def b_hat(self) -> float:
+        """Assumed accuracy."""
+        return self.b_hat_raw / 2**32
+
+    @property
+    def x_hat(self) -> float:
+        """Local estimate (eq. 3)."""
+        return self.x_hat_raw / ONE
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence (eq. 4)."""
+        return word_to_alpha(self.alpha_raw)
+
+    @property
+    def x_bar(self) -> float:
+        """Social estimate (eq. 5) of the last closed round."""
+        return self.x_bar_raw / ONE
+
+    @property
+    def beta(self) -> float:
+        """Social confidence (eq. 6) of the last closed round, rounded to float64."""
+        return self.beta_raw / UNITS_PER_ALPHA
+
+    @property
+    def x(self) -> float:
+        """Informed estimate (eq. 7)."""
+        return self.x_raw / ONE

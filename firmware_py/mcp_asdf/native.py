@@ -1,0 +1,238 @@
+"""The C firmware itself, behind the same interface as its mirror.
+
+``lib`` and ``ffi`` are the C functions and types as cffi offers them, for engines that drive many robots
+from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+from weakref import WeakValueDictionary
+
+from mcp_asdf._native import ffi, lib
+from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
+from mcp_asdf.robot import (
+    B_HAT_MARGIN,
+    MAX_ID,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Status,
+    Sums,
+    whole_number,
+    whole_settings,
+)
+from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
+
+__all__ = ["NativeRobot", "ffi", "lib"]
+
+_STATUS = {int(status): status for status in Status}
+_MAX_BYTE = 2**8 - 1
+_COUNTER_MASK = 2**16 - 1
+_REASONS = {
+    Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
+    Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
+    Status.ERR_ID: "robot id is {robot_id}; choose 0 .. 127",
+    Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
+    Status.ERR_IMAGE: "the image is damaged, of another version or does not fit the configuration",
+}
+
+
+class NativeRobot(FixedPointView):
+    """MCP-ASDF in C. Implements ``FixedPointRobot``.
+
+    Args:
+        config: Shared settings. Robots of equal configs share one copy in C.
+        robot_id: Own id, 0..127.
+        b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
+
+    Attributes:
+        config: As given.
+        pointer: The robot's ``mcp_asdf_t *``, valid for as long as this object lives.
+
+    Raises:
+        FirmwareError: As ``mcp_asdf_init`` fails.
+    """
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        self._attach(config)
+        raw = b_hat_to_raw(b_hat) if B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN else 0
+        status = lib.mcp_asdf_init(self.pointer, self._shared.pointer, _fit(robot_id, _MAX_BYTE), raw)
+        _check(status, config=config, robot_id=robot_id, b_hat=b_hat)
+
+    def _attach(self, config: Config) -> None:
+        self.config = config
+        self.pointer = ffi.new("mcp_asdf_t *")
+        self._shared = _share(config)
+
+    @classmethod
+    def restore(cls, config: Config, image: bytes) -> NativeRobot:
+        """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
+        robot = cls.__new__(cls)
+        robot._attach(config)
+        plain = bytes(memoryview(image))
+        whole = plain if len(plain) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
+        status = lib.mcp_asdf_restore(robot.pointer, robot._shared.pointer, whole)
+        _check(status, config=config)
+        return robot
+
+    def save(self) -> bytes:
+        """The state as ``mcp_asdf_save`` writes it."""
+        image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
+        lib.mcp_asdf_save(self.pointer, image)
+        return bytes(image)
+
+    def observe(self, z: Observation) -> Status:
+        """Count an observation and form x_hat and alpha."""
+        return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, MAX_WORD))]
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        try:
+            return _STATUS[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
+        except OverflowError:
+            fitting = _fit(sender, _MAX_BYTE), _fit(x_hat, MAX_WORD)
+            return _STATUS[lib.mcp_asdf_receive(self.pointer, *fitting, alpha)]
+
+    def _unheard(self) -> list[int]:
+        robot = self.pointer
+        return [i for i in range(MAX_ID + 1) if i != robot.id and not robot.heard.of[i >> 3] >> (i & 7) & 1]
+
+    def _add(self, sums: Sums, senders: list[int]) -> None:
+        robot = self.pointer
+        for sender in senders:
+            robot.heard.of[sender >> 3] |= 1 << (sender & 7)
+        robot.counters.accepted = robot.counters.accepted + len(senders) & _COUNTER_MASK
+        for name, value in vars(sums).items():
+            setattr(robot.open, name, getattr(robot.open, name) + value)
+
+    def settle(self) -> Status:
+        """Close the round, and filter every ``filter_period`` rounds."""
+        return _STATUS[lib.mcp_asdf_settle(self.pointer)]
+
+    def step(self, z: Observation) -> Status:
+        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+        return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, MAX_WORD))]
+
+    @property
+    def t(self) -> int:
+        """Observations counted."""
+        return int(lib.mcp_asdf_t_count(self.pointer))
+
+    @property
+    def n(self) -> int:
+        """Black ones among them."""
+        return int(lib.mcp_asdf_n_count(self.pointer))
+
+    @property
+    def b_hat_raw(self) -> int:
+        """b_hat in units of 2**-32."""
+        return int(lib.mcp_asdf_b_hat(self.pointer))
+
+    @property
+    def x_hat_raw(self) -> int:
+        """x_hat in units of 2**-23."""
+        return int(lib.mcp_asdf_x_hat(self.pointer))
+
+    @property
+    def alpha_raw(self) -> int:
+        """alpha as the firmware's word."""
+        return int(lib.mcp_asdf_alpha(self.pointer))
+
+    @property
+    def x_bar_raw(self) -> int:
+        """x_bar in units of 2**-23; HALF where beta is 0."""
+        return int(lib.mcp_asdf_x_bar(self.pointer))
+
+    @property
+    def beta_raw(self) -> int:
+        """beta in units of 2**-24."""
+        return int(lib.mcp_asdf_beta(self.pointer))
+
+    @property
+    def x_raw(self) -> int:
+        """x in units of 2**-23."""
+        return int(lib.mcp_asdf_x(self.pointer))
+
+    @property
+    def counters(self) -> Counters:
+        """Diagnostics since the robot was made."""
+        native_counters = lib.mcp_asdf_counters(self.pointer)
+        return Counters(*(getattr(native_counters, member.name) for member in fields(Counters)))
+
+    def state(self) -> dict[str, int]:
+        """Every member of ``mcp_asdf_t`` but ``config``, named as ``MirrorRobot.state`` names them."""
+        return dict(_flatten("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+
+    def holds_invariants(self) -> bool:
+        """Whether the state could have come from calls alone (``docs/invariants.md``)."""
+        return bool(lib.mcp_asdf_invariants_hold(self.pointer))
+
+
+class _SharedConfig:
+    """A config and its table in C memory, which lives for as long as a robot refers to this object."""
+
+    def __init__(self, config: Config) -> None:
+        self._table = ffi.NULL
+        if config.filter == Filter.ADAPTIVE and config.table is not None:
+            self._table = _table_in_c(config.table)
+        self.pointer = ffi.new("mcp_asdf_config_t *")
+        self.pointer.table = self._table
+        filter_mode, filter_period, memory = whole_settings(config)
+        self.pointer.filter_period = _fit(filter_period, MAX_WORD, refused=0)
+        self.pointer.memory = _fit(memory, MAX_WORD, refused=0)
+        self.pointer.filter = _fit(filter_mode, _MAX_BYTE)
+
+
+def _table_in_c(table: Table) -> Any:
+    """A table's words and zeros up to the longest table: whatever q they claim, C reads what is there."""
+    words = table.words()
+    try:
+        return ffi.new("uint32_t[]", [*words, *[0] * (EXTRA_WORDS + MAX_Q - len(words))])
+    except OverflowError:  # a word of more than 32 bits: no table
+        return ffi.NULL
+
+
+_shared_configs: WeakValueDictionary[Config, _SharedConfig] = WeakValueDictionary()
+
+
+def _share(config: Config) -> _SharedConfig:
+    whole_settings(config)  # 1.0 equals 1, and would share its copy
+    shared = _shared_configs.get(config)
+    if shared is None:
+        shared = _shared_configs[config] = _SharedConfig(config)
+    return shared
+
+
+def _fit(value: int, most: int, refused: int | None = None) -> int:
+    """``value`` if the C type holds it, else a number that the C refuses: ``refused``, or the largest."""
+    value = whole_number(value)
+    if 0 <= value <= most:
+        return value
+    return most if refused is None else refused
+
+
+def _check(status: int, **settings: object) -> None:
+    if status != Status.OK:
+        reason = _STATUS[status]
+        raise FirmwareError(reason, _REASONS[reason].format(**settings))
+
+
+def _flatten(name: str, value: Any, kind: Any) -> Iterator[tuple[str, int]]:
+    """Numbers inside a C value by name; members of the counters go without the counters' name.
+
+    Who was heard is taken by words, as in an image, however C divides it.
+    """
+    if kind.kind == "struct":
+        prefix = f"{name}_" if name and kind != ffi.typeof("mcp_asdf_counters_t") else ""
+        for member, field in kind.fields:
+            yield from _flatten(prefix + member, getattr(value, member), field.type)
+    elif kind.kind in ("array", "union"):
+        for index, (word,) in enumerate(struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))):
+            yield f"{name}_{index}", word
+    elif kind.kind == "primitive":
+        yield name, int(value)

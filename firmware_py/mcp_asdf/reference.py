@@ -1,0 +1,385 @@
+"""The paper's equations in float64, one function each, and a robot made of them.
+
+Nothing here is quantised and alpha has no upper limit, so this is what the fixed-point firmwares are
+measured against. Names and cases are the paper's, with w_hat = b_hat; equation numbers count its
+numbered rows in order, so the hypothesis test is eq. 12. Sums are correctly rounded (``math.fsum``,
+``statistics``): no result depends on the order of the messages.
+
+Where the equations divide by zero a :class:`Conventions` says what they mean. Arguments outside the ranges
+that a function names, NaN among them, raise ValueError.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from statistics import mean, stdev
+from typing import NamedTuple
+
+from scipy.special import stdtrit  # type: ignore[import-untyped]
+
+from mcp_asdf.robot import (
+    B_HAT_MARGIN,
+    MAX_ID,
+    Config,
+    Counters,
+    Filter,
+    FirmwareError,
+    Observation,
+    Status,
+    check_alpha,
+    check_identity,
+    check_settings,
+    check_table,
+    whole_number,
+)
+
+UNINFORMATIVE = 2.0**-12
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p says nothing."""
+
+MAX_OMEGA = 0.9
+COUNTER_MODULUS = 2**16
+WEIGHT_EXPONENT = 500
+"""Weights are scaled to 2**500: their products with x_hat keep all bits down to x_hat's own least."""
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """Where the firmware, the paper's Algorithm 1 and its authors' programs differ.
+
+    Attributes:
+        lost_degrees: The t-score has m - ``lost_degrees`` degrees of freedom.
+        strict: Update where the deviation is above the interval (eq. 12), not where it equals it.
+        guarded: b_hat within UNINFORMATIVE of saying nothing gives x_hat = 1/2 and alpha = 0, and no
+            update follows from such an x_bar. Otherwise a division by zero is IEEE 754's, whose infinity
+            the case distinctions of eq. 3 and 8 then clamp; 0/0 alone, NaN in the authors' programs,
+            is 1/2: the value of both equations at n/t = 1/2 for every other b_hat or x_bar.
+        clamp_at: A quotient of eq. 8 at most ``clamp_at`` or at least 1 - ``clamp_at`` ...
+        clamp_to: ... becomes ``clamp_to`` or 1 - ``clamp_to``.
+        zero_confidence: What stands for alpha = 0 once there is an observation.
+        stale_social: A round without messages leaves the social values and the test's sample as they
+            were (Algorithm 1 to the letter); otherwise it empties them.
+    """
+
+    lost_degrees: int = 1
+    strict: bool = True
+    guarded: bool = True
+    clamp_at: float = B_HAT_MARGIN
+    clamp_to: float = B_HAT_MARGIN
+    zero_confidence: float = 0.0
+    stale_social: bool = False
+
+
+PAPER = Conventions()
+"""The paper's equations with the firmware's meanings at their edges."""
+
+ALGORITHM_1 = replace(PAPER, stale_social=True)
+"""As PAPER, but without neighbours the last social values are used again."""
+
+AUTHORS = Conventions(
+    lost_degrees=0, strict=False, guarded=False, clamp_at=0.0, clamp_to=1e-6, zero_confidence=1e-6
+)
+"""The authors' programs (github.com/NESTLab/sensor-degradation-filter)."""
+
+
+class Message(NamedTuple):
+    """What a robot broadcasts: its local estimate in [0, 1] and its confidence, >= 0 and finite."""
+
+    x_hat: float
+    alpha: float
+
+
+def local_estimate(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
+    """x_hat in [0, 1] from ``n`` black among ``t`` observations, 0 <= n <= t, and ``b`` in [0, 1] (eq. 3).
+
+    1/2 before the first observation. O(1).
+    """
+    _check_counts(n, t)
+    _check_unit(b, "b")
+    if t == 0 or _says_nothing(b, conventions):
+        return 0.5
+    return max(0.0, min(_quotient(n / t + b - 1, 2 * b - 1), 1.0))
+
+
+def local_confidence(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
+    """alpha >= 0 of the local estimate, whose arguments these are (eq. 4). O(1).
+
+    0 before the first observation. The numerators of the first two cases are multiplied out, which
+    leaves no difference to cancel: t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2. Raises
+    ZeroDivisionError where alpha is infinite: a perfect sensor, ``b`` 0 or 1, that saw one colour only.
+    """
+    x_hat, d = local_estimate(n, t, b, conventions), (2 * b - 1) ** 2
+    if t == 0:
+        return 0.0
+    if _says_nothing(b, conventions):
+        return conventions.zero_confidence
+    if x_hat == 0:
+        alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
+    elif x_hat == 1:
+        alpha = d * ((t - n) / (1 - b) ** 2 + n / b**2)
+    else:
+        alpha = d * t**3 / (n * (t - n))
+    return alpha or conventions.zero_confidence
+
+
+def social_estimate(messages: Sequence[Message]) -> float:
+    """x_bar in [0, 1] (eq. 5); 1/2 where it is undefined, when no message has alpha > 0. O(m)."""
+    return _weighted_mean(messages, undefined=0.5)
+
+
+def social_confidence(messages: Sequence[Message]) -> float:
+    """beta >= 0 (eq. 6); 0 without messages. Raises OverflowError above float64's range. O(m)."""
+    _check_messages(messages)
+    return math.fsum(message.alpha for message in messages)
+
+
+def informed_estimate(own: Message, messages: Sequence[Message]) -> float:
+    """x in [0, 1] (eq. 7, second form); the own x_hat if all confidences are 0. O(m).
+
+    The own message is one term among the others: robots that hear each other get the same bits.
+    """
+    return _weighted_mean([own, *messages], undefined=own.x_hat)
+
+
+def assumed_accuracy_update(n: int, t: int, x_bar: float, conventions: Conventions = PAPER) -> float | None:
+    """The b_hat that makes ``x_bar`` in [0, 1] the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
+
+    None, no update, before the first observation and where ``x_bar`` says nothing.
+    """
+    _check_counts(n, t)
+    _check_unit(x_bar, "x_bar")
+    if t == 0 or _says_nothing(x_bar, conventions):
+        return None
+    b = _quotient(n / t + x_bar - 1, 2 * x_bar - 1)
+    if b <= conventions.clamp_at:
+        return conventions.clamp_to
+    if b >= 1 - conventions.clamp_at:
+        return 1 - conventions.clamp_to
+    return b
+
+
+@cache
+def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
+    """t_{m-1,(1-omega)/2}, which a T variable exceeds with probability (1 - omega)/2 (eq. 10).
+
+    ``m`` >= 2, 0 < ``omega`` < 1. O(1) after the first call with the same arguments.
+    """
+    if not (m >= 2 and 0 < omega < 1):
+        raise ValueError(f"m is {m} and omega {omega}; there is a t-score for m >= 2 and 0 < omega < 1")
+    return float(stdtrit(m - conventions.lost_degrees, (1 + omega) / 2))
+
+
+def rejects(
+    x_hat: float, neighbours: Sequence[float], omega: float, conventions: Conventions = PAPER
+) -> bool:
+    """Whether ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
+
+    Never for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
+    """
+    if not all(map(math.isfinite, (x_hat, *neighbours))):
+        raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
+    m = len(neighbours)
+    if m < 2:
+        return False
+    deviation = abs(mean(neighbours) - x_hat)
+    interval = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
+    return deviation > interval or (deviation == interval and not conventions.strict)
+
+
+def _check_counts(n: int, t: int) -> None:
+    if not 0 <= n <= t:
+        raise ValueError(f"n is {n} and t {t}; counts are 0 <= n <= t")
+
+
+def _check_unit(value: float, name: str) -> None:
+    if not 0 <= value <= 1:
+        raise ValueError(f"{name} is {value}; it lies in [0, 1]")
+
+
+def _check_messages(messages: Sequence[Message]) -> None:
+    for x_hat, alpha in messages:
+        if not (0 <= x_hat <= 1 and 0 <= alpha < math.inf):
+            raise ValueError(f"a message says {x_hat}, {alpha}; x_hat is in [0, 1], alpha finite and >= 0")
+
+
+def _says_nothing(p: float, conventions: Conventions) -> bool:
+    return conventions.guarded and abs(2 * p - 1) < UNINFORMATIVE
+
+
+def _quotient(numerator: float, denominator: float) -> float:
+    """Divide as IEEE 754 does, but 0/0 is 1/2 (see ``Conventions.guarded``)."""
+    if denominator != 0:
+        return numerator / denominator
+    return 0.5 if numerator == 0 else math.copysign(math.inf, numerator)
+
+
+def _weighted_mean(messages: Sequence[Message], undefined: float) -> float:
+    """Scaling by a power of two changes no bit, but where a product or a sum would leave float64's range."""
+    _check_messages(messages)
+    largest = max((message.alpha for message in messages), default=0.0)
+    if largest == 0:
+        return undefined
+    shift = WEIGHT_EXPONENT - math.frexp(largest)[1]
+    weights = [math.ldexp(message.alpha, shift) for message in messages]
+    moments = [weight * message.x_hat for weight, message in zip(weights, messages, strict=True)]
+    return math.fsum(moments) / math.fsum(weights)
+
+
+class ReferenceRobot:
+    """A robot in float64; see :class:`mcp_asdf.robot.Robot`.
+
+    ``settle`` is O(m), as the messages of a round are kept to be summed exactly; m <= 127. The t-scores
+    are computed for the table's omega, or for ``omega`` in (0, 0.9] if it is given; the table's entries
+    are not used. Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        robot_id: int,
+        b_hat: float,
+        conventions: Conventions = PAPER,
+        *,
+        omega: float | None = None,
+    ) -> None:
+        check_settings(config)
+        self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
+        check_identity(robot_id, b_hat)
+        self._config, self._id, self._conventions = config, whole_number(robot_id), conventions
+        self._t, self._n, self._b_hat = 0, 0, float(b_hat)
+        self._own = Message(x_hat=0.5, alpha=0.0)
+        self._open: dict[int, Message] = {}
+        self._round: list[Message] = []
+        self._filter_left = config.filter_period
+        self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
+
+    def observe(self, z: Observation) -> Status:
+        """Count an observation and form x_hat and alpha. O(1)."""
+        if whole_number(z) not in (Observation.WHITE, Observation.BLACK):
+            return Status.ERR_OBSERVATION
+        self._t += 1
+        self._n += z == Observation.BLACK
+        if self._t == self._config.memory:
+            self._t, self._n = self._t // 2, round(self._n / 2)  # round() takes ties to even
+        self._own = Message(
+            local_estimate(self._n, self._t, self._b_hat, self._conventions),
+            local_confidence(self._n, self._t, self._b_hat, self._conventions),
+        )
+        return Status.OK
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a neighbour's message into the open round; errors are the interface's. O(1)."""
+        sender = whole_number(sender)
+        check_alpha(alpha)
+        status = self._check_message(sender, x_hat)
+        if status < Status.OK:
+            self._count("rejected")
+        elif sender in self._open:
+            self._count("repeated")
+            status = Status.REPEATED
+        else:
+            self._count("accepted")
+            self._open[sender] = Message(float(x_hat), float(alpha))
+        return status
+
+    def settle(self) -> Status:
+        """Close the round, and filter every ``filter_period`` rounds. O(m)."""
+        if self._open or not self._conventions.stale_social:
+            self._round = [message for message in self._open.values() if message.alpha > 0]
+        self._open = {}
+        self._filter_left -= 1
+        if self._filter_left:
+            return Status.OK
+        self._filter_left = self._config.filter_period
+        return self._filter()
+
+    def step(self, z: Observation) -> Status:
+        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+        status = self.observe(z)
+        return self.settle() if status == Status.OK else status
+
+    def _check_message(self, sender: int, x_hat: float) -> Status:
+        if not 0 <= sender <= MAX_ID or sender == self._id:
+            return Status.ERR_SENDER
+        if not 0 <= x_hat <= 1:
+            return Status.ERR_X_HAT
+        return Status.OK
+
+    def _filter(self) -> Status:
+        if not self._is_activated():
+            return Status.OK
+        b_hat = assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
+        if b_hat is None:
+            return Status.OK
+        self._b_hat = b_hat
+        self._count("updates")
+        return Status.UPDATED
+
+    def _is_activated(self) -> bool:
+        if self._config.filter == Filter.OFF or self._t == 0:
+            return False
+        if self._config.filter == Filter.ALWAYS:
+            return bool(self._round)
+        if len(self._round) < 2:
+            return False
+        self._count("tests")
+        neighbours = [message.x_hat for message in self._round]
+        return rejects(self._own.x_hat, neighbours, self._omega, self._conventions)
+
+    def _count(self, counter: str) -> None:
+        self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
+
+    @property
+    def t(self) -> int:
+        """Observations counted."""
+        return self._t
+
+    @property
+    def n(self) -> int:
+        """Black ones among them."""
+        return self._n
+
+    @property
+    def b_hat(self) -> float:
+        """Assumed accuracy."""
+        return self._b_hat
+
+    @property
+    def x_hat(self) -> float:
+        """Local estimate (eq. 3), in [0, 1]."""
+        return self._own.x_hat
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence (eq. 4), >= 0."""
+        return self._own.alpha
+
+    @property
+    def x_bar(self) -> float:
+        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. O(m)."""
+        return social_estimate(self._round)
+
+    @property
+    def beta(self) -> float:
+        """Social confidence (eq. 6) of the last closed round; 0 without neighbours. O(m)."""
+        return social_confidence(self._round)
+
+    @property
+    def x(self) -> float:
+        """Informed estimate (eq. 7) of the own estimate now and the last closed round, in [0, 1]. O(m)."""
+        return informed_estimate(self._own, self._round)
+
+    @property
+    def counters(self) -> Counters:
+        """Diagnostics since the robot was made."""
+        return Counters(**self._counts)
+
+
+def _checked_omega(config: Config, omega: float | None) -> float:
+    if omega is not None:
+        if not 0 < omega <= MAX_OMEGA:
+            raise FirmwareError(Status.ERR_TABLE, f"omega is {omega}; choose one in (0, {MAX_OMEGA}]")
+        return omega
+    return check_table(config.table).omega

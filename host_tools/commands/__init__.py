@@ -1,1 +1,0 @@
-"""The subcommands of ``mcp-asdf``, one module each (see ``host_tools.cli.Command``)."""

@@ -1,0 +1,422 @@
+"""The frames on the bus: estimates (x_hat, alpha), heartbeats, telemetry and commands, for python-can.
+
+Each is one classic CAN frame with a 29-bit identifier and 8 bytes, and at the same time one OpenCyphal
+v1 single-frame message; ``docs/frame.md`` gives every bit. Values are the firmware's own integers:
+x_hat in units of 2**-23, alpha as a word (``mcp_asdf.fixed_point``), which a frame carries as IEEE
+binary32. Nothing here raises on what comes from a bus: a frame that is not a legal message decodes to the
+:class:`Rejection` that says why. All in O(1). The same in C, with the same verdict on every frame, is
+``c_ref/src/mcp_asdf_frame.h``.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import Enum
+
+import can
+from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
+from mcp_asdf.robot import Observation
+
+ONE = 1 << 23
+"""x_hat = 1."""
+
+INFINITE_ALPHA = 0x7F80_0000
+"""Smallest binary32 bits that are no finite number >= 0: infinity, then NaN, then every sign bit."""
+
+_FRACTION, _IMPLICIT = 0x7F_FFFF, 0x80_0000
+_UNIT_EXPONENT = 126
+"""Biased exponent of the binary32 numbers whose last bit is worth 2**-24."""
+
+MAX_NODE = 127
+MAX_SUBJECT = 6143
+"""Largest subject identifier that Cyphal leaves to applications; the 8191 of the field are the others."""
+MAX_PRIORITY = 7
+HEARTBEAT_SUBJECT = 7509
+FRAME_BYTES = 8
+
+MIN_B_HAT = 1 << 4
+"""Smallest b_hat in telemetry, 2**-20 in units of 2**-24."""
+MAX_B_HAT = (1 << 24) - MIN_B_HAT
+EVERY_ROBOT = 255
+"""Target of a command to all robots."""
+
+_NODE_BITS = 0x7F
+_SERVICE, _ANONYMOUS, _RESERVED = 1 << 25, 1 << 24, 1 << 23 | 1 << 7
+# Priority says nothing to a receiver, and the specification has it ignore the two bits sent as 1.
+_IGNORED = MAX_PRIORITY << 26 | 3 << 21 | _NODE_BITS
+_SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
+
+
+class Rejection(Enum):
+    """Why a frame is not the message looked for.
+
+    The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``.
+
+    Attributes:
+        text: The same for people.
+    """
+
+    text: str
+
+    ERROR_FRAME = -21, "error frame"
+    REMOTE_FRAME = -22, "remote frame"
+    FD_FRAME = -23, "CAN FD frame"
+    STANDARD_ID = -24, "11-bit identifier"
+    SERVICE = -25, "service transfer"
+    ANONYMOUS = -26, "anonymous sender"
+    RESERVED_BITS = -27, "reserved identifier bit set"
+    SUBJECT = -28, "another subject"
+    LENGTH = -29, "not 8 bytes"
+    MULTI_FRAME = -30, "not a single-frame transfer"
+    X_HAT = -31, "x_hat above 1"
+    ALPHA = -32, "alpha negative, infinite or NaN"
+    MODE = -33, "unknown node mode"
+    X = -34, "x above 1"
+    B_HAT = -35, "b_hat outside 2**-20 to 1 - 2**-20"
+    TARGET = -36, "target neither a robot nor all"
+    ACTION = -37, "unknown action"
+
+    def __new__(cls, code: int, text: str) -> Rejection:
+        """Make a member."""
+        member = object.__new__(cls)
+        member._value_ = code
+        member.text = text
+        return member
+
+
+def _check(name: str, value: int, most: int, least: int = 0) -> None:
+    if not least <= value <= most:
+        raise ValueError(f"{name} is {value}; it must be {least} to {most}")
+
+
+@dataclass(frozen=True)
+class FrameFormat:
+    """Where one kind of message is on the bus. Raises ValueError if a field is out of range.
+
+    The default is that of estimates.
+
+    Attributes:
+        subject: Cyphal subject identifier, 0 .. 6143.
+        priority: 0 (wins arbitration) .. 7; receivers ignore it.
+    """
+
+    subject: int = 3000
+    priority: int = 4
+
+    def __post_init__(self) -> None:
+        _check("subject", self.subject, MAX_SUBJECT)
+        _check("priority", self.priority, MAX_PRIORITY)
+
+    def identifier(self, node: int) -> int:
+        """29-bit identifier of the messages of ``node``, 0 .. 127."""
+        return _identifier(self.priority, self.subject, node)
+
+
+TELEMETRY = FrameFormat(subject=3001, priority=6)
+"""Where telemetry is unless chosen otherwise: what can wait."""
+COMMANDS = FrameFormat(subject=3002, priority=3)
+"""Where commands are unless chosen otherwise: before the estimates they ask for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One robot's broadcast.
+
+    Attributes:
+        sender: Robot id, 0 .. 127.
+        x_hat: Local estimate in units of 2**-23, 0 .. 2**23.
+        alpha: Local confidence as the firmware's word, any 32 bits; decoded with the smallest shift, as the
+            firmware forms its own.
+        transfer_id: Number of the sender's broadcast modulo 32.
+    """
+
+    sender: int
+    x_hat: int
+    alpha: int
+    transfer_id: int
+
+
+class Health(Enum):
+    """How a node feels (Cyphal's ``uavcan.node.Health``)."""
+
+    NOMINAL = 0
+    ADVISORY = 1
+    CAUTION = 2
+    WARNING = 3
+
+
+class Mode(Enum):
+    """What a node does (Cyphal's ``uavcan.node.Mode``)."""
+
+    OPERATIONAL = 0
+    INITIALIZATION = 1
+    MAINTENANCE = 2
+    SOFTWARE_UPDATE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """A node's sign of life (Cyphal's ``uavcan.node.Heartbeat``), due once a second.
+
+    Attributes:
+        sender: Node id, 0 .. 127.
+        uptime: Whole seconds since start, 0 .. 2**32 - 1.
+        transfer_id: Number of the sender's heartbeat modulo 32.
+        health: How the node feels.
+        mode: What the node does.
+        vendor_status: The application's own code, 0 .. 255.
+    """
+
+    sender: int
+    uptime: int
+    transfer_id: int
+    health: Health = Health.NOMINAL
+    mode: Mode = Mode.OPERATIONAL
+    vendor_status: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """What a robot tells its watchers.
+
+    Attributes:
+        sender: Robot id, 0 .. 127.
+        x: Informed estimate in units of 2**-23, 0 .. 2**23.
+        b_hat: Assumed accuracy in units of 2**-24, MIN_B_HAT .. MAX_B_HAT: the firmware's upper 24 bits.
+        updates: Number of re-estimates of b_hat modulo 256.
+        transfer_id: Number of the sender's telemetry modulo 32.
+    """
+
+    sender: int
+    x: int
+    b_hat: int
+    updates: int
+    transfer_id: int
+
+
+class Action(Enum):
+    """Which half of a control tick a command asks for, and on which observation."""
+
+    OBSERVE_WHITE = 0
+    OBSERVE_BLACK = 1
+    OBSERVE_NONE = 2
+    SETTLE = 3
+
+    @classmethod
+    def observing(cls, z: Observation | None) -> Action:
+        """The *observe* that brings ``z``."""
+        return cls.OBSERVE_NONE if z is None else cls(int(z))
+
+    @property
+    def observation(self) -> Observation | None:
+        """The observation that an *observe* brings, if any. Raises ValueError for SETTLE."""
+        return None if self is Action.OBSERVE_NONE else Observation(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """An order of a simulator that drives robots in lockstep.
+
+    Attributes:
+        sender: The simulator's node id, 0 .. 127.
+        tick: Number of the control tick, 0 .. 2**32 - 1.
+        target: Id of the robot that is meant, 0 .. 127, or EVERY_ROBOT.
+        action: What to do.
+        transfer_id: Number of the sender's command modulo 32.
+    """
+
+    sender: int
+    tick: int
+    target: int
+    action: Action
+    transfer_id: int
+
+
+def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
+    """Return ``message`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range: what a decoder would refuse is never sent.
+    """
+    _check("x_hat", message.x_hat, ONE)
+    _check("alpha", message.alpha, 0xFFFF_FFFF)
+    payload = message.x_hat | binary32_of(message.alpha) << 24
+    return _frame(frame_format.identifier(message.sender), payload, message.transfer_id, timestamp)
+
+
+def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection:
+    """Read an estimate from a frame, or say why it is none; any frame whatever may be given."""
+    reason = _why_no_transfer(frame, frame_format.subject)
+    if reason is not None:
+        return reason
+    content = int.from_bytes(frame.data, "little")
+    x_hat, alpha = content & 0xFF_FFFF, content >> 24 & 0xFFFF_FFFF
+    if x_hat > ONE:
+        return Rejection.X_HAT
+    if alpha >= INFINITE_ALPHA:
+        return Rejection.ALPHA
+    sender, transfer_id = frame.arbitration_id & _NODE_BITS, content >> 56 & _TRANSFER_BITS
+    return Message(sender, x_hat, word_of(alpha), transfer_id)
+
+
+def encode_heartbeat(heartbeat: Heartbeat, priority: int = 4, timestamp: float = 0.0) -> can.Message:
+    """Return ``heartbeat`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range.
+    """
+    _check("priority", priority, MAX_PRIORITY)
+    _check("uptime", heartbeat.uptime, 0xFFFF_FFFF)
+    _check("vendor_status", heartbeat.vendor_status, 0xFF)
+    payload = heartbeat.uptime | heartbeat.health.value << 32 | heartbeat.mode.value << 40
+    payload |= heartbeat.vendor_status << 48
+    identifier = _identifier(priority, HEARTBEAT_SUBJECT, heartbeat.sender)
+    return _frame(identifier, payload, heartbeat.transfer_id, timestamp)
+
+
+def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
+    """Read a heartbeat from a frame, or say why it is none; any frame whatever may be given.
+
+    Health takes 2 bits and mode 3; the spare bits beside them are ignored, as the specification asks.
+    """
+    reason = _why_no_transfer(frame, HEARTBEAT_SUBJECT)
+    if reason is not None:
+        return reason
+    uptime, health, mode, vendor_status, tail = struct.unpack("<IBBBB", frame.data)
+    if mode & 7 > max(known.value for known in Mode):
+        return Rejection.MODE
+    sender, transfer_id = frame.arbitration_id & _NODE_BITS, tail & _TRANSFER_BITS
+    return Heartbeat(sender, uptime, transfer_id, Health(health & 3), Mode(mode & 7), vendor_status)
+
+
+def encode_telemetry(
+    telemetry: Telemetry, frame_format: FrameFormat = TELEMETRY, timestamp: float = 0.0
+) -> can.Message:
+    """Return ``telemetry`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range.
+    """
+    _check("x", telemetry.x, ONE)
+    _check("b_hat", telemetry.b_hat, MAX_B_HAT, MIN_B_HAT)
+    _check("updates", telemetry.updates, 0xFF)
+    payload = telemetry.x | telemetry.b_hat << 24 | telemetry.updates << 48
+    return _frame(frame_format.identifier(telemetry.sender), payload, telemetry.transfer_id, timestamp)
+
+
+def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) -> Telemetry | Rejection:
+    """Read telemetry from a frame, or say why it is none; any frame whatever may be given."""
+    reason = _why_no_transfer(frame, frame_format.subject)
+    if reason is not None:
+        return reason
+    content = int.from_bytes(frame.data, "little")
+    x, b_hat, updates = content & 0xFF_FFFF, content >> 24 & 0xFF_FFFF, content >> 48 & 0xFF
+    if x > ONE:
+        return Rejection.X
+    if not MIN_B_HAT <= b_hat <= MAX_B_HAT:
+        return Rejection.B_HAT
+    return Telemetry(frame.arbitration_id & _NODE_BITS, x, b_hat, updates, content >> 56 & _TRANSFER_BITS)
+
+
+def encode_command(
+    command: Command, frame_format: FrameFormat = COMMANDS, timestamp: float = 0.0
+) -> can.Message:
+    """Return ``command`` as a frame stamped ``timestamp`` (seconds).
+
+    Raises ValueError if a field is out of range.
+    """
+    _check("tick", command.tick, 0xFFFF_FFFF)
+    if command.target != EVERY_ROBOT:
+        _check("target", command.target, MAX_NODE)
+    payload = command.tick | command.target << 32 | command.action.value << 40
+    return _frame(frame_format.identifier(command.sender), payload, command.transfer_id, timestamp)
+
+
+def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> Command | Rejection:
+    """Read a command from a frame, or say why it is none; any frame whatever may be given.
+
+    The spare byte is ignored, as the specification asks.
+    """
+    reason = _why_no_transfer(frame, frame_format.subject)
+    if reason is not None:
+        return reason
+    tick, target, action, _, tail = struct.unpack("<IBBBB", frame.data)
+    if target > MAX_NODE and target != EVERY_ROBOT:
+        return Rejection.TARGET
+    if action > Action.SETTLE.value:
+        return Rejection.ACTION
+    return Command(frame.arbitration_id & _NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
+
+
+def binary32_of(alpha: int) -> int:
+    """The IEEE binary32 bits of an alpha word, 0 .. 2**32 - 1: the same value, exactly."""
+    mantissa, exponent = alpha >> 8, _UNIT_EXPONENT + (alpha & SHIFT_MAX)
+    if mantissa == 0:
+        return 0
+    shift = 24 - mantissa.bit_length()
+    return (exponent - shift << 23) + (mantissa << shift) - _IMPLICIT
+
+
+def word_of(bits: int) -> int:
+    """The word of the largest confidence not above the number of binary32 ``bits``, 0 .. 0x7F7FFFFF.
+
+    It undoes ``binary32_of``, but for the choice of the shift. Parts smaller than 2**-24 are lost; numbers
+    above 2**31 - 2**7, the largest confidence, become that.
+    """
+    mantissa, shift = bits & _FRACTION | _IMPLICIT, (bits >> 23) - _UNIT_EXPONENT
+    if shift < 0:  # a subnormal number has no implicit bit, but loses everything
+        return mantissa >> -shift << 8
+    return mantissa << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
+
+
+def alpha_bits(frame: can.Message) -> int:
+    """The binary32 bits of alpha in an estimate's frame, as they are; several stand for one word."""
+    return int.from_bytes(frame.data[3:7], "little")
+
+
+def float_of(bits: int) -> float:
+    """The number of binary32 ``bits``, 0 .. 0x7F7FFFFF; exact."""
+    value: float = struct.unpack("<f", struct.pack("<I", bits))[0]
+    return value
+
+
+def bits_of(value: float) -> int:
+    """The binary32 bits nearest to a number. Raises OverflowError if none is near, at 2**128 and above."""
+    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
+    return bits
+
+
+def _why_no_transfer(frame: can.Message, subject: int) -> Rejection | None:
+    """Why the frame is no single-frame message of the subject; None if it is one."""
+    special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
+    if special or frame.arbitration_id & ~_IGNORED != subject << 8:
+        return _what_is_special(frame)
+    if len(frame.data) != FRAME_BYTES:
+        return Rejection.LENGTH
+    if frame.data[-1] & ~_TRANSFER_BITS != _SINGLE_FRAME:
+        return Rejection.MULTI_FRAME
+    return None
+
+
+def _what_is_special(frame: can.Message) -> Rejection:
+    identifier = frame.arbitration_id
+    findings = (
+        (frame.is_error_frame, Rejection.ERROR_FRAME),
+        (frame.is_remote_frame, Rejection.REMOTE_FRAME),
+        (frame.is_fd, Rejection.FD_FRAME),
+        (not frame.is_extended_id, Rejection.STANDARD_ID),
+        (identifier & _SERVICE, Rejection.SERVICE),
+        (identifier & _ANONYMOUS, Rejection.ANONYMOUS),
+        (identifier & _RESERVED, Rejection.RESERVED_BITS),
+    )
+    return next((reason for found, reason in findings if found), Rejection.SUBJECT)
+
+
+def _identifier(priority: int, subject: int, node: int) -> int:
+    _check("sender", node, MAX_NODE)
+    return priority << 26 | 3 << 21 | subject << 8 | node
+
+
+def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) -> can.Message:
+    _check("transfer_id", transfer_id, _TRANSFER_BITS)
+    tail = (_SINGLE_FRAME | transfer_id) << 56
+    data = (payload | tail).to_bytes(FRAME_BYTES, "little")
+    return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)

@@ -1,0 +1,239 @@
+"""Which CAN bus to use: python-can's own options, variables and files, with an in-process default."""
+
+from __future__ import annotations
+
+import argparse
+import configparser
+import errno
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import can
+from can.cli import add_bus_arguments, create_bus_from_namespace
+from can.typechecking import CanFilters
+from can.util import load_environment_config, load_file_config
+
+from mcp_asdf_tools.common.errors import UsageError
+
+DEFAULT_INTERFACE = "virtual"
+
+# Only for what the user leaves open. Time stamps given by the sender make a log depend on the seed
+# alone; one hop more and udp_multicast frames would leave this host.
+_DEFAULTS: dict[str, dict[str, Any]] = {
+    "virtual": {"channel": "vcan0", "preserve_timestamps": True},
+    "udp_multicast": {"hop_limit": 0},
+}
+_ROBOT = "{robot}"
+_UDP_PORT = 43113
+"""python-can's."""
+_OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+
+
+@dataclass(frozen=True)
+class BusChoice:
+    """A bus that can be joined any number of times.
+
+    Attributes:
+        interface: python-can's name of the kind of bus.
+        channel: The bus among those of its kind; None is the interface's own default.
+    """
+
+    interface: str
+    channel: str | None
+    _args: argparse.Namespace
+    _defaults: dict[str, Any]
+
+    def __str__(self) -> str:
+        return self.interface + (f" {self.channel}" if self.channel else "")
+
+    @property
+    def has_channels(self) -> bool:
+        """Whether this is a bus for each robot: its channel says where the id stands, as in vcan{robot}."""
+        return _ROBOT in (self.channel or "")
+
+    def of_robot(self, robot: int) -> BusChoice:
+        """The bus of a robot, if each has one, else this bus."""
+        if self.channel is None or not self.has_channels:
+            return self
+        channel = self.channel.replace(_ROBOT, str(robot))
+        own: dict[str, Any] = {"channel": channel}
+        if self.interface == "udp_multicast":
+            # Linux hands the frames of all groups that anyone here has joined to every socket of a port.
+            given = getattr(self._args, "bus_kwargs", {})
+            own |= {"bus_kwargs": given | {"port": int(given.get("port", _UDP_PORT)) + robot}}
+        return replace(self, channel=channel, _args=argparse.Namespace(**vars(self._args) | own))
+
+    def open(self) -> can.BusABC:
+        """Join the bus as one more node. Raises UsageError if that is impossible."""
+        try:
+            bus = create_bus_from_namespace(self._args, **self._defaults)
+        except argparse.ArgumentError as error:
+            raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
+        return wrapped(self.interface, bus)
+
+    def arguments(self) -> list[str]:
+        """The options with which a command of another process joins the same bus.
+
+        Raises UsageError if no other process can.
+        """
+        if self.interface == DEFAULT_INTERFACE:
+            raise UsageError(
+                f"the bus {self} is inside this process, so no other can join it; "
+                "choose --interface socketcan or udp_multicast"
+            )
+        return self.options()
+
+    def options(self) -> list[str]:
+        """The options that choose this bus."""
+        words = [f"--interface={self.interface}", *([f"--channel={self.channel}"] if self.channel else [])]
+        for name in ("bitrate", "data_bitrate"):
+            if getattr(self._args, name, None) is not None:
+                words.append(f"--{name.replace('_', '-')}={getattr(self._args, name)}")
+        words += ["--fd"] if getattr(self._args, "fd", False) else []
+        kwargs = getattr(self._args, "bus_kwargs", {})
+        return words + (
+            ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
+        )
+
+    def _explain(self, cause: BaseException | None) -> str:
+        """What went wrong and what helps."""
+        if self.interface not in can.VALID_INTERFACES:
+            return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
+        is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
+        if self.interface != "socketcan" or not is_missing:
+            return f"{cause}; see --interface, --channel and --bus-kwargs"
+        channel = self.channel or "can0"
+        ways = _VIRTUAL if channel.startswith("vcan") else _REAL
+        return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
+
+
+def wrapped(interface: str, bus: can.BusABC) -> can.BusABC:
+    """A connection on which others' frames count as received and no own ones come, whatever the interface."""
+    wrapper = _WRAPPERS.get(interface)
+    return bus if wrapper is None else wrapper(bus)
+
+
+class _Wrapper(can.BusABC):
+    """A connection that stands before another."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        """Take over ``bus``: whoever closes this connection closes it, too."""
+        self._bus = bus
+        super().__init__(channel=str(bus.channel_info))
+        self.channel_info = bus.channel_info
+        self._can_protocol = bus.protocol
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, as ``can.BusABC.send``."""
+        self._bus.send(msg, timeout)
+
+    def fileno(self) -> int:
+        """The file descriptor that can be waited for."""
+        return self._bus.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        self._bus.shutdown()
+
+
+class AllReceived(_Wrapper):
+    """A SocketCAN connection, on which what programs of this computer have sent counts as received.
+
+    python-can marks it as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
+    """
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        frame, is_filtered = self._bus._recv_internal(timeout)
+        if frame is not None:
+            frame.is_rx = True
+        return frame, is_filtered
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._bus.set_filters(filters)  # by the kernel
+
+
+class WithoutEcho(_Wrapper):
+    """A connection to a bus that returns all frames it is given, without those that are its own."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        """Take over ``bus``: whoever closes this connection closes it, too."""
+        super().__init__(bus)
+        # A returned frame may be lost: then one from elsewhere with the same id and data passes for it, once.
+        self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, as ``can.BusABC.send``."""
+        self._own.append(_content(msg))
+        super().send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            frame, is_filtered = self._bus._recv_internal(timeout)
+            if frame is None or _content(frame) not in self._own:
+                return frame, is_filtered
+            self._own.remove(_content(frame))
+            timeout = 0.0  # whoever called waits on for what is left of its time
+
+
+class ByAdapter(_Wrapper):
+    """A connection by an adapter on a serial line. That may be unplugged: then it can still be left."""
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self._bus._recv_internal(timeout)
+
+    def shutdown(self) -> None:
+        """Leave the bus; an adapter that is not there does not hear it."""
+        with suppress(can.CanError):
+            super().shutdown()
+
+
+_MOST_ECHOES = 4096
+_WRAPPERS: dict[str, type[_Wrapper]] = {
+    "socketcan": AllReceived,
+    "udp_multicast": WithoutEcho,
+    "slcan": ByAdapter,
+}
+
+
+def _content(frame: can.Message) -> tuple[int, bytes]:
+    return frame.arbitration_id, bytes(frame.data)
+
+
+_VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
+_REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the bus options that python-can's own tools have."""
+    add_bus_arguments(
+        parser,
+        group_title="bus options (default: the interface 'virtual' inside this process; python-can's "
+        "CAN_* variables and configuration files are honoured)",
+    )
+
+
+def choose_bus(args: argparse.Namespace) -> BusChoice:
+    """Decide on a bus. Raises UsageError if python-can's variables or files cannot be read."""
+    asked = _asked_for(args)
+    interface = str(asked.get("interface") or asked.get("bustype") or DEFAULT_INTERFACE)
+    defaults = {"interface": interface, **_DEFAULTS.get(interface, {})}
+    defaults = {key: value for key, value in defaults.items() if key not in asked}
+    channel = asked.get("channel", defaults.get("channel"))
+    return BusChoice(interface, None if channel is None else str(channel), args, defaults)
+
+
+def _asked_for(args: argparse.Namespace) -> dict[str, Any]:
+    """What files, variables, ``can.rc`` and arguments say; the later overrule the earlier."""
+    merged: dict[str, Any] = {}
+    try:
+        merged |= load_file_config()
+        merged |= load_environment_config()
+    except (configparser.Error, OSError, TypeError, ValueError) as error:
+        raise UsageError(
+            f"python-can's CAN_* variables or configuration files are not valid: {error}"
+        ) from error
+    given = {name: getattr(args, name) for name in _OPTIONS if name in args}
+    return merged | can.rc | given | getattr(args, "bus_kwargs", {})

@@ -1,0 +1,150 @@
+"""``mcp-asdf crosscheck``: the C against its mirror, against exact arithmetic, and the claims about cost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+from mcp_asdf.robot import Status
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.crosscheck.compare import Check, Finding, Firmware, Subject, compare, crosscheck, shrink
+from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations, measure_storage
+from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.report import Failure, Result
+from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
+from mcp_asdf_tools.robots.firmwares import load_firmware
+
+HELP = "check the C against its mirror, exact arithmetic and its own claims"
+EPILOG = """\
+examples:
+  mcp-asdf crosscheck                               # about ten seconds
+  mcp-asdf crosscheck --steps 100000000 --seed 7    # hours; Ctrl-C reports what was done
+  mcp-asdf crosscheck --plot operations.png         # operations against t, m and q
+  mcp-asdf crosscheck --replay robot:2:1:64:0:2147483648,step:1
+Random and adversarial scenarios run through the C and through its mirror in Python. Any differing bit of
+state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
+exit code: 0 all is well, 1 a check failed, 2 bad usage, 130 interrupted (what was done is reported)"""
+
+STEPS, SEED = 50_000, 1
+_INTERRUPTED = 130
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--steps", type=int, metavar="N", help=f"calls to make and compare (default {STEPS})")
+    parser.add_argument("--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {SEED})")
+    parser.add_argument(
+        "--plot", metavar="FILE", type=Path, help="draw the operation counts: .png, .svg or .pdf"
+    )
+    parser.add_argument("--replay", metavar="LINE", help="run one scenario, as a failed check printed it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay one scenario, or run the whole check."""
+    if args.replay is not None:
+        if (args.steps, args.seed, args.plot) != (None, None, None):
+            raise UsageError("--replay runs one scenario; it does not go with --steps, --seed or --plot")
+        return _replay(parse_scenario(args.replay), args.json)
+    steps, seed = STEPS if args.steps is None else args.steps, SEED if args.seed is None else args.seed
+    if steps < 1:
+        raise UsageError(f"--steps is {steps}; choose 1 or more")
+    if seed < 0:
+        raise UsageError(f"--seed is {seed}; choose 0 or more")
+    return _check_all(steps, seed, _plotter(args.plot), args.json)
+
+
+def _firmware(name: str) -> Firmware:
+    return cast(Firmware, load_firmware(name))
+
+
+def _check_with(audit: Audit) -> Check:
+    """Compare native and mirror, and let ``audit`` judge what they do."""
+    native, mirror = _firmware("native"), _firmware("mirror")
+    return lambda scenario: compare(scenario, native, mirror, audit.follow(scenario.setup))
+
+
+def _replay(scenario: Scenario, as_json: bool) -> int:
+    finding = _check_with(Audit())(scenario)
+    failure = None if finding is None else _failure(scenario, finding)
+    status = Subject(_firmware("native"), scenario.setup).last.outcome
+    made = len(scenario.calls) if status == Status.OK.name else 0
+    if as_json:
+        report = {
+            "ok": failure is None,
+            "status": status,
+            "calls": made if finding is None else finding.calls,
+            "failure": None if failure is None else failure.as_dict(),
+        }
+        print(json.dumps(report, indent=2))
+    else:
+        print(failure or _agreement(status, made))
+    return 0 if failure is None else 1
+
+
+def _agreement(status: str, calls: int) -> str:
+    """The report of a scenario in which nothing is wrong."""
+    if status != Status.OK.name:
+        return f"native and mirror both refuse to make this robot ({status}); no call was made"
+    return f"native and mirror agree in every bit over {calls} calls"
+
+
+def _check_all(
+    steps: int, seed: int, save_plot: Callable[[dict[str, CallCount]], None], as_json: bool
+) -> int:
+    audit = Audit()
+    check = _check_with(audit)
+    counts = count_operations()
+    save_plot(counts)
+    with _progress(as_json) as progress:
+        task = progress.add_task("calls", total=steps)
+        outcome = crosscheck(check, seed, steps, lambda done: progress.update(task, completed=done))
+    failure = None if outcome.failing is None else _explain(outcome.failing)
+    result = Result(seed, outcome, failure, audit, counts, measure_storage())
+    if as_json:
+        print(json.dumps(result.as_dict(), indent=2))
+    else:
+        Console(soft_wrap=True).print(result.tables())
+        print(result.verdict())
+    if not result.is_good:
+        return 1
+    return _INTERRUPTED if outcome.interrupted else 0
+
+
+def _explain(scenario: Scenario) -> Failure:
+    """The shortest scenario that shows the failure; all of it if the search is interrupted."""
+    check = _check_with(Audit())
+    try:
+        scenario = shrink(scenario, check)
+    except KeyboardInterrupt:
+        print("mcp-asdf crosscheck: interrupted; a shorter scenario may show the same", file=sys.stderr)
+    return _failure(scenario, check(scenario))
+
+
+def _failure(scenario: Scenario, finding: Finding | None) -> Failure:
+    assert finding is not None
+    return Failure(scenario.with_calls(scenario.calls[: finding.calls]), finding)
+
+
+def _plotter(path: Path | None) -> Callable[[dict[str, CallCount]], None]:
+    """A function that draws the counts into ``path``. Raises UsageError, before the run, for a bad path."""
+    if path is None:
+        return lambda counts: None
+    # matplotlib takes a second to load, and is needed for a picture only.
+    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
+    from mcp_asdf_tools.crosscheck.operation_plot import draw  # noqa: PLC0415
+
+    checked = check_plot_path(path)
+    return lambda counts: save_figure(draw(counts), checked)
+
+
+def _progress(quiet: bool) -> Progress:
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)

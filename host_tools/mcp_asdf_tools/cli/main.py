@@ -1,0 +1,136 @@
+"""The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``mcp_asdf_tools.cli``.
+
+Exit codes: 0 done, 1 a check or the bus failed, 2 bad usage, or a file or bus that cannot be opened or
+written, 130 interrupted, 141 the reader of the output left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Protocol, cast
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.common.terminal import ReaderLeft, screen
+
+PROGRAM = "mcp-asdf"
+COMMANDS = (
+    "table",
+    "crosscheck",
+    "swarm",
+    "node",
+    "radio",
+    "replay",
+    "dbc",
+    "simulate",
+    "sweep",
+    "score",
+    "plot",
+    "reproduce",
+)
+"""Names of the commands; ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``."""
+
+
+class Command(Protocol):
+    """What a command's module offers.
+
+    ``HELP`` is one line for the overview. ``EPILOG`` holds the examples that ``--help`` ends with, one
+    a line, indented, starting with the program's name, explained behind a ``#`` if need be. The option
+    ``--json`` is added to every command here, and ``run`` finds it as ``args.json``.
+    """
+
+    HELP: str
+    EPILOG: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the command's options."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do the job; returns the exit code. Raises UsageError for what the user can mend."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program on ``argv`` (default: the process's own arguments); returns the exit code."""
+    arguments = sys.argv[1:] if argv is None else list(argv)
+    name = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    title = PROGRAM if name is None else f"{PROGRAM} {name}"
+    with screen():
+        if name is None:
+            code = _attempt(title, lambda: _show_overview(arguments))
+        else:
+            code = _attempt(title, lambda: _run_command(name, title, arguments[1:]))
+        return _attempt(title, _flush) or code
+
+
+def _attempt(title: str, work: Callable[[], int]) -> int:
+    """Do ``work``; returns its exit code, or that of what it raised, having told the user."""
+    try:
+        return work()
+    except SystemExit as stop:  # argparse has printed its help or its error
+        return stop.code if isinstance(stop.code, int) else 0
+    except UsageError as error:
+        print(f"{title}: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{title}: interrupted", file=sys.stderr)
+        return 130
+    except ReaderLeft:
+        return 141
+
+
+def _flush() -> int:
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    return 0
+
+
+def _run_command(name: str, title: str, arguments: Sequence[str]) -> int:
+    """Import and run one command only: the others' libraries stay unloaded."""
+    command = _load(name)
+    return command.run(_parser_for(command, title).parse_args(arguments))
+
+
+def _load(name: str) -> Command:
+    """Import a command. Ctrl-C acts afterwards: inside a library's import it may raise anything."""
+    with stopping((signal.SIGINT,)) as is_asked:
+        command = cast(Command, import_module(f"mcp_asdf_tools.cli.{name}"))
+    if is_asked():
+        raise KeyboardInterrupt
+    return command
+
+
+def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=title,
+        description=command.HELP,
+        epilog=command.EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.add_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
+    return parser
+
+
+def _show_overview(arguments: Sequence[str]) -> int:
+    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
+    from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415 (loads longer than all else here)
+
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
+    listing = parser.add_subparsers(metavar="COMMAND", title="commands (each has its own --help)")
+    for name in COMMANDS:
+        listing.add_parser(name, help=_load(name).HELP)
+    parser.parse_args(arguments)
+    parser.print_help(sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

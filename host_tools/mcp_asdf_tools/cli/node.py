@@ -1,0 +1,309 @@
+"""``mcp-asdf node``: one robot on a bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from can.typechecking import CanFilters
+from rich.console import Console
+from rich.table import Table
+
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import results_beside, write_atomically
+from mcp_asdf_tools.common.signals import has_ended, standard_input, stopping
+from mcp_asdf_tools.recording.frame_logs import logging_to
+from mcp_asdf_tools.recording.sidecar import Header, RobotRecord, versions
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, filters_for
+from mcp_asdf_tools.robots.node_run import Link, NodeRun, Taker, state_of
+from mcp_asdf_tools.robots.observations import LineSource, Source, WorldSource
+from mcp_asdf_tools.robots.options import (
+    add_robot_options,
+    add_subject_options,
+    robot_arguments,
+    robot_of,
+    subject_arguments,
+    subjects_of,
+)
+
+HELP = "run one robot on a CAN bus"
+EPILOG = """\
+examples:
+  mcp-asdf node --id 3 --interface udp_multicast --rate 10   # with others on this machine, until Ctrl-C
+  mcp-asdf node --id 3 --interface socketcan --channel can0 --b-hat 0.8 --log run.log
+  tile_sensor | mcp-asdf node --id 3 --interface socketcan --channel can0 --observations -
+  mcp-asdf node --id 3 --interface socketcan --channel vcan0 --lockstep   # obeys command frames
+Observations come from the emulated world (robot ID of seed N sees what it sees in "swarm --seed N"), or are
+lines 0 (white), 1 (black), - (nothing). In real time a tick lasts until the next one begins.
+exit code: 0 done, 1 the bus failed, 2 bad usage, 130 told to stop before --ticks were done"""
+
+_INTERRUPTED = 130
+_SECONDS_BETWEEN_PICTURES = 0.15
+_MAX_RATE = 10_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_robot_options(parser, "native", "robot id and node id, 0 to 127; nobody else's on the bus")
+    _add_clock(parser)
+    _add_observations(parser)
+    interfaces.add_arguments(parser)
+    add_subject_options(parser)
+    output = parser.add_argument_group("output")
+    output.add_argument(
+        "--log",
+        metavar="FILE",
+        type=Path,
+        help="keep what the node sends and hears: .log (candump), .asc, .blf, .csv, .trc, .txt; "
+        "FILE.events gets what it needs for a replay, FILE.json parameters and results",
+    )
+    output.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the node until it ends; save and print what came out."""
+    if args.lockstep and args.observations is not None:
+        raise UsageError("with --lockstep commands bring the observations; leave out --observations")
+    if args.until_eof and args.observations == "-":
+        raise UsageError("observations from standard input end with it anyway; leave out --until-eof")
+    record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
+    results = None if args.log is None else results_beside(args.log)
+    header = Header([record], args.seed, settings.subjects.estimates, _parameters(args))
+    with ExitStack() as ending:
+        with logging_to(args.log, header) as (log, events):
+            recorder = None if events is None else events.robots[record.id]
+            run = _go(args, RobotNode(record.make(), settings, recorder), choice, log)
+            report = _report(args, run, record, choice)
+            ending.callback(_print, args, run, report, choice, record)  # even if a file cannot be completed
+        if results is not None:
+            write_atomically(results, json.dumps(report, indent=2) + "\n")
+    return _exit_code(run)
+
+
+def _go(
+    args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: Taker | None
+) -> NodeRun:
+    """Run the node until it ends."""
+    console = Console(stderr=True, quiet=args.quiet)
+    with ExitStack() as stack:
+        source = None if args.lockstep else stack.enter_context(closing(_source_of(args)))
+        bus = stack.enter_context(choice.open())
+        bus.set_filters(_filters(node.settings, args.lockstep))
+        is_told_to_stop = _ending(stack.enter_context(stopping()), args.until_eof)
+        link = Link(bus, is_told_to_stop, endures=not args.lockstep, log=log)
+        run = NodeRun(node, link, args.ticks, stack.enter_context(_Watch(console, node, link)))
+        if source is None:
+            run.in_lockstep()
+        else:
+            run.in_real_time(source)
+    return run
+
+
+def _add_clock(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("clock")
+    group.add_argument(
+        "--rate",
+        type=int,
+        metavar="HZ",
+        default=10,
+        help="ticks per second, in lockstep of simulated time; a heartbeat is sent once a second "
+        "(default %(default)s)",
+    )
+    group.add_argument(
+        "--lockstep", action="store_true", help="tick by command frames, with the observations they bring"
+    )
+    group.add_argument("--ticks", type=int, metavar="N", help="end after so many (default: at Ctrl-C)")
+    group.add_argument("--until-eof", action="store_true", help="end when standard input ends, too")
+    group.add_argument(
+        "--telemetry-period",
+        type=int,
+        metavar="TICKS",
+        default=0,
+        help="ticks between two telemetry frames, 0 for none; in lockstep it is 1 (default %(default)s)",
+    )
+
+
+def _add_observations(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("observations")
+    group.add_argument(
+        "--observations", metavar="FILE", help="read them from FILE or, if -, from standard input"
+    )
+    for name, kind, value, text in (
+        ("fill-ratio", float, 0.55, "share of black tiles of the emulated world"),
+        ("true-accuracy", float, 0.95, "of the emulated sensor"),
+        ("seed", int, 1, "of the emulated world"),
+    ):
+        group.add_argument(f"--{name}", type=kind, default=value, help=f"{text} (default {value})")
+
+
+def settings_of(args: argparse.Namespace) -> NodeSettings:
+    """Read the node's settings from parsed arguments. Raises UsageError if they will not do."""
+    if not 1 <= args.rate <= _MAX_RATE:
+        raise UsageError(f"rate is {args.rate}; it must be 1 to {_MAX_RATE} ticks per second")
+    if args.ticks is not None and args.ticks < 1:
+        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    period = 1 if args.lockstep else args.telemetry_period
+    return NodeSettings(args.id, subjects_of(args), args.rate, period)
+
+
+def _ending(is_told: Callable[[], bool], until_eof: bool) -> Callable[[], bool]:
+    """What tells that the node is to end."""
+    if not until_eof:
+        return is_told
+    fd = standard_input()
+    return lambda: is_told() or has_ended(fd)
+
+
+def _filters(settings: NodeSettings, lockstep: bool) -> CanFilters:
+    subjects = settings.subjects
+    return filters_for(subjects.estimates, *([subjects.commands] if lockstep else []))
+
+
+def _source_of(args: argparse.Namespace) -> Source:
+    if args.observations is not None:
+        return LineSource(args.observations)
+    return WorldSource(args.id, args.fill_ratio, args.true_accuracy, args.seed)
+
+
+class _Watch:
+    """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
+
+    def __init__(self, console: Console, node: RobotNode, link: Link) -> None:
+        self._console = console
+        self._status = console.status("") if console.is_terminal and not console.quiet else None
+        self._node = node
+        self._link = link
+        self._warned: set[int | str] = set()
+        self._next = 0.0
+
+    def __enter__(self) -> _Watch:
+        if self._status is not None:
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def __call__(self) -> None:
+        for sender, what in self._node.traffic.collisions.items():
+            self._warn(sender, f"{what.value}: {sender}; give one of them another")
+        if self._link.last_failure is not None:
+            self._warn(self._link.last_failure, f"the bus fails: {self._link.last_failure}; going on")
+        if self._status is not None and time.monotonic() >= self._next:
+            self._next = time.monotonic() + _SECONDS_BETWEEN_PICTURES
+            self._status.update(_line(self._node))
+
+    def _warn(self, key: int | str, text: str) -> None:
+        if key not in self._warned:
+            self._warned.add(key)
+            self._console.print(f"mcp-asdf node: robot {self._node.settings.id}: {text}", soft_wrap=True)
+
+
+def _line(node: RobotNode) -> str:
+    robot, traffic = node.robot, node.traffic
+    return (
+        f"robot {node.settings.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
+        f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
+        f"sent {traffic.estimates_sent}   heard {traffic.received}"
+    )
+
+
+def _parameters(args: argparse.Namespace) -> dict[str, Any]:
+    own = ("rate", "lockstep", "ticks", "telemetry_period", "observations", "fill_ratio", "true_accuracy")
+    return {name: getattr(args, name) for name in (*own, "seed")}
+
+
+def _report(
+    args: argparse.Namespace, run: NodeRun, record: RobotRecord, choice: interfaces.BusChoice
+) -> dict[str, Any]:
+    """Everything needed to repeat the run, and its results, as plain values."""
+    subjects = {name: asdict(each) for name, each in vars(run.node.settings.subjects).items()}
+    return {
+        "parameters": _parameters(args) | {"robot": record.plain(), "subjects": subjects},
+        "bus": {"interface": choice.interface, "channel": choice.channel},
+        "versions": versions(),
+        "results": {
+            "ticks": run.node.ticks,
+            **vars(run.outcome),
+            "robot": state_of(run.node),
+            "frames": run.node.traffic.figures(),
+            "bus_failures": run.link.failures,
+        },
+    }
+
+
+def _print(
+    args: argparse.Namespace,
+    run: NodeRun,
+    report: dict[str, Any],
+    choice: interfaces.BusChoice,
+    record: RobotRecord,
+) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+    elif not args.quiet:
+        again = _again(args, record, run.node.settings.subjects, choice)
+        screen = Console(soft_wrap=True)
+        screen.print(_summary(run, report["results"], f"on {choice}"))
+        screen.print(f"again: {again}", markup=False, highlight=False)
+
+
+def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
+    """What came out as a table of two columns."""
+    robot, frames, lateness = run.node.robot, results["frames"], run.outcome.lateness
+    table = Table(box=None, padding=(0, 1), show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("run", f"{run.node.ticks} ticks as robot {run.node.settings.id}; {run.outcome.ending}")
+    table.add_row("estimate", f"x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}")
+    counters = run.node.counters
+    table.add_row("filter", f"b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates")
+    table.add_row(
+        "frames",
+        f"{frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats and "
+        f"{frames['telemetry_sent']} telemetry sent {where}; {frames['received']} estimates heard, "
+        f"{frames['refused']} of them refused, {sum(frames['rejected'].values())} other frames rejected",
+    )
+    for sender, what in frames["collisions"].items():
+        table.add_row("id collision", f"{what}: {sender}; give one of them another")
+    if run.link.failures:
+        table.add_row("bus", f"failed {run.link.failures} times, the last: {run.link.last_failure}")
+    if lateness is not None:
+        table.add_row(
+            "lateness",
+            f"mean {_ms(lateness['mean_lateness'])}, at most {_ms(lateness['max_lateness'])}, "
+            f"{lateness['late_ticks']} late ticks, drift {_ms(lateness['drift'])}",
+        )
+    return table
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.2f} ms"
+
+
+def _again(
+    args: argparse.Namespace, record: RobotRecord, subjects: Subjects, choice: interfaces.BusChoice
+) -> str:
+    """What to type for the same run."""
+    given = {name: value for name, value in _parameters(args).items() if value is not None}
+    flags = ["--lockstep"] if given.pop("lockstep") else []
+    own = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
+    words = [*robot_arguments(record), *subject_arguments(subjects), *own, *flags, *choice.options()]
+    return shlex.join(["mcp-asdf", "node", *words])
+
+
+def _exit_code(run: NodeRun) -> int:
+    if run.outcome.has_failed:
+        print(f"mcp-asdf node: {run.outcome.ending}", file=sys.stderr)
+        return 1
+    return _INTERRUPTED if run.outcome.is_interrupted else 0

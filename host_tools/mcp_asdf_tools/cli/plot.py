@@ -1,0 +1,85 @@
+"""``mcp-asdf plot``: draw results."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HELP = "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom"
+EPILOG = """\
+examples:
+  mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots
+  mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
+  mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
+  mcp-asdf plot run.parquet paths.svg --kind trajectories --step 600
+  mcp-asdf plot run.parquet links.svg --kind network --step 600
+  mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy; needs no results
+exit code: 0 done, 2 bad usage"""
+
+_SCORES = ("boxes", "scatter")
+_ONE_EXPERIMENT = ("series", "trajectories", "network")
+KINDS = (*_SCORES, *_ONE_EXPERIMENT, "alpha")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", metavar="FILE", type=Path, nargs="?", help="results: .parquet")
+    parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
+    parser.add_argument("--kind", choices=KINDS, default=KINDS[0], help="what to draw (default %(default)s)")
+    parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
+    parser.add_argument(
+        "--step",
+        metavar="N",
+        type=int,
+        default=600,
+        help="of a network, and the last of trajectories (default %(default)s)",
+    )
+    options.add_limits(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw."""
+    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415 (matplotlib loads slowly)
+
+    check_plot_path(args.picture)
+    experiments = _experiments_of(args)
+    save_figure(_draw(args, experiments), args.picture)
+    if args.json:
+        print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(experiments)}))
+    else:
+        print(args.picture)
+    return 0
+
+
+def _experiments_of(args: argparse.Namespace) -> list[Trials]:
+    """What is in the file, as far as the picture needs one."""
+    if (args.file is None) != (args.kind == "alpha"):
+        needs = "no results" if args.kind == "alpha" else "results"
+        raise UsageError(f"a picture of kind {args.kind} needs {needs}; see --help")
+    experiments = [] if args.file is None else experiments_in(read_table(args.file))
+    if args.kind in _ONE_EXPERIMENT and len(experiments) != 1:
+        raise UsageError(f"{args.file} holds {len(experiments)} experiments; {args.kind} is drawn of one")
+    return experiments
+
+
+def _draw(args: argparse.Namespace, experiments: list[Trials]) -> Figure:
+    from mcp_asdf_tools.experiments import arena_plots, plots  # noqa: PLC0415
+
+    if args.kind == "alpha":
+        return plots.confidence()
+    if args.kind == "series":
+        return plots.series(experiments[0], args.trial)
+    if args.kind in _ONE_EXPERIMENT:
+        draw_arena = arena_plots.network if args.kind == "network" else arena_plots.trajectories
+        return draw_arena(experiments[0].experiment, args.trial, args.step)
+    draw = plots.boxes if args.kind == "boxes" else plots.scatter
+    return draw(experiments, options.limits_of(args, experiments))

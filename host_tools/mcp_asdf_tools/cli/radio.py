@@ -1,0 +1,316 @@
+"""``mcp-asdf radio``: emulate the neighbours of one real controller."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from contextlib import ExitStack
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf.robot import B_HAT_MARGIN
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.frames import ONE
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import results_beside, write_atomically
+from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, like
+from mcp_asdf_tools.radio.real_time import RadioRun
+from mcp_asdf_tools.radio.verification import Bench, Verification
+from mcp_asdf_tools.radio.verification_report import COLUMNS, check_report_path, headline, write_report
+from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
+from mcp_asdf_tools.recording.sidecar import Header, versions
+from mcp_asdf_tools.robots.node import filters_for
+from mcp_asdf_tools.robots.node_run import Link, Taker, state_of
+from mcp_asdf_tools.robots.options import add_robot_options, add_subject_options, robot_of, subjects_of
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.settings import Settings
+
+HELP = "emulate the neighbours of one real controller on a CAN bus"
+EPILOG = """\
+examples:
+  mcp-asdf radio --id 3 --robots 10 --interface socketcan --channel can0             # until Ctrl-C
+  mcp-asdf radio --id 3 --robots 10 --interface socketcan --channel can0 --fault loss=0.3
+  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report controller.md
+--id and the other options under "robot" say what the controller is. Without --verify the neighbours tick at
+--rate, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
+been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
+through one phase for each class of fault, and must do, bit for bit, what its model does.
+exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 130 interrupted"""
+
+_INTERRUPTED = 130
+_WORLD = Settings()
+_PHASE_TICKS = 250
+_TIMEOUT = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_robot_options(parser, "mirror", "robot id of the controller, 0 to 127")
+    _add_neighbours(parser)
+    _add_verification(parser)
+    interfaces.add_arguments(parser)
+    add_subject_options(parser)
+    output = parser.add_argument_group("output")
+    output.add_argument(
+        "--log",
+        metavar="FILE",
+        type=Path,
+        help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; with --verify FILE.events gets "
+        "what 'mcp-asdf replay FILE' needs",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Emulate, or verify."""
+    check_report_path(args.report)
+    settings, choice = settings_of(args), interfaces.choose_bus(args)
+    console = Console(stderr=True, quiet=args.json)
+    return (_verify if args.verify else _emulate)(args, settings, choice, console)
+
+
+def _add_neighbours(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("neighbours and world")
+    group.add_argument(
+        "--robots", type=int, metavar="N", default=5, help="neighbours to emulate (default %(default)s)"
+    )
+    group.add_argument(
+        "--first-id",
+        type=int,
+        metavar="ID",
+        default=0,
+        help="they get the ids from here on, without the controller's (default %(default)s)",
+    )
+    for name, kind, text in (
+        ("fill-ratio", float, "share of black tiles"),
+        ("true-accuracy", float, "of every sensor; the neighbours assume it"),
+        ("seed", int, "of everything random"),
+        ("radio-range", float, "of robots that move, in metres"),
+    ):
+        default = getattr(_WORLD, name.replace("-", "_"))
+        group.add_argument(f"--{name}", type=kind, default=default, help=f"{text} (default {default})")
+    group.add_argument(
+        "--density",
+        metavar="D",
+        type=float,
+        help="robots move through a square of this swarm density D and hear those in range",
+    )
+    group.add_argument(
+        "--rate",
+        type=int,
+        metavar="HZ",
+        default=_WORLD.ticks_per_second,
+        help="ticks of the neighbours per second, with --verify of simulated time (default %(default)s)",
+    )
+    group.add_argument(
+        "--ticks",
+        type=int,
+        metavar="N",
+        help=f"end after so many (default: at Ctrl-C); with --verify of each phase (default {_PHASE_TICKS})",
+    )
+    group.add_argument(
+        "--fault",
+        metavar="FAULT",
+        action="append",
+        default=[],
+        dest="faults",
+        help="as for swarm, again and again; with --verify each is a phase more",
+    )
+
+
+def _add_verification(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("verification")
+    group.add_argument("--verify", action="store_true", help="drive the controller in lockstep and judge it")
+    group.add_argument(
+        "--timeout",
+        type=float,
+        metavar="SECONDS",
+        help=f"time that the controller has to answer (default {_TIMEOUT:g})",
+    )
+    group.add_argument(
+        "--wait",
+        type=float,
+        metavar="SECONDS",
+        help="wait so long for the heartbeat with which the controller starts (default: it has started)",
+    )
+    group.add_argument(
+        "--report", metavar="FILE", type=Path, help="keep the report: .md, or .json as --json prints it"
+    )
+
+
+def settings_of(args: argparse.Namespace) -> RadioSettings:
+    """Read the settings from parsed arguments. Raises UsageError if they will not do."""
+    if args.ticks is not None and args.ticks < 1:
+        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    for name in ("timeout", "wait", "report"):
+        value = getattr(args, name)
+        if value is not None and not args.verify:
+            raise UsageError(f"--{name} is for a verification; add --verify or leave it out")
+        if isinstance(value, float) and not 0 < value < float("inf"):
+            raise UsageError(f"{name} is {value}; it must be above 0 seconds")
+    controller = robot_of(args)
+    ids = choose_ids(controller.id, args.robots, args.first_id)
+    world = Settings(
+        robots=len(ids) + 1,
+        fill_ratio=args.fill_ratio,
+        true_accuracy=args.true_accuracy,
+        seed=args.seed,
+        ticks_per_second=args.rate,
+        density=args.density,
+        radio_range=args.radio_range,
+    )
+    b_hat = min(max(args.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
+    neighbours = tuple(like(controller, robot, b_hat) for robot in ids)
+    faults = tuple(parse_fault(text) for text in args.faults)
+    return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
+
+
+def _report(
+    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice
+) -> dict[str, Any]:
+    """Everything needed to repeat the run, as plain values."""
+    own = ("verify", "rate", "ticks", "timeout", "fill_ratio", "true_accuracy", "density")
+    return {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "parameters": {
+            "controller": settings.controller.plain(),
+            "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
+            "subjects": {name: asdict(each) for name, each in vars(settings.subjects).items()},
+            "seed": args.seed,
+            "radio_range": args.radio_range,
+            "faults": [str(fault) for fault in settings.faults],
+            **{name: getattr(args, name) for name in own},
+        },
+        "bus": {"interface": choice.interface, "channel": choice.channel},
+        "versions": versions(),
+    }
+
+
+# --- Verification ----------------------------------------------------------------------------------------
+
+
+def _verify(
+    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
+) -> int:
+    report = _report(args, settings, choice)
+    header = Header([settings.controller], args.seed, settings.subjects.estimates, report["parameters"])
+    with ExitStack() as ending:
+        with logging_to(args.log, header) as outputs:
+            verification = _judge(args, settings, choice, console, outputs)
+            verdict = verification.verdict
+            report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
+            ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
+        if args.report is not None:
+            write_report(args.report, report)
+    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+
+
+def _judge(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    choice: interfaces.BusChoice,
+    console: Console,
+    outputs: Outputs,
+) -> Verification:
+    """Take the controller through all phases; returns the verification that is over."""
+    with ExitStack() as stack:
+        bus = stack.enter_context(choice.open())
+        bench = Bench(bus, args.ticks or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+        log, events = outputs
+        bench.log = bench.log if log is None else log
+        bench.recorder = None if events is None else events.robots[settings.controller.id]
+        bench.is_told_to_stop = stack.enter_context(stopping())
+        verification = Verification(settings, bench)
+        progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
+        task = progress.add_task("verifying", total=len(verification.verdict.phases) * bench.ticks)
+        bench.progress = lambda ticks: progress.update(task, completed=ticks)
+        verification.run()
+    return verification
+
+
+def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+        return
+    verdict = report["verdict"]
+    table = Table(box=None, padding=(0, 1), header_style="bold")
+    shown = {name: title for name, title in COLUMNS.items() if name != "fault"}
+    for title in shown.values():
+        table.add_column(title, justify="left" if title in ("phase", "outcome") else "right")
+    for phase in verdict["phases"]:
+        table.add_row(*(str(phase[name]) for name in shown))
+    console = Console(soft_wrap=True)
+    console.print(table)
+    console.print(headline(verdict), markup=False)
+
+
+# --- Emulation in real time ------------------------------------------------------------------------------
+
+
+def _emulate(
+    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
+) -> int:
+    results = None if args.log is None else results_beside(args.log)
+    with ExitStack() as ending:
+        with logging_to(args.log, None) as (log, _):
+            run = _go(args, settings, choice, console, log)
+            report = _report(args, settings, choice) | {"results": run.figures()}
+            ending.callback(_print_results, args, report)  # even if a file cannot be completed
+        if results is not None:
+            write_atomically(results, json.dumps(report, indent=2) + "\n")
+    return _INTERRUPTED if run.outcome.is_interrupted else 0
+
+
+def _go(
+    args: argparse.Namespace,
+    settings: RadioSettings,
+    choice: interfaces.BusChoice,
+    console: Console,
+    log: Taker | None,
+) -> RadioRun:
+    """Tick until all is done, or until told to stop; returns the run that is over."""
+    with ExitStack() as stack:
+        bus = stack.enter_context(choice.open())
+        bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
+        link = Link(bus, stack.enter_context(stopping()), endures=True, log=log)
+        status = stack.enter_context(console.status("")) if console.is_terminal else None
+        run = RadioRun(Neighbourhood(settings), link, args.ticks)
+        if status is not None:
+            run.watch = lambda: status.update(_line(run))
+        run.run()
+    return run
+
+
+def _line(run: RadioRun) -> str:
+    said, told = run.last
+    heard = "not heard yet" if said is None else f"x_hat {said.x_hat / ONE:.4f}, {run.heard} estimates"
+    state = "" if told is None else f", x {told.x / ONE:.4f}, b_hat {told.b_hat / 2**24:.4f}"
+    return f"tick {run.neighbours.tick}   controller: {heard}{state}   frames sent {run.sent}"
+
+
+def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+        return
+    results = report["results"]
+    table = Table(box=None, padding=(0, 1), show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("run", f"{results['ticks']} ticks; {results['ending']}")
+    table.add_row(
+        "frames",
+        f"{results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard of it, "
+        f"{results['strangers']} from strangers; the bus failed {results['bus_failures']} times",
+    )
+    table.add_row("neighbours", f"mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}")
+    for fault in results["faults"]:
+        table.add_row("fault", f"{fault['fault']}: struck {fault['injected']} times")
+    for sender, what in results["collisions"].items():
+        table.add_row("id collision", f"{what}: {sender}; choose other ids with --first-id")
+    Console(soft_wrap=True).print(table)

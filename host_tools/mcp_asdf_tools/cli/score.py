@@ -1,0 +1,40 @@
+"""``mcp-asdf score``: the paper's scores of results."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.experiments.results import describe, experiments_in, read_table, write_csv
+
+HELP = "score results: K, e, h_K, h_e and H"
+EPILOG = """\
+examples:
+  mcp-asdf score grid.parquet                       # K_max and e_max are the largest found, as in the paper
+  mcp-asdf score grid.parquet --k-max 40000 --e-max 0.45
+  mcp-asdf score grid.parquet --csv grid.csv        # a line for every trial
+exit code: 0 done, 2 bad usage"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
+    parser.add_argument("--csv", metavar="FILE", type=Path, help="write a line for every trial")
+    options.add_limits(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Score, keep and print."""
+    table = read_table(args.file)
+    experiments = experiments_in(table)
+    limits = options.limits_of(args, experiments)
+    if args.csv is not None:
+        write_csv(args.csv, [(trials, limits) for trials in experiments])
+    if args.json:
+        result = {**describe(table), "limits": limits._asdict()}
+        print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
+    else:
+        options.show(experiments, limits, str(args.file))
+    return 0

@@ -1,0 +1,105 @@
+"""``mcp-asdf simulate``: run one experiment."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.experiments.results import describe, experiments_in, write_authors_json
+from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+
+HELP = "run one experiment: a swarm, many trials, the paper's scores"
+EPILOG = """\
+examples:
+  mcp-asdf simulate                                 # the paper's fully connected swarm, 3 of 10 robots flawed
+  mcp-asdf simulate --mode none --flawed 5 --output none.parquet
+  mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
+  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
+  mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
+FILE is an experiment (.toml) or the authors' parameter file (.yml). Equal parameters give equal results.
+exit code: 0 done, 2 bad usage, 130 interrupted"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml, .yml"
+    )
+    options.add_parameters(parser)
+    options.add_limits(parser, options.WORST)
+    output = parser.add_argument_group("output")
+    output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
+    output.add_argument(
+        "--record",
+        metavar="STEPS",
+        type=int,
+        default=0,
+        help="keep every robot's values each so many steps, too",
+    )
+    output.add_argument(
+        "--authors-json", metavar="FOLDER", type=Path, help="write each trial as the authors' simulator does"
+    )
+    options.add_workers(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the experiment, keep and print what came out."""
+    experiment = options.with_parameters(_start(args.file), args)
+    workers, thinning = options.check_workers(args.workers), _thinning(args, experiment)
+    with tempfile.TemporaryDirectory() as folder:
+        output = (
+            Path(folder, "results.parquet") if args.output is None else options.checked_output(args.output)
+        )
+        store = Store(output, [experiment], thinning)
+        missing = len(store.missing(experiment))
+        with options.progress(missing, args.json) as report:
+            # A few seconds' work is done sooner than processes start.
+            is_short = (
+                experiment.firmware == "native" and missing * experiment.robots * experiment.steps < 10**8
+            )
+            table = run_sweep(store, 1 if is_short else workers, thinning, report)
+    experiments = experiments_in(table)
+    worst = max(experiment.fill_ratio, 1 - experiment.fill_ratio)
+    args.k_max = experiment.steps if args.k_max is None else args.k_max
+    args.e_max = worst if args.e_max is None else args.e_max
+    limits = options.limits_of(args, experiments)
+    if args.authors_json is not None:
+        write_authors_json(args.authors_json, experiments[0])
+    if args.json:
+        print(
+            json.dumps(
+                {**describe(table), "limits": limits._asdict(), **options.summary(experiments, limits)[0]},
+                indent=2,
+            )
+        )
+    else:
+        options.show(experiments, limits, "one experiment")
+    return 0
+
+
+def _start(path: Path | None) -> Experiment:
+    if path is None:
+        return Experiment()
+    experiments = read_experiments(path)
+    if len(experiments) != 1:
+        raise UsageError(f"{path} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
+    return experiments[0]
+
+
+def _thinning(args: argparse.Namespace, experiment: Experiment) -> int:
+    thinning: int = args.record
+    if not 0 <= thinning <= experiment.steps:
+        raise UsageError(f"--record is {thinning}; choose 1 to {experiment.steps} steps, or 0 for none")
+    if args.authors_json is None:
+        return thinning
+    if thinning > 1:
+        raise UsageError(
+            f"--record is {thinning}; the authors' layout holds every step: leave it out or give 1"
+        )
+    return 1

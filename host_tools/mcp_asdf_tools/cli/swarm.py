@@ -1,0 +1,189 @@
+"""``mcp-asdf swarm``: emulate a swarm of robots on a CAN bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
+from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet, results_beside
+from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
+from mcp_asdf_tools.recording.sidecar import Header
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.processes import NodeProcesses, start_nodes
+from mcp_asdf_tools.swarm.live_table import LiveTable
+from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.run import Hook, Run, run_swarm
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, robot_records
+from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary
+from mcp_asdf_tools.swarm.swarm import Swarm
+
+__all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
+
+HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
+EPILOG = """\
+examples:
+  mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
+  mcp-asdf swarm --filter off --plot off.png        # the same without the filter, as a picture
+  mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
+  mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
+  mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
+  mcp-asdf swarm --density 1 --ticks 10000          # robots that move and hear who is within 0.7 m
+  mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
+  mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
+  mcp-asdf swarm --clock real-time --ticks 100
+  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --ticks 100
+  mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
+With {robot} in the channel each robot has a bus of its own, and a medium carries frames between them. The
+same settings give the same run and, on the bus inside this process, the same log to the byte. More about
+media, faults and clocks is in docs/swarm.md.
+Each delivered message costs about 12 us, two thirds of it in python-can's virtual bus, and a tick of N
+robots delivers N (N - 1) of them: fewer robots or a longer --comms-period give more ticks in the same time.
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
+(what was done is saved)"""
+
+_INTERRUPTED = 130
+_STARTING_TIMEOUT = 60.0
+"""Seconds that robots elsewhere have to say that they are there."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the swarm, save and print what came out."""
+    settings = settings_of(args)
+    choice = interfaces.choose_bus(args)
+    wiring = wiring_of(args, settings, choice)
+    draw = _drawer(args.plot)
+    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
+    began = time.monotonic()
+    try:
+        with ExitStack() as ending:
+            with logging_to(args.log, header) as outputs:
+                outcome, report = _emulate(args, settings, choice, wiring, outputs)
+                text = summary(outcome, str(choice), time.monotonic() - began)
+                ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
+            with FileSet() as files:
+                if args.plot is not None:
+                    files.write(args.plot, draw(outcome))
+                for path in beside:
+                    files.write(path, json.dumps(report, indent=2) + "\n")
+    except (LockstepError, can.CanError) as error:
+        print(f"mcp-asdf swarm: {error}", file=sys.stderr)
+        return 1
+    return _exit_code(outcome)
+
+
+def _emulate(
+    args: argparse.Namespace,
+    settings: Settings,
+    choice: interfaces.BusChoice,
+    wiring: Wiring,
+    outputs: Outputs,
+) -> tuple[Run, dict[str, Any]]:
+    """Run the swarm; returns what came out, and all of it with all settings as plain values.
+
+    Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
+    """
+    console = Console(quiet=args.quiet or args.json)
+    with ExitStack() as stack:
+        port = _admit(args, settings, choice, stack)
+        swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
+        nodes = stack.enter_context(_start(args, settings, choice))
+        with console.status("waiting for robots elsewhere"):
+            swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+        table, stop = stack.enter_context(LiveTable(console)), stack.enter_context(_interruptible())
+        outcome = run_swarm(swarm, [table, stop])
+    report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
+    report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
+    return outcome, report
+
+
+def _admit(
+    args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice, stack: ExitStack
+) -> int | None:
+    """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
+    if args.slcan is None:
+        return None
+    if choice.has_channels:
+        raise UsageError(
+            f"--slcan needs one bus for all, and {choice} is one for each robot; choose one of them"
+        )
+    if settings.robots > MAX_ROBOTS_AND_TOOLS:
+        raise UsageError(
+            f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
+            "the ids 126 and 127"
+        )
+    server = stack.enter_context(SlcanServer(choice.open(), args.slcan))
+    # Whoever asked for any free port has to learn which, whatever standard output is for.
+    print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
+    return server.port
+
+
+def _start(args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice) -> NodeProcesses:
+    """The robots' processes; none unless asked for."""
+    if not args.processes:
+        return NodeProcesses()
+    subjects = Subjects(estimates=settings.frames)
+    return start_nodes(robot_records(settings), choice.of_robot, subjects, settings.ticks_per_second)
+
+
+def _drawer(path: Path | None) -> Callable[[Run], bytes]:
+    """What makes the picture ``path`` of a run. Raises UsageError if no picture can be written there."""
+    if path is None:
+        return lambda run: b""
+    # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
+    from mcp_asdf_tools.common.figures import check_plot_path, image_of  # noqa: PLC0415
+    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+
+    checked = check_plot_path(path)
+    return lambda run: image_of(draw(run), checked)
+
+
+@contextmanager
+def _interruptible() -> Iterator[Hook]:
+    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+
+    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    """
+    with stopping((signal.SIGINT,)) as is_asked:
+
+        def obey(swarm: Swarm) -> None:
+            if is_asked():
+                raise KeyboardInterrupt
+
+        yield obey
+
+
+def _print(args: argparse.Namespace, outcome: Run, report: dict[str, Any], table: Table) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+    elif args.quiet:
+        print(one_line(outcome))
+    else:
+        Console(soft_wrap=True).print(table)
+        warning = load_warning(outcome.results)
+        if warning is not None:
+            print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
+
+
+def _exit_code(outcome: Run) -> int:
+    if outcome.failure is not None:
+        print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
+        return 1
+    return _INTERRUPTED if outcome.interrupted else 0

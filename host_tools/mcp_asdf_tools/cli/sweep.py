@@ -1,0 +1,76 @@
+"""``mcp-asdf sweep``: run a grid of experiments on all processors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.experiments.results import describe, experiments_in
+from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+
+HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
+EPILOG = """\
+examples:
+  mcp-asdf sweep grid.toml                          # results in grid.parquet
+  mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet
+  mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
+  mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
+A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
+again. So are those of a finished sweep when the file asks for more.
+exit code: 0 done, 2 bad usage, 130 interrupted (what was finished is kept)"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="describes the experiments: .toml, .yml")
+    parser.add_argument(
+        "--output", metavar="FILE", type=Path, help="where results go (default: FILE's name with .parquet)"
+    )
+    options.add_parameters(parser)
+    options.add_limits(parser)
+    options.add_workers(parser)
+    add_scheduler(parser)
+
+
+def add_scheduler(parser: argparse.ArgumentParser) -> None:
+    """The option for a cluster."""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here",
+    )
+
+
+def run_stores(stores: Sequence[Store], workers: int, args: argparse.Namespace) -> list[Any]:
+    """Run what sweeps miss, one after the other, and return their tables. If interrupted say what is left."""
+    missing = sum(store.left for store in stores)
+    try:
+        with options.progress(missing, args.json) as report:
+            return [run_sweep(store, workers, report=report, scheduler=args.scheduler) for store in stores]
+    except KeyboardInterrupt:
+        left = sum(store.left for store in stores)
+        print(f"{left} of {missing} trials left; the same command goes on", file=sys.stderr)
+        raise
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is missing, keep and print what came out."""
+    workers = options.check_workers(args.workers)
+    given = [options.with_parameters(experiment, args) for experiment in read_experiments(args.file)]
+    store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given)
+    missing = store.left
+    (table,) = run_stores([store], workers, args)
+    experiments = experiments_in(table)
+    limits = options.limits_of(args, experiments)
+    if args.json:
+        result = {**describe(table), "limits": limits._asdict(), "run": missing, "output": str(store.output)}
+        print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
+    else:
+        options.show(experiments, limits, str(store.output))
+    return 0

@@ -1,0 +1,107 @@
+"""``mcp-asdf table``: make t-tables, check generated files, verify built images."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.tables.image_scan import verify_image
+from mcp_asdf_tools.tables.table_files import Finding, check_file, describe, write
+from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES, OMEGA_PLACES, parse_omega
+
+HELP = "make t-tables, and check them in files and built images"
+EPILOG = """\
+examples:
+  mcp-asdf table --output build/tables            # the paper's omega (0.05), any number of neighbours
+  mcp-asdf table --omega 0.1 --neighbours 30 --output build/tables
+  mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
+  mcp-asdf table --verify firmware.elf            # is the right table in the image? also Intel HEX, binary
+exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
+
+_OMEGA, _NEIGHBOURS = "0.05", 127
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options: exactly one of three jobs, and what the first one needs."""
+    job = parser.add_mutually_exclusive_group(required=True)
+    job.add_argument("--output", metavar="DIR", type=Path, help="write a C and a JSON file into this folder")
+    job.add_argument(
+        "--check", metavar="FILE", type=Path, nargs="+", help="check generated .c or .json files"
+    )
+    job.add_argument("--verify", metavar="FILE", type=Path, nargs="+", help="find and check tables in images")
+    parser.add_argument(
+        "--omega",
+        help="type II error probability, above 0 and at most 0.9, "
+        f"at most {OMEGA_PLACES} decimal places (default {_OMEGA})",
+    )
+    parser.add_argument(
+        "--neighbours",
+        metavar="Q",
+        type=int,
+        help=f"q, maximum number of neighbours with an exact threshold, 2 to 127 (default {_NEIGHBOURS})",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the one job asked for."""
+    if args.output is not None:
+        omega = parse_omega(_OMEGA if args.omega is None else args.omega)
+        return _write(omega, _NEIGHBOURS if args.neighbours is None else args.neighbours, args)
+    if args.omega is not None or args.neighbours is not None:
+        raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
+    if args.check is not None:
+        return _report([check_file(path) for path in args.check], args.json)
+    return _report([finding for path in args.verify for finding in verify_image(path)], args.json)
+
+
+def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
+    files = [str(path) for path in write(omega, q, args.output)]
+    facts = describe(omega, q)
+    if args.json:
+        print(json.dumps({"files": files} | facts, indent=2))
+    else:
+        print(_summary(omega, facts))
+        print("\n".join(f"wrote {file}" for file in files))
+    return 0
+
+
+def _summary(omega: Decimal, facts: dict[str, Any]) -> str:
+    q, error = facts["q"], facts["worst_threshold_error"]
+    beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}" if q < MAX_MESSAGES else ""
+    return (
+        f"omega {omega:f}, q {q}: {facts['bytes']} bytes ({facts['bytes_formula']}), "
+        f"entries in units of 2^-{facts['fraction_bits']}\n"
+        f"worst threshold error: {error['rounding']:.2e} by rounding{beyond}"
+    )
+
+
+def _report(findings: Sequence[Finding], as_json: bool) -> int:
+    ok = all(finding.problem is None for finding in findings)
+    if as_json:
+        print(json.dumps({"ok": ok, "tables": [_as_dict(finding) for finding in findings]}, indent=2))
+    else:
+        print("\n".join(_as_line(finding) for finding in findings))
+    return 0 if ok else 1
+
+
+def _as_line(finding: Finding) -> str:
+    claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""
+    return f"{finding.place}: {claim}{finding.problem or 'ok'}"
+
+
+def _as_dict(finding: Finding) -> dict[str, Any]:
+    difference = finding.difference
+    return {
+        "place": finding.place,
+        "omega": None if finding.omega is None else float(finding.omega),
+        "q": finding.q,
+        "problem": finding.problem,
+        "difference": None
+        if difference is None
+        else {"word": difference.word, "found": difference.found, "expected": difference.expected},
+    }

@@ -1,0 +1,256 @@
+"""A scenario of the cross-check: a robot and the calls made to it, as one line of text that replays it.
+
+A line is a list of items separated by commas; an item is a word and its whole numbers, joined by colons::
+
+    table:0.05:30,robot:0:5:2147483648:7:3006477107,observe:1,receive:3:4194304:2147483649,settle
+
+``table`` gives omega and q, then pairs of a word's index and its replacement (see ``TableChoice``); without
+it the robot has no table. ``robot`` gives filter, filter_period, memory, id and b_hat. All that follows are
+calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as their C types allow.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+from typing import cast
+
+from mcp_asdf.mirror import IMAGE_WORDS
+from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
+from mcp_asdf.table import EXTRA_WORDS, Table, checksum
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
+
+IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
+"""A saved robot, as words."""
+
+_U8, _U32, _U64 = 2**8 - 1, 2**32 - 1, 2**64 - 1
+_LARGEST = {
+    "robot": (_U8, _U32, _U32, _U8, _U32),
+    "observe": (_U32,),
+    "step": (_U32,),
+    "settle": (),
+    "receive": (_U8, _U32, _U32),
+    "add": (_U8, _U64, _U64, _U64, _U64, _U32, _U32),
+    "damage": (4 * IMAGE_WORDS - 1, _U8),
+}
+"""The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
+
+REPLACING = ("restore", "damage")
+"""Calls that put another robot in the place of the one that is there."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a robot.
+
+    Attributes:
+        name: The method, with ``numbers``:
+            observe, step: the observation.
+            settle: none.
+            receive: sender, x_hat, alpha.
+            add: ``add_round`` with the number of messages and the members of ``Sums`` in order; the firmwares
+                in Python have it, the C alone has not.
+            restore: The robot is saved and goes on as the robot restored from its image, in which words were
+                replaced (pairs of index, 1 .. 29, and value) and the checksum made right again. If that is
+                refused it goes on as it was.
+            damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
+                checksum left as it is.
+    """
+
+    name: str
+    numbers: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        return ":".join([self.name, *map(str, self.numbers)])
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The pairs of a ``restore``."""
+        return pairs_of(self.numbers)
+
+
+@dataclass(frozen=True)
+class TableChoice:
+    """A table to be generated, and what to do to it.
+
+    Attributes:
+        omega, q: Of the table.
+        replaced: Pairs of a word's index (see ``mcp_asdf.table``) and its replacement. Firmwares get the
+            words as they then are, and behind them the checksum, which is right unless it is replaced itself.
+            There are as many words as the q in word 0 claims, and those behind the generated ones are 0: a
+            table cut short, as far as a firmware may read.
+    """
+
+    omega: str
+    q: int
+    replaced: tuple[int, ...] = ()
+
+    @property
+    def length(self) -> int:
+        """The number of words: 3 and q, that of word 0 as it is after the replacement."""
+        return EXTRA_WORDS + (dict(pairs_of(self.replaced)).get(0, self.q) & 0xFF)
+
+    def __str__(self) -> str:
+        return ":".join(["table", self.omega, str(self.q), *map(str, self.replaced)])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How a robot is made: the members of ``Config``, its id and b_hat."""
+
+    table: TableChoice | None
+    filter: int
+    filter_period: int
+    memory: int
+    robot_id: int
+    b_hat: int
+
+    def __str__(self) -> str:
+        table = [] if self.table is None else [str(self.table)]
+        return ",".join([*table, ":".join(["robot", *map(str, astuple(self)[1:])])])
+
+    def config(self) -> Config:
+        """The settings as firmwares take them; unknown filters stay plain integers."""
+        known = self.filter in tuple(Filter)
+        return Config(
+            None if self.table is None else build_table(self.table),
+            Filter(self.filter) if known else self.filter,  # type: ignore[arg-type]
+            self.filter_period,
+            self.memory,
+        )
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A robot and the calls made to it."""
+
+    setup: Setup
+    calls: tuple[Call, ...]
+
+    def __str__(self) -> str:
+        return ",".join([str(self.setup), *map(str, self.calls)])
+
+    def with_calls(self, calls: tuple[Call, ...]) -> Scenario:
+        """The same robot with other calls."""
+        return replace(self, calls=calls)
+
+
+def pairs_of(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Numbers two by two."""
+    return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+@dataclass(frozen=True)
+class RawTable(Table):
+    """Words that stand in the place of a table, whatever they are.
+
+    Attributes:
+        raw: The words. The other members are read from them as a firmware that accepts them does.
+    """
+
+    raw: tuple[int, ...]
+
+    def words(self) -> tuple[int, ...]:
+        """The words as they are."""
+        return self.raw
+
+
+@lru_cache(maxsize=64)
+def build_table(choice: TableChoice) -> Table:
+    """The table that a scenario asks for, unchecked. O(q).
+
+    Raises UsageError if omega or q is out of range; fails if the index of a replaced word is.
+    """
+    table = generate(parse_omega(choice.omega), choice.q)
+    if not choice.replaced:
+        return table
+    last, replaced = choice.length - 1, dict(pairs_of(choice.replaced))
+    words = [*table.words()[:-1], *[0] * last][:last]
+    for index, value in replaced.items():
+        if index < last:
+            words[index] = value
+    words.append(replaced.get(last, checksum(words)))
+    return RawTable(words[1], tuple(words[2:-1]), tuple(words))
+
+
+def parse_scenario(line: str) -> Scenario:
+    """Read a scenario's line. Raises UsageError naming the item that is wrong."""
+    items = [item.split(":") for item in line.strip().split(",")]
+    table = _table(items.pop(0)) if items[0][0] == "table" else None
+    if not items or items[0][0] != "robot":
+        raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
+    robot = _numbers(items[0])
+    return Scenario(Setup(table, *robot), tuple(_call(item) for item in items[1:]))
+
+
+def _table(item: list[str]) -> TableChoice:
+    if len(item) < 3:
+        raise UsageError(f"{':'.join(item)} needs omega and q, for example table:0.05:30")
+    omega, (q, *replaced) = str(parse_omega(item[1])), _integers(item, 2)
+    choice = TableChoice(omega, check_q(q), tuple(replaced))
+    if len(replaced) % 2:
+        raise UsageError(f"{choice} needs pairs of a word's index and its replacement")
+    if any(i >= choice.length or v > _U32 for i, v in pairs_of(choice.replaced)):
+        raise UsageError(f"{choice} needs pairs of an index, 0 to {choice.length - 1}, and a 32-bit word")
+    return choice
+
+
+def _call(item: list[str]) -> Call:
+    if item[0] == "restore":
+        numbers = _integers(item, 1)
+        if len(numbers) % 2 or any(not 1 <= i < IMAGE_WORDS - 1 or v > _U32 for i, v in pairs_of(numbers)):
+            raise UsageError(
+                f"{':'.join(item)} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word"
+            )
+        return Call("restore", numbers)
+    if item[0] == "robot" or item[0] not in _LARGEST:
+        calls = ", ".join(["restore", *list(_LARGEST)[1:]])
+        raise UsageError(f"{':'.join(item)!r} is no call; there are {calls}")
+    return Call(item[0], _numbers(item))
+
+
+def _numbers(item: list[str]) -> tuple[int, ...]:
+    """An item's numbers, as many as it takes and none too large for its C type."""
+    largest, numbers = _LARGEST[item[0]], _integers(item, 1)
+    if len(numbers) != len(largest):
+        raise UsageError(f"{':'.join(item)} has {len(numbers)} numbers; {item[0]} takes {len(largest)}")
+    for number, limit in zip(numbers, largest, strict=True):
+        if number > limit:
+            raise UsageError(f"{':'.join(item)}: {number} is too large; the limit there is {limit}")
+    return numbers
+
+
+def _integers(item: list[str], start: int) -> tuple[int, ...]:
+    for text in item[start:]:
+        if not (text.isascii() and text.isdigit() and len(text) <= 20):
+            raise UsageError(f"{':'.join(item)}: {text!r} is no whole number of decimal digits")
+    return tuple(int(text) for text in item[start:])
+
+
+def edited_image(image: bytes, call: Call) -> bytes:
+    """The image that a ``restore`` or ``damage`` call hands to the firmware, made from one it saved."""
+    if call.name == "damage":
+        index, mask = call.numbers
+        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
+    words = list(IMAGE.unpack(image))
+    for index, value in call.pairs:
+        words[index] = value
+    return IMAGE.pack(*words[:-1], checksum(words[:-1]))
+
+
+def perform(robot: FixedPointRobot, call: Call) -> Status:
+    """Make any call of ``robot`` but those in REPLACING. ``add`` raises ValueError as ``add_round`` does."""
+    numbers = call.numbers
+    if call.name == "receive":
+        return robot.receive_raw(*numbers)
+    if call.name == "observe":
+        return robot.observe(cast(Observation, numbers[0]))
+    if call.name == "step":
+        return robot.step(cast(Observation, numbers[0]))
+    if call.name == "settle":
+        return robot.settle()
+    robot.add_round(Sums(*numbers[1:]), numbers[0])
+    return Status.OK

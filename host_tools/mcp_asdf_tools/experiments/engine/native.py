@@ -1,0 +1,195 @@
+"""The C engine's Python side: trials on the native firmware, outside the interpreter's lock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mcp_asdf.fixed_point import b_hat_to_raw
+from mcp_asdf.robot import Filter, FirmwareError, Status
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.experiments import _engine
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.world.arena import config_values
+from mcp_asdf_tools.world.arenas import arena_settings, make_arena
+from mcp_asdf_tools.world.philox import world_seed
+from mcp_asdf_tools.world.sensors import black_probabilities
+
+RECORD = np.dtype(
+    [
+        ("beta", "u8"),
+        ("t", "u4"),
+        ("n", "u4"),
+        ("x_hat", "u4"),
+        ("alpha", "u4"),
+        ("x_bar", "u4"),
+        ("x", "u4"),
+        ("b_hat", "u4"),
+    ],
+    align=True,
+)
+"""A robot's values after a step, in the firmware's units."""
+
+COUNTERS = ("tests", "updates")
+_STRIDES = ("trial_stride", "step_stride", "robot_stride")
+
+
+@dataclass(frozen=True)
+class RawOutcome:
+    """Results of trials, in the firmware's units.
+
+    Attributes:
+        x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have
+            the same for sure.
+        b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
+        counters: Tests and updates of each robot, shape (trials, N) each, modulo 65536.
+        records: Values of every robot each ``thinning`` steps, shape (trials, T // thinning, N), of dtype
+            RECORD.
+        robots: The C structs, for ``images``.
+    """
+
+    x: NDArray[np.uint32]
+    b_hat: NDArray[np.uint32]
+    counters: dict[str, NDArray[np.uint16]]
+    records: NDArray[Any]
+    robots: Any
+
+    def images(self) -> list[bytes]:
+        """State of each robot at the end as the firmware saves it, robots of trial 0 first."""
+        image = _engine.ffi.new("uint8_t[]", _engine.lib.MCP_ASDF_IMAGE_SIZE)
+        images = []
+        for index in range(len(self.robots)):
+            _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), image)
+            images.append(bytes(image))
+        return images
+
+
+def run(
+    experiment: Experiment, first: int, trials: int, thinning: int = 0, lanes: bool | None = None
+) -> RawOutcome:
+    """Run trials ``first`` .. ``first + trials - 1`` of a native experiment; record if ``thinning`` is not 0.
+
+    ``lanes`` chooses the faster of two engines of equal results, or not; by default it is used where it can
+    be. Raises FirmwareError as the firmware's init fails and UsageError as ``make_arena``. O(trials steps
+    robots), and four bytes for each estimate.
+    """
+    outcome = _allocate(experiment, trials, thinning)
+    call = _Call(experiment, first, trials, thinning)
+    engine = _engine.lib
+    use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
+    function = engine.mcp_asdf_engine_run_lanes if use_lanes else engine.mcp_asdf_engine_run
+    status = Status(function(call.experiment, _pointers(outcome)))
+    if status is not Status.OK:
+        for index in range(trials if experiment.is_dynamic else 0):
+            make_arena(experiment, first + index)  # knows more about what is wrong with it
+        raise FirmwareError(status, "the firmware refuses the experiment's settings")
+    counters = outcome.counters
+    for index in range(trials * experiment.robots):
+        of_robot = outcome.robots[index].counters
+        for name, values in counters.items():
+            values.flat[index] = getattr(of_robot, name)
+    return outcome
+
+
+class _Call:
+    """The engine's description of some trials, and what its pointers point to."""
+
+    def __init__(self, experiment: Experiment, first: int, trials: int, thinning: int) -> None:
+        self._kept: list[Any] = []
+        members = {
+            "seed": experiment.seed,
+            "first_trial": first,
+            "trials": trials,
+            "robots": experiment.robots,
+            "steps": experiment.steps,
+            "thinning": thinning,
+            "comms_period": experiment.comms_period,
+            "observation_period": experiment.observation_period,
+            "latency": experiment.latency,
+            **self._robots(experiment),
+            **self._sensors(experiment, first, trials),
+        }
+        if experiment.is_dynamic:
+            members["arenas"] = self._arenas(experiment, first, trials)
+        self.experiment = _engine.ffi.new("mcp_asdf_experiment_t *", members)
+
+    def _robots(self, experiment: Experiment) -> dict[str, Any]:
+        ffi, count = _engine.ffi, experiment.robots
+        made = {config: _config(config) for config in map(experiment.config, (0, count - 1))}
+        configs = [made[experiment.config(robot)][0] for robot in range(count)]
+        b_hat = [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(count)]
+        members = {
+            "configs": ffi.new("mcp_asdf_config_t *[]", configs),
+            "b_hat": ffi.new("uint32_t[]", b_hat),
+        }
+        self._kept += [made, members]
+        return members
+
+    def _sensors(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
+        worlds = range(self._worlds(experiment, trials))
+        black = np.stack([black_probabilities(experiment, first + index) for index in worlds])
+        strides = [
+            stride // 4 if size > 1 else 0 for stride, size in zip(black.strides, black.shape, strict=True)
+        ]
+        self._kept.append(black)
+        pointer = _engine.ffi.cast("uint32_t *", _engine.ffi.from_buffer(black))
+        return {"black": pointer, **dict(zip(_STRIDES, strides, strict=True))}
+
+    def _arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
+        settings = arena_settings(experiment)
+        made = [
+            config_values(settings, world_seed(experiment.seed, first + index), _engine.ffi)
+            for index in range(trials)
+        ]
+        arenas = _engine.ffi.new("mcp_asdf_arena_config_t[]", [values for values, _ in made])
+        self._kept += [made, arenas]
+        return arenas
+
+    @staticmethod
+    def _worlds(experiment: Experiment, trials: int) -> int:
+        """How many different probabilities trials have: one, unless sensors move at random."""
+        return trials if experiment.drift.is_random else 1
+
+
+def _config(config: Any) -> tuple[Any, Any]:
+    """The C struct of a Config and its table."""
+    ffi = _engine.ffi
+    table = ffi.NULL
+    if config.filter == Filter.ADAPTIVE:
+        table = ffi.new("uint32_t[]", list(config.table.words()))
+    pointer = ffi.new(
+        "mcp_asdf_config_t *",
+        (table, config.filter_period, config.memory, int(config.filter)),
+    )
+    return pointer, table
+
+
+def _allocate(experiment: Experiment, trials: int, thinning: int) -> RawOutcome:
+    count, steps = experiment.robots, experiment.steps
+    columns = 1 if experiment.comms_period == 1 and not experiment.is_dynamic else count
+    return RawOutcome(
+        x=np.empty((trials, columns, steps + 1), np.uint32),
+        b_hat=np.empty((trials, steps // experiment.filter_period, count), np.uint32),
+        counters={name: np.empty((trials, count), np.uint16) for name in COUNTERS},
+        records=np.empty((trials, steps // thinning if thinning else 0, count), RECORD),
+        robots=_engine.ffi.new("mcp_asdf_t[]", trials * count),
+    )
+
+
+def _pointers(outcome: RawOutcome) -> Any:
+    ffi = _engine.ffi
+
+    def pointer(kind: str, array: NDArray[Any]) -> Any:
+        return ffi.cast(kind, array.ctypes.data)
+
+    return ffi.new(
+        "mcp_asdf_outcome_t *",
+        {
+            "robots": outcome.robots,
+            "x": pointer("uint32_t *", outcome.x),
+            "b_hat": pointer("uint32_t *", outcome.b_hat),
+            "records": pointer("mcp_asdf_record_t *", outcome.records),
+        },
+    )

@@ -1,0 +1,259 @@
+"""Results of experiments as files: Parquet that says all about itself, CSV, and the authors' JSON.
+
+A Parquet file has a row for every trial: the experiment's parameters, a column each, and
+
+- ``trial``, its number;
+- ``k`` and ``e``, lists over the robots;
+- ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
+- ``tests`` and ``updates``, lists over the robots;
+- ``record_t`` to ``record_b_hat``, where recorded: values after steps 0, ``thinning``, 2 ``thinning``, ... in
+  the same order.
+
+The file's metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the
+software, the threshold delta and ``thinning``. Rows of equal parameters belong to one experiment.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import platform
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.common.versions import own_version
+from mcp_asdf_tools.experiments.experiment import Activation, Experiment, Mode
+from mcp_asdf_tools.experiments.scores import DELTA, Limits, score
+from mcp_asdf_tools.experiments.simulation import QUANTITIES, Measured
+
+FORMAT = 3
+_KEY = b"mcp-asdf"
+_LISTS = {
+    "k": pa.int32(),
+    "e": pa.float64(),
+    "b_hat": pa.float64(),
+    "tests": pa.int32(),
+    "updates": pa.int32(),
+}
+_RECORDS = tuple(f"record_{quantity}" for quantity in QUANTITIES)
+_PARAMETERS = tuple(Experiment().parameters())
+
+
+def versions() -> dict[str, str]:
+    """Of everything that results could depend on."""
+    return {"mcp-asdf": own_version(), "numpy": np.__version__, "python": platform.python_version()}
+
+
+def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> pa.Table:
+    """Trials of an experiment as rows."""
+    count = len(measured.settled)
+    columns: dict[str, Any] = {
+        name: pa.array([value] * count, _kind(name)) for name, value in experiment.parameters().items()
+    }
+    columns["trial"] = pa.array(range(measured.first, measured.first + count), pa.int64())
+    values = (measured.settled, measured.errors, measured.b_hat, measured.tests, measured.updates)
+    for (name, kind), array in zip(_LISTS.items(), values, strict=True):
+        columns[name] = _rows(array, kind)
+    for name, array in zip(_RECORDS, measured.records, strict=True):
+        columns[name] = _rows(array, pa.float64())
+    description = {"format": FORMAT, "versions": versions(), "delta": DELTA, "thinning": thinning}
+    return pa.table(columns).replace_schema_metadata({_KEY: json.dumps(description)})
+
+
+def _kind(name: str) -> Any:
+    default = getattr(Experiment(), name)
+    kinds = {int: pa.uint64(), float: pa.float64()}
+    return kinds.get(type(default), pa.float64() if name == "omega" else pa.string())
+
+
+def _rows(array: NDArray[Any], kind: Any) -> Any:
+    """A list for each trial of all that belongs to it."""
+    named = pa.field("element", kind)  # as a file has it that was read, so that files are equal if rows are
+    return pa.array([trial.ravel() for trial in array], pa.list_(named))
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a table as Parquet, whole or not at all. Raises UsageError if that cannot be done."""
+    sink = io.BytesIO()
+    pq.write_table(table, sink, compression="zstd")
+    write_atomically(path, sink.getvalue())
+
+
+def read_table(path: Path) -> pa.Table:
+    """A table as ``write_table`` wrote it. Raises UsageError if the file is none."""
+    try:
+        table = pq.read_table(path, partitioning=None)
+    except (OSError, pa.ArrowException) as error:
+        raise UsageError(f"cannot read {path}: {error}") from error
+    known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+    if known.get("format") != FORMAT:
+        raise UsageError(f"{path} holds no results in format {FORMAT}; make some with mcp-asdf sweep")
+    return table
+
+
+def describe(table: pa.Table) -> dict[str, Any]:
+    """What the file says about itself."""
+    description: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
+    return description
+
+
+@dataclass(frozen=True)
+class Trials:
+    """All trials of one experiment in a file, by number.
+
+    Attributes:
+        experiment: What was run; ``trials`` may be more than there are.
+        numbers: The trials' numbers.
+        settled: K, shape (trials, N).
+        errors: e, shape (trials, N).
+        b_hat: Shape (trials, T // filter_period, N).
+        tests: Shape (trials, N).
+        updates: Shape (trials, N).
+        records: By quantity, shape (trials, T // thinning + 1, N); empty where nothing was recorded.
+    """
+
+    experiment: Experiment
+    numbers: list[int]
+    settled: NDArray[np.int64]
+    errors: NDArray[np.float64]
+    b_hat: NDArray[np.float64]
+    tests: NDArray[np.int64]
+    updates: NDArray[np.int64]
+    records: dict[str, NDArray[np.float64]]
+
+
+def experiments_in(table: pa.Table) -> list[Trials]:
+    """The experiments of a table in the order of their first rows. O(rows)."""
+    groups: dict[str, list[int]] = {}
+    for index, row in enumerate(table.select(_PARAMETERS).to_pylist()):
+        groups.setdefault(json.dumps(row), []).append(index)
+    whole = table.combine_chunks()  # rows picked from many small pieces take long
+    return [_trials(json.loads(key), whole.take(indices)) for key, indices in groups.items()]
+
+
+def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
+    experiment = Experiment.from_parameters(parameters)
+    table = table.sort_by("trial")
+    robots = experiment.robots
+
+    def matrix(name: str) -> NDArray[Any]:
+        return np.array(table[name].to_pylist())
+
+    def steps(name: str) -> NDArray[np.float64]:
+        return matrix(name).reshape(len(table), -1, robots)
+
+    recorded = [name for name in _RECORDS if name in table.column_names and len(table[name][0])]
+    return Trials(
+        experiment,
+        table["trial"].to_pylist(),
+        matrix("k"),
+        matrix("e"),
+        steps("b_hat"),
+        matrix("tests"),
+        matrix("updates"),
+        {name.removeprefix("record_"): steps(name) for name in recorded},
+    )
+
+
+# --- CSV -------------------------------------------------------------------------------------------------
+
+_SCORES = ("h_K", "h_e", "H")
+_MEANS = ("mean_K", "mean_e", "mean_b_hat", "tests", "updates")
+
+
+def write_csv(path: Path, experiments: Iterable[tuple[Trials, Limits]]) -> None:
+    """Write a line a trial: parameters, scores, means over the robots, sums of tests and updates.
+
+    Raises UsageError if that cannot be done.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*_PARAMETERS, "trial", *_SCORES, *_MEANS, "K_max", "e_max"])
+    for trials, limits in experiments:
+        scores = score(trials.settled, trials.errors, limits)
+        parameters = list(trials.experiment.parameters().values())
+        for index, number in enumerate(trials.numbers):
+            values = (scores.h_k[index], scores.h_e[index], scores.h[index], *_means(trials, index), *limits)
+            writer.writerow([*parameters, number, *(f"{value:.10g}" for value in values)])
+    write_atomically(path, text.getvalue())
+
+
+def _means(trials: Trials, index: int) -> Sequence[float]:
+    last = trials.b_hat[index][-1:].mean() if trials.b_hat.shape[1] else float("nan")
+    return (
+        float(trials.settled[index].mean()),
+        float(trials.errors[index].mean()),
+        float(last),
+        float(trials.tests[index].sum()),
+        float(trials.updates[index].sum()),
+    )
+
+
+# --- The authors' JSON -----------------------------------------------------------------------------------
+
+
+def write_authors_json(folder: Path, trials: Trials) -> list[Path]:
+    """Write a file for each trial as the simulator of the paper's authors does; returns their paths.
+
+    A robot's row of a step is "seed,n,t,x_hat,alpha,x_bar,beta,x,b_hat,w_hat", from step 0 on. Raises
+    UsageError if not every step was recorded or the folder cannot be written.
+    """
+    if not trials.records or trials.records["t"].shape[1] != trials.experiment.steps + 1:
+        raise UsageError("the authors' layout holds every step; record with a thinning of 1")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+    paths = []
+    for index, number in enumerate(trials.numbers):
+        paths.append(folder / f"f{trials.experiment.flawed}_t{number}.json")
+        content = _authors_parameters(trials.experiment) | {
+            "trial_ind": number,
+            "data_str": _data_rows(trials, index),
+        }
+        write_atomically(paths[-1], json.dumps(content))
+    return paths
+
+
+def _data_rows(trials: Trials, index: int) -> list[list[str]]:
+    """Rows by robot and step."""
+    order = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat")
+    values = np.stack([trials.records[name][index] for name in order], axis=-1).swapaxes(0, 1)
+    seed = trials.experiment.seed
+    return [
+        [",".join([str(seed), *(f"{value:.12g}" for value in row)]) for row in robot]
+        for robot in values.tolist()
+    ]
+
+
+def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
+    adaptive = experiment.activation is Activation.ADAPTIVE
+    return {
+        "sim_type": f"{'dynamic' if experiment.is_dynamic else 'static'}_topo_static_deg",
+        "method": "BRAVO" if adaptive else "ALPHA",
+        "num_robots": experiment.robots,
+        "num_flawed_robots": experiment.flawed,
+        "num_correct_robots": experiment.robots - experiment.flawed,
+        "num_steps": experiment.steps,
+        "num_trials": experiment.trials,
+        "comms_period": experiment.comms_period,
+        "sensor_filter_period": experiment.filter_period,
+        "tfr": experiment.fill_ratio,
+        "flawed_sensor_acc_b": experiment.flawed_accuracy,
+        "flawed_sensor_acc_w": experiment.flawed_accuracy,
+        "correct_sensor_acc_b": experiment.true_accuracy,
+        "correct_sensor_acc_w": experiment.true_accuracy,
+        "correct_robot_filter": experiment.mode is Mode.ASDF_PLUS,
+        "fully_connected": not experiment.is_dynamic,
+        "filter_specific_params": {"type_2_err_prob": float(experiment.omega)} if adaptive else {},
+    }

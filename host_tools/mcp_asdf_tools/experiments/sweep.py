@@ -1,0 +1,243 @@
+"""Run many experiments on all cores, so that no finished trial is lost or run twice.
+
+Trials are run in jobs. The results of a job go to a file of their own in the folder ``OUTPUT.parts`` the
+moment it ends; when all are there they become the one file OUTPUT and the folder goes. So an interrupted
+sweep goes on where it stopped, and a sweep that is asked for more runs only what is new.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from itertools import groupby, islice
+from multiprocessing import active_children, get_context
+from pathlib import Path
+
+import pyarrow as pa  # type: ignore[import-untyped]
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import check_target
+from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import describe, read_table, table_of, versions, write_table
+from mcp_asdf_tools.experiments.simulation import Measured, run_trials
+
+_MOST_TRIALS = 32
+"""Of a job: as many as the engine likes side by side, twice."""
+
+_MOST_ROBOT_STEPS = 20_000_000
+"""Of a job, which bounds its memory; more than one trial only while below."""
+
+Report = Callable[[int], None]
+"""Called with the number of trials that have just been finished."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Trials ``first`` .. ``first + count - 1`` of an experiment; ``thinning`` as in ``run_trials``."""
+
+    experiment: Experiment
+    first: int
+    count: int
+    thinning: int = 0
+
+    def run(self) -> Measured:
+        """The job's results."""
+        return run_trials(self.experiment, self.first, self.count, self.thinning)
+
+
+def identity(experiment: Experiment, thinning: int) -> str:
+    """Of what a trial with a given number gives: all parameters but how many trials there are."""
+    parameters = {
+        **replace(experiment, trials=1).parameters(),
+        "thinning": thinning,
+        "version": versions()["mcp-asdf"],
+    }
+    return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:20]
+
+
+class Store:
+    """The results of a sweep on disk, finished or not."""
+
+    def __init__(self, output: Path, experiments: Iterable[Experiment], thinning: int = 0) -> None:
+        """Look at what is there of the results of ``experiments``.
+
+        Raises UsageError if there are results of anything else, which would be lost, or the place cannot be
+        written.
+        """
+        self.output = output
+        self.parts = output.with_name(f"{output.name}.parts")
+        self.experiments = list(dict.fromkeys(experiments))
+        self._thinning = thinning
+        self._names = {experiment: identity(experiment, thinning) for experiment in self.experiments}
+        self._tables: list[pa.Table] = []
+        self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
+        check_target(output)
+        for path in [*sorted(self.parts.glob("*.parquet")), output]:
+            if path.exists():
+                self._take_file(path)
+
+    def missing(self, experiment: Experiment) -> list[int]:
+        """The trials of an experiment that have no results yet."""
+        return [
+            trial for trial in range(experiment.trials) if (self._names[experiment], trial) not in self._rows
+        ]
+
+    @property
+    def left(self) -> int:
+        """How many trials have no results yet."""
+        return sum(len(self.missing(experiment)) for experiment in self.experiments)
+
+    def add(self, job: Job, measured: Measured) -> None:
+        """Keep a job's results, on disk before this returns. Raises UsageError if that cannot be done."""
+        table = table_of(job.experiment, measured, self._thinning)
+        name = self._names[job.experiment]
+        try:
+            self.parts.mkdir(exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"cannot make the folder {self.parts}: {error.strerror}") from error
+        write_table(self.parts / f"{name}-{job.first}-{job.count}.parquet", table)
+        self._take(table, [name] * len(table))
+
+    def finish(self) -> pa.Table:
+        """Write the one file, in the order of the experiments, and remove the parts. Needs all trials."""
+        wanted = [(each, trial) for each in self.experiments for trial in range(each.trials)]
+        rows = [self._rows[self._names[experiment], trial] for experiment, trial in wanted]
+        table = pa.concat_tables(self._tables).combine_chunks().take(rows)
+        column = table.column_names.index("trials")  # there may have been fewer when a row was made
+        trials = pa.array([experiment.trials for experiment, _ in wanted], pa.uint64())
+        table = table.set_column(column, "trials", trials)
+        write_table(self.output, table)
+        for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
+            path.unlink(missing_ok=True)
+        with suppress(OSError):  # absent, or somebody keeps something else there
+            self.parts.rmdir()
+        return table
+
+    def _take_file(self, path: Path) -> None:
+        table = read_table(path)
+        said = describe(table)
+        rows = [json.dumps(row) for row in table.select(list(Experiment().parameters())).to_pylist()]
+        own = {
+            row: identity(Experiment.from_parameters(json.loads(row)), self._thinning) for row in set(rows)
+        }
+        wanted = {
+            (name, trial) for experiment, name in self._names.items() for trial in range(experiment.trials)
+        }
+        found = zip([own[row] for row in rows], table["trial"].to_pylist(), strict=True)
+        is_same = (
+            said["thinning"] == self._thinning and said["versions"]["mcp-asdf"] == versions()["mcp-asdf"]
+        )
+        if not is_same or not wanted.issuperset(found):
+            raise UsageError(
+                f"{path} holds results of other experiments, recordings or versions; "
+                "choose another name or move it away"
+            )
+        self._take(table, [own[row] for row in rows])
+
+    def _take(self, table: pa.Table, names: Sequence[str]) -> None:
+        """Remember each row of a table."""
+        start = sum(map(len, self._tables))
+        self._tables.append(table)
+        for index, (name, trial) in enumerate(zip(names, table["trial"].to_pylist(), strict=True)):
+            self._rows[name, trial] = start + index
+
+
+def jobs_of(store: Store, thinning: int = 0) -> Iterator[Job]:
+    """What is still to be run."""
+    for experiment in store.experiments:
+        is_native = experiment.firmware == "native"
+        size = (
+            min(_MOST_TRIALS, _MOST_ROBOT_STEPS // (experiment.robots * experiment.steps)) if is_native else 1
+        )
+        # Numbers less their places are equal within a run without gaps.
+        for _, gapless in groupby(enumerate(store.missing(experiment)), lambda pair: pair[1] - pair[0]):
+            trials = (trial for _, trial in gapless)
+            while batch := list(islice(trials, max(1, size))):
+                yield Job(experiment, batch[0], len(batch), thinning)
+
+
+def run_sweep(
+    store: Store,
+    workers: int,
+    thinning: int = 0,
+    report: Report = lambda trials: None,
+    scheduler: str | None = None,
+) -> pa.Table:
+    """Run what is missing on ``workers`` processes, 1 being this one, and return the finished table. With the
+    address of a ``scheduler`` run it on that Dask cluster instead.
+
+    KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
+    or a worker process of this machine dies.
+    """
+    jobs = jobs_of(store, thinning)
+    for job, measured in _results_of(jobs, workers, scheduler):
+        store.add(job, measured)
+        report(job.count)
+    return store.finish()
+
+
+def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[tuple[Job, Measured]]:
+    if scheduler is not None:
+        from mcp_asdf_tools.experiments.cluster import run_on_cluster  # noqa: PLC0415 (Dask loads slowly)
+
+        return run_on_cluster(jobs, scheduler)
+    return _run_here(jobs) if workers == 1 else _run_on_workers(jobs, workers)
+
+
+def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
+    for job in jobs:
+        yield job, job.run()
+
+
+def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
+    """Run jobs in processes; yields results as they come. Not more than two a worker wait at any time."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        running: dict[Future[Measured], Job] = {}
+        while True:
+            with _interrupts_held():
+                for job in islice(jobs, 2 * workers - len(running)):
+                    running[pool.submit(job.run)] = job
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
+    except BrokenProcessPool as error:
+        raise UsageError(
+            "a worker process was killed; what was finished is kept: run the same again"
+        ) from error
+    finally:
+        for process in set(active_children()) - others:
+            process.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C reaches all processes of a terminal. Those started in here never hear of it, this one later.
+
+    They inherit the mask, in force before Python is up in them. Here another thread may be given the signal
+    in spite of it, so its handler waits, too.
+    """
+    with stopping((signal.SIGINT,)) as is_asked:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    if is_asked():
+        signal.raise_signal(signal.SIGINT)
+
+
+def default_workers() -> int:
+    """As many as this process may use processors."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

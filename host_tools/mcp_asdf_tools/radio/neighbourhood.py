@@ -1,0 +1,163 @@
+"""The neighbours of one real controller: an emulated swarm in which one robot is not emulated.
+
+``Neighbourhood`` knows no bus. It is told what the controller has sent and says what the controller hears:
+of the neighbours in range, what the faults leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import can
+from mcp_asdf.robot import Observation
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.sidecar import RobotRecord
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
+from mcp_asdf_tools.swarm.fault_spec import Fault
+from mcp_asdf_tools.swarm.faults import Faults, Sent
+from mcp_asdf_tools.swarm.medium import Air
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, make_world
+from mcp_asdf_tools.world.topology import Topology
+
+_COLOURS = (Observation.WHITE, Observation.BLACK)
+
+
+def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
+    """Ids for ``count`` neighbours: from ``first`` on, without the controller's.
+
+    Raises UsageError if there are not that many, 1 or more, up to 125.
+    """
+    ids = tuple(robot for robot in range(first, MAX_ROBOTS_AND_TOOLS) if robot != controller)
+    if not 0 <= first < MAX_ROBOTS_AND_TOOLS:
+        raise UsageError(f"first-id is {first}; it must be 0 to {MAX_ROBOTS_AND_TOOLS - 1}")
+    if not 1 <= count <= len(ids):
+        raise UsageError(
+            f"robots is {count}; from id {first} on there is room for 1 to {len(ids)}, without the "
+            f"controller's, {controller}, and those that Cyphal keeps for tools"
+        )
+    return ids[:count]
+
+
+@dataclass(frozen=True)
+class RadioSettings:
+    """What surrounds the controller. Raises UsageError if two robots have one id.
+
+    Attributes:
+        controller: The robot on the bus, as far as it is known.
+        neighbours: Those to emulate.
+        swarm: The world that they are in, with as many robots as there are in all. Of the settings that
+            concern robots or frames none counts.
+        subjects: Where messages are.
+        faults: What goes wrong between them, in the order in which it acts.
+    """
+
+    controller: RobotRecord
+    neighbours: tuple[RobotRecord, ...]
+    swarm: Settings
+    subjects: Subjects
+    faults: tuple[Fault, ...] = ()
+
+    def __post_init__(self) -> None:
+        ids = [self.controller.id, *(each.id for each in self.neighbours)]
+        if len(set(ids)) < len(ids):
+            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
+
+
+def like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
+    """A neighbour configured as the controller is."""
+    return replace(controller, id=robot, b_hat=b_hat)
+
+
+class _Renumbered:
+    """A topology of robots whose ids are not 0, 1, 2 ..."""
+
+    def __init__(self, topology: Topology, ids: Sequence[int]) -> None:
+        self._topology = topology
+        self._ids = ids
+        self._places = {robot: place for place, robot in enumerate(ids)}
+
+    def neighbours(self, robot: int) -> Collection[int]:
+        """Ids of the robots that ``robot`` hears."""
+        return frozenset(self._ids[place] for place in self._topology.neighbours(self._places[robot]))
+
+
+class Neighbourhood:
+    """Emulated robots around a controller. A tick is ``begin``, whatever the controller does, ``finish``.
+
+    Attributes:
+        settings: What it is made of.
+        nodes: The living and the dead, by id.
+        faults: What goes wrong.
+        tick: Number of the tick that is open or, between ticks, of the next.
+    """
+
+    def __init__(self, settings: RadioSettings) -> None:
+        self.settings = settings
+        self.nodes = {record.id: self._node(record) for record in settings.neighbours}
+        self.faults = Faults(settings.faults, settings.swarm.seed, settings.subjects.estimates)
+        self.tick = 0
+        self._records = {record.id: record for record in settings.neighbours}
+        self._ids = sorted([settings.controller.id, *self.nodes])
+        self._world = make_world(settings.swarm)
+        self._air = Air(_Renumbered(self._world.topology, self._ids), self.faults)
+        self._forgetful: dict[int, bool] = {}
+        self._sent: list[Sent] = []
+
+    def begin(self) -> Observation:
+        """Let all neighbours observe; returns what the controller's sensor would say. O(neighbours)."""
+        colours = dict(zip(self._ids, self._world.observe()[0].tolist(), strict=True))
+        frames = [
+            (robot, frame)
+            for robot in self._living()
+            for frame in self._frames_of(robot, _COLOURS[colours[robot]])
+        ]
+        self._sent = [each for robot, frame in frames for each in self.faults.leave(frame, robot, self.tick)]
+        for robot in self.nodes:
+            for frame in self.faults.babble(robot, self.tick, self.tick / self._ticks_per_second):
+                self._sent += self.faults.leave(frame, robot, self.tick)
+        return _COLOURS[colours[self.settings.controller.id]]
+
+    def finish(self, said: Sequence[can.Message]) -> list[can.Message]:
+        """Let the controller have ``said`` this, and all neighbours hear and settle.
+
+        Returns what the controller hears, in order. O(neighbours**2).
+        """
+        controller = self.settings.controller.id
+        sent = [*self._sent, *(Sent(frame, controller, self.tick, n) for n, frame in enumerate(said))]
+        for robot, node in self.nodes.items():
+            for frame in self._air.arrivals(robot, self.tick, sent):
+                if robot not in self._forgetful:
+                    node.hear(frame)
+        for robot in self._living_now():
+            self.nodes[robot].settle()
+        heard = self._air.arrivals(controller, self.tick, sent)
+        self.tick += 1
+        # Error frames are a driver's report: nobody can send one.
+        return [frame for frame in heard if not frame.is_error_frame]
+
+    def _frames_of(self, robot: int, z: Observation) -> list[can.Message]:
+        node = self.nodes[robot]
+        return (node.start() if node.ticks == 0 else []) + node.observe(z)
+
+    def _living(self) -> list[int]:
+        """Those who live in this tick; some of them have just risen."""
+        for robot in self.nodes:
+            fault = self.faults.crash(robot, self.tick)
+            if fault is not None:
+                self._forgetful.setdefault(robot, fault.rejoin == "new")
+            elif self._forgetful.pop(robot, False):
+                self.nodes[robot] = self._node(self._records[robot])
+        return self._living_now()
+
+    def _living_now(self) -> list[int]:
+        return [robot for robot in self.nodes if robot not in self._forgetful]
+
+    def _node(self, record: RobotRecord) -> RobotNode:
+        settings = NodeSettings(record.id, self.settings.subjects, self._ticks_per_second, telemetry_period=0)
+        return RobotNode(record.make(), settings)
+
+    @property
+    def _ticks_per_second(self) -> int:
+        return self.settings.swarm.ticks_per_second

@@ -1,0 +1,109 @@
+"""Neighbours of one real controller in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from statistics import fmean
+from typing import Any
+
+import can
+
+from mcp_asdf_tools.bus.frames import Message, Telemetry, decode, decode_telemetry
+from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
+from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.node_run import Link, Outcome, Stopped
+
+
+class RadioRun:
+    """Emulated neighbours at work around a controller that has its own clock.
+
+    Attributes:
+        neighbours: The neighbours.
+        link: The connection to the controller.
+        outcome: How it went, once it is over.
+        sent: Frames sent to the controller.
+        heard: Estimates heard from it.
+        strangers: Legal estimates from nodes that are neither the controller nor emulated.
+        last: The last estimate and the last telemetry of the controller.
+        collisions: Finds nodes with one id.
+        watch: Called after each tick.
+    """
+
+    def __init__(self, neighbours: Neighbourhood, link: Link, ticks: int | None = None) -> None:
+        """Prepare for ``ticks`` ticks, or for any number if None."""
+        self.neighbours = neighbours
+        self.link = link
+        self.outcome = Outcome("all ticks done")
+        self.sent = self.heard = self.strangers = 0
+        self.last: tuple[Message | None, Telemetry | None] = (None, None)
+        self.collisions = CollisionWatch()
+        self.watch: Callable[[], None] = lambda: None
+        self._ticks = ticks
+        self._said: list[can.Message] = []
+
+    def run(self) -> None:
+        """Tick until all is done, or until told to stop.
+
+        What the controller says is heard at the next tick; what it hears it hears at ticks.
+        """
+        clock = RealTimeClock(self.neighbours.settings.swarm.ticks_per_second, sleep=self._listen)
+        try:
+            while self._ticks is None or self.neighbours.tick < self._ticks:
+                clock.begin(self.neighbours.tick)
+                self.link.catch_up(self._take)
+                self._tick()
+                self.watch()
+        except (Stopped, KeyboardInterrupt):
+            self.outcome.ending = "told to stop"
+            self.outcome.is_interrupted = self._ticks is not None
+        finally:
+            self.outcome.lateness = clock.figures()
+
+    def figures(self) -> dict[str, Any]:
+        """What came out as plain values, for JSON."""
+        x = [node.robot.x for node in self.neighbours.nodes.values()]
+        return {
+            "ticks": self.neighbours.tick,
+            **vars(self.outcome),
+            "frames_sent": self.sent,
+            "estimates_heard": self.heard,
+            "strangers": self.strangers,
+            "collisions": {str(sender): what.value for sender, what in self.collisions.found.items()},
+            "bus_failures": self.link.failures,
+            "faults": self.neighbours.faults.figures(),
+            "mean_x": fmean(x),
+            "spread_x": max(x) - min(x),
+        }
+
+    def _tick(self) -> None:
+        self.neighbours.begin()
+        for frame in self.neighbours.finish(self._said):
+            self.sent += self.link.send(frame)
+        self._said = []
+
+    def _listen(self, seconds: float) -> None:
+        frame = self.link.receive(seconds)
+        if frame is not None:
+            self._take(frame)
+
+    def _take(self, frame: can.Message) -> None:
+        subjects = self.neighbours.settings.subjects
+        estimate = decode(frame, subjects.estimates)
+        if isinstance(estimate, Message):
+            self._hear(estimate, frame)
+        telemetry = decode_telemetry(frame, subjects.telemetry)
+        if isinstance(telemetry, Telemetry) and telemetry.sender == self.neighbours.settings.controller.id:
+            self.last = self.last[0], telemetry
+
+    def _hear(self, estimate: Message, frame: can.Message) -> None:
+        if estimate.sender in self.neighbours.nodes:
+            self.collisions.found.setdefault(estimate.sender, Collision.OWN_ID)
+            return
+        self.collisions.hear(estimate)
+        if estimate.sender != self.neighbours.settings.controller.id:
+            self.strangers += 1
+            return
+        self.heard += 1
+        self.last = estimate, self.last[1]
+        self._said.append(frame)

@@ -1,0 +1,90 @@
+"""Logs of frames in python-can's formats, which appear under their name only when complete."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from types import TracebackType
+
+import can
+from can.io.generic import FileIOMessageWriter
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet, explaining, refusal
+from mcp_asdf_tools.recording.sidecar import Header, SidecarWriter, sidecar_path
+
+_LOSSY = ".db"
+
+Outputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
+"""What takes frames and what takes events, if anything."""
+
+
+class FrameLog:
+    """A log whose format is chosen by the suffix, as by python-can's own logger.
+
+    A context manager: at its end the log is complete, and one of the files that appear together.
+    """
+
+    def __init__(self, path: Path | str, files: FileSet) -> None:
+        """Begin a log, one of ``files``. Raises UsageError if its format or place will not do."""
+        self._path = path
+        suffix = _suffix_of(Path(path))
+        # python-can tells the format by the name, so the temporary name ends in the same way.
+        temporary = files.begin(path, suffix)
+        try:
+            with explaining(path):
+                self._writer = can.Logger(temporary)
+        except UsageError:
+            raise
+        except (can.CanError, NotImplementedError, ValueError) as error:
+            raise UsageError(
+                f"cannot write the log {path}: {error}; choose .log, .asc, .blf, .csv, .trc or .txt "
+                "(add .gz to compress; not .blf)"
+            ) from error
+
+    def write(self, frame: can.Message) -> None:
+        """Append ``frame``. Raises UsageError if that is impossible."""
+        try:
+            self._writer.on_message_received(frame)
+        except OSError as error:
+            raise refusal(self._path, error) from error
+
+    def __enter__(self) -> FrameLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with explaining(self._path), ExitStack() as stack:
+            if isinstance(self._writer, FileIOMessageWriter):
+                stack.enter_context(closing(self._writer.file))  # which a stop that fails leaves open
+            self._writer.stop()
+
+
+@contextmanager
+def logging_to(path: Path | None, header: Header | None) -> Iterator[Outputs]:
+    """Keep the log ``path``, if there is one, and with a ``header`` its sidecar, too.
+
+    Both appear on a regular end, or neither. Raises UsageError if one of them cannot be written.
+    """
+    if path is None:
+        yield None, None
+        return
+    with FileSet() as files, FrameLog(path, files) as log, ExitStack() as stack:
+        events = None
+        if header is not None:
+            events = stack.enter_context(SidecarWriter(sidecar_path(path), header, files))
+        yield log.write, events
+
+
+def _suffix_of(path: Path) -> str:
+    """The suffix that tells the format, with that of the compression."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    telling = suffixes[-2:] if suffixes[-1:] == [".gz"] else suffixes[-1:]
+    if _LOSSY in telling:
+        raise UsageError(
+            f"cannot log to {path.name}: python-can's SQLite writer drops the frames that wait when it "
+            "stops, nine in ten of a short run; use .blf or .log"
+        )
+    return "".join(telling)

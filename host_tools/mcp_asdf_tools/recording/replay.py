@@ -1,0 +1,339 @@
+"""Replaying a log: every robot again from what it saw and heard, or its frames onto a bus."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import can
+
+from mcp_asdf_tools.bus.frames import Action, FrameFormat, Message, alpha_bits, binary32_of, decode, float_of
+from mcp_asdf_tools.recording.sidecar import RESTART, SETTLE, Event, RobotRecord, SidecarReader, frame_as_text
+
+SEND_TIMEOUT = 2.0
+_TRANSFERS = 32
+_SLICE = 0.1
+_QUIET, _LONGEST_REST = 0.1, 2.0
+"""Seconds."""
+
+
+class Broadcast(NamedTuple):
+    """What a robot sent.
+
+    Attributes:
+        tick: Number of the tick that it belongs to, from 1 at the robot's start.
+        transfer_id: Number of the broadcast since then modulo 32.
+        x_hat: Local estimate in units of 2**-23.
+        alpha_bits: Local confidence as the frame has it, in binary32 bits.
+        is_false: Whether a fault put these values in the place of the firmware's.
+    """
+
+    tick: int
+    transfer_id: int
+    x_hat: int
+    alpha_bits: int
+    is_false: bool = False
+
+
+class Rerun:
+    """One robot doing once more what it did.
+
+    Attributes:
+        broadcasts: What it sends, in order; whoever compares them takes them off.
+    """
+
+    def __init__(self, record: RobotRecord) -> None:
+        """Prepare a robot that starts like the one recorded."""
+        self.broadcasts: deque[Broadcast] = deque()
+        self._record = record
+        self._start()
+
+    def _start(self) -> None:
+        self._robot = self._record.make()
+        self._ticks = 0
+        self._transfers = 0
+
+    def do(self, events: Iterable[Event]) -> None:
+        """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
+        for event in events:
+            if isinstance(event, list):
+                self._take(event)
+            elif isinstance(event, str):
+                self._suffer(event)
+            elif event == SETTLE:
+                self._robot.settle()
+            else:
+                self._observe(Action(event))
+
+    def _observe(self, action: Action) -> None:
+        self._ticks += 1
+        if self._robot.observe(action.observation):
+            transfer = self._transfers % _TRANSFERS
+            self._transfers += 1
+            said = self._robot.port.x_hat_raw, binary32_of(self._robot.port.alpha_raw)
+            self.broadcasts.append(Broadcast(self._ticks, transfer, *said))
+
+    def _take(self, values: Sequence[int]) -> None:
+        if len(values) == 3:
+            self._robot.port.receive_raw(*values)
+        else:
+            x_hat, bits = values
+            last = self._last("falsified")
+            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
+
+    def _suffer(self, event: str) -> None:
+        if event == RESTART:
+            self._start()
+        else:
+            self._last(event)
+
+    def _last(self, what: str) -> Broadcast:
+        """Take back the last broadcast."""
+        if not self.broadcasts:
+            raise ValueError(f"robot {self._record.id} has a broadcast {what} before it made one")
+        return self.broadcasts.pop()
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first broadcast of a log that is not what the robot would have sent.
+
+    Attributes:
+        frame: Its number in the log, from 1.
+        timestamp: As the log has it, seconds.
+        logged: What the log says.
+        alpha_bits: The same of alpha, in the binary32 bits of the frame.
+        expected: What the robot sends at this place; None if it sends nothing more.
+    """
+
+    frame: int
+    timestamp: float
+    logged: Message
+    alpha_bits: int
+    expected: Broadcast | None
+
+    def __str__(self) -> str:
+        logged, expected = self.logged, self.expected
+        says = (
+            f"frame {self.frame} at {self.timestamp:.6f} s: robot {logged.sender} broadcast "
+            f"{_values(logged, self.alpha_bits)}"
+        )
+        if expected is None:
+            return f"{says}, but makes no more broadcasts"
+        return f"{says}, but in tick {expected.tick} it makes {_values(expected, expected.alpha_bits)}"
+
+
+def _values(said: Message | Broadcast, bits: int) -> str:
+    return (
+        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {bits:#010x} ({float_of(bits):.7g}), "
+        f"transfer {said.transfer_id}"
+    )
+
+
+@dataclass
+class Verdict:
+    """What came out of a comparison.
+
+    Attributes:
+        reproduced: Broadcasts of the log that the robots made again, bit for bit.
+        falsified: Those that went out with the values that a fault gave them.
+        foreign: Frames under a robot's id that it did not send.
+        not_logged: Broadcasts that the log lacks.
+        other: Frames that are no estimate of a recorded robot.
+        difference: The first broadcast that is not reproduced; None if all are.
+    """
+
+    reproduced: int = 0
+    falsified: int = 0
+    foreign: int = 0
+    not_logged: int = 0
+    other: int = 0
+    difference: Difference | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """The verdict as plain values, for JSON."""
+        return asdict(self) | {"difference": None if self.difference is None else str(self.difference)}
+
+
+def verify(
+    log: Iterable[can.Message], sidecar: SidecarReader, progress: Callable[[], None] = lambda: None
+) -> Verdict:
+    """Run every robot of ``sidecar`` again and compare its broadcasts with those of ``log``.
+
+    Calls ``progress`` after each line of the sidecar, which takes most of the time. Stops at the first
+    difference. Time O(events + frames), memory O(broadcasts). Raises UsageError if log or sidecar cannot be
+    read or the sidecar contradicts itself.
+    """
+    robots, foreign = _run_again(sidecar, progress)
+    comparison = _Comparison(robots, foreign, sidecar.header.frames)
+    for number, frame in enumerate(log, start=1):
+        if not comparison.take(number, frame):
+            break
+    else:
+        comparison.verdict.not_logged += sum(len(robot.broadcasts) for robot in robots.values())
+    return comparison.verdict
+
+
+def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[dict[int, Rerun], Counter[str]]:
+    """The robots after all that happened to them, and the frames that none of them sent."""
+    robots = {record.id: Rerun(record) for record in sidecar.header.robots}
+    foreign: Counter[str] = Counter()
+    for line in sidecar.lines():
+        if isinstance(line, str):
+            foreign[line] += 1
+        else:
+            robot, events = line
+            try:
+                robots[robot].do(events)
+            except ValueError as error:
+                raise sidecar.wrong(str(error)) from error
+        progress()
+    return robots, foreign
+
+
+class _Comparison:
+    def __init__(self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat) -> None:
+        self.verdict = Verdict()
+        self._robots = robots
+        self._foreign = foreign
+        self._frames = frames
+
+    def take(self, number: int, frame: can.Message) -> bool:
+        """Compare one frame; returns whether it is as expected."""
+        message = decode(frame, self._frames)
+        if not isinstance(message, Message) or message.sender not in self._robots:
+            self.verdict.other += 1
+            return True
+        broadcasts = self._robots[message.sender].broadcasts
+        place = _place_of(message, broadcasts)
+        said = message.x_hat, alpha_bits(frame)
+        is_own = place is not None and (broadcasts[place].x_hat, broadcasts[place].alpha_bits) == said
+        # What strangers sent, too, is the robot's own only in its turn: among the next it is by chance.
+        text = frame_as_text(frame)
+        if self._foreign[text] and not (is_own and place == 0):
+            self._foreign[text] -= 1
+            self.verdict.foreign += 1
+            return True
+        if is_own and place is not None:
+            self._pass(broadcasts, place)
+            return True
+        expected = broadcasts[place or 0] if broadcasts else None
+        self.verdict.difference = Difference(number, frame.timestamp, message, said[1], expected)
+        return False
+
+    def _pass(self, broadcasts: deque[Broadcast], place: int) -> None:
+        """Take the broadcast at ``place`` off, and those before it, which the log lacks."""
+        for _ in range(place):
+            broadcasts.popleft()
+        self.verdict.not_logged += place
+        if broadcasts.popleft().is_false:
+            self.verdict.falsified += 1
+        else:
+            self.verdict.reproduced += 1
+
+
+def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
+    """Where the broadcast with the message's number is among the next ones; 0 in a log without gaps."""
+    ahead = range(min(len(broadcasts), _TRANSFERS))
+    return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
+
+
+# --- Onto a bus ------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Playback:
+    """Frames of a log on their way onto a bus.
+
+    Attributes:
+        sent: Frames sent.
+        skipped: Error frames, which cannot be sent, and frames of nodes left out.
+        seconds: How long it took.
+        lateness: By how much the latest frame was late, seconds; 0 flat out.
+        failures: Frames that the bus did not take.
+        last_failure: Why not, the last time.
+        is_stopped: Whether it was told to stop.
+    """
+
+    sent: int = 0
+    skipped: int = 0
+    seconds: float = 0.0
+    lateness: float = 0.0
+    failures: int = 0
+    last_failure: str | None = None
+    is_stopped: bool = False
+
+    def plain(self) -> dict[str, Any]:
+        """The figures as plain values, for JSON."""
+        return asdict(self)
+
+
+@dataclass
+class Player:
+    """Sends the frames of a log.
+
+    Attributes:
+        bus: Where to.
+        speed: Recorded seconds a second; 0 for as fast as the bus takes them.
+        left_out: Node ids whose frames are not sent, such as that of a robot that is there itself.
+        is_told_to_stop: Asked several times a second.
+        progress: Called after each frame.
+        playback: How it goes.
+    """
+
+    bus: can.BusABC
+    speed: float = 1.0
+    left_out: Collection[int] = ()
+    is_told_to_stop: Callable[[], bool] = lambda: False
+    progress: Callable[[], None] = lambda: None
+    playback: Playback = field(default_factory=Playback)
+
+    def play(self, log: Iterable[can.Message]) -> None:
+        """Send all frames of ``log``, or until told to stop."""
+        began, first = time.monotonic(), None
+        for frame in log:
+            if frame.is_error_frame or (
+                frame.is_extended_id and frame.arbitration_id & 0x7F in self.left_out
+            ):
+                self.playback.skipped += 1
+                continue
+            first = frame.timestamp if first is None else first
+            if not self._wait(began + (frame.timestamp - first) / self.speed if self.speed else began):
+                self.playback.is_stopped = True
+                break
+            self._send(frame)
+            self.progress()
+        self.playback.seconds = time.monotonic() - began
+        self._come_to_rest()
+
+    def _wait(self, due: float) -> bool:
+        """Wait until ``due``; returns whether to go on."""
+        while not self.is_told_to_stop():
+            left = due - time.monotonic()
+            if left <= 0:
+                if self.speed:
+                    self.playback.lateness = max(self.playback.lateness, -left)
+                return True
+            time.sleep(min(left, _SLICE))
+        return False
+
+    def _come_to_rest(self) -> None:
+        """Read until the bus is quiet: to leave an adapter earlier is to lose what it has not passed on."""
+        began = now = time.monotonic()
+        while now - began < _LONGEST_REST:
+            self.bus.recv(_QUIET)
+            before, now = now, time.monotonic()
+            if now - before >= _QUIET:
+                break
+
+    def _send(self, frame: can.Message) -> None:
+        try:
+            self.bus.send(frame, timeout=SEND_TIMEOUT)
+            self.bus.recv(0)  # adapters answer each frame, and stop when nobody reads that
+            self.playback.sent += 1
+        except can.CanError as error:
+            self.playback.failures += 1
+            self.playback.last_failure = str(error)

@@ -1,0 +1,370 @@
+"""What each robot saw, heard and did in a run, beside the log of the bus: enough to run every robot again.
+
+The sidecar of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
+run (:class:`Header`). Every other line is either
+
+- ``[robot, event, ...]``: what happened to one robot next, in order. Lines of different robots may come in
+  any order, for robots share no state. An event is
+
+  ===================== ================================================================================
+  0, 1, 2               a tick began, in which it observed white, black, nothing
+  3                     the tick ended (all four are the numbers of ``frames.Action``)
+  [sender, x_hat, alpha] it was given a message, which its firmware may have refused; raw integers as in
+                        ``mcp_asdf_tools.bus.frames.Message``
+  [x_hat, alpha]        its last broadcast went out with these false values (a fault), alpha in the binary32
+                        bits of the frame
+  "silent"              its last broadcast did not go out at all (a fault)
+  "restart"             it started anew, as the header says
+  ===================== ================================================================================
+
+- ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent (a fault), as candump writes it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import can
+import numpy as np
+from mcp_asdf.robot import Filter, Observation, check_settings
+
+from mcp_asdf_tools.bus.frames import Action, FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet, explaining, refusal
+from mcp_asdf_tools.common.versions import own_version
+from mcp_asdf_tools.robots.firmwares import load_firmware
+from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
+from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
+
+FORMAT = "mcp-asdf events"
+VERSION = 2
+"""1 had binary32 bits for alpha, and tables of another format."""
+SETTLE = 3
+SILENT, RESTART = "silent", "restart"
+_MAX_WORD = 2**32 - 1
+
+Event = int | str | list[int]
+"""One event as the lines have it."""
+
+
+def sidecar_path(log: Path | str) -> Path:
+    """Where the sidecar of a log is."""
+    return Path(f"{log}.events")
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """How one robot started.
+
+    Attributes:
+        id: Robot id, 0 .. 127.
+        firmware: Name of its firmware, see ``mcp_asdf_tools.robots.firmwares``.
+        b_hat: Accuracy that it assumed.
+        config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
+    """
+
+    id: int
+    firmware: str
+    b_hat: float
+    config: TickConfig
+
+    def make(self) -> TickedRobot:
+        """A robot that starts like this one.
+
+        Raises UsageError if there is no such firmware here, FirmwareError if it refuses the config.
+        """
+        config = self.config.in_rounds()
+        check_settings(config)  # names what is wrong, which the C cannot
+        robot = load_firmware(self.firmware)(config, self.id, self.b_hat)
+        return TickedRobot(robot, self.config.comms_period)
+
+    def plain(self) -> dict[str, Any]:
+        """The record as plain values, for JSON."""
+        return {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat} | config_as_plain(self.config)
+
+
+def config_as_plain(config: TickConfig) -> dict[str, Any]:
+    """A config as plain values: the table as its omega, q and checksum.
+
+    Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
+    """
+    plain: dict[str, Any] = {
+        "filter": config.filter.name.lower(),
+        "comms_period": config.comms_period,
+        "filter_period": config.filter_period,
+        "memory": config.memory,
+    }
+    if config.table is not None:
+        omega = omega_from_word(config.table.omega_word)
+        if omega is None:
+            raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
+        plain["table"] = {"omega": str(omega), "q": config.table.q, "checksum": config.table.words()[-1]}
+    return plain
+
+
+def versions() -> dict[str, str]:
+    """What the results of a run may depend on, by name."""
+    return {"mcp-asdf": own_version(), "python-can": can.__version__, "numpy": np.__version__}
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a run is made of.
+
+    Attributes:
+        robots: The robots whose events follow; no two with one id.
+        seed: Of everything random; None if nothing was.
+        frames: Where estimates are on the bus.
+        parameters: All settings of the run, for people.
+        versions: Of the software.
+    """
+
+    robots: Sequence[RobotRecord]
+    seed: int | None
+    frames: FrameFormat
+    parameters: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=versions)
+
+    def plain(self) -> dict[str, Any]:
+        """The header as plain values, for JSON."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "versions": self.versions,
+            "seed": self.seed,
+            "frames": asdict(self.frames),
+            "parameters": self.parameters,
+            "robots": [robot.plain() for robot in self.robots],
+        }
+
+
+# --- Writing ---------------------------------------------------------------------------------------------
+
+
+class Recorder:
+    """Takes one robot's events, each in O(1), and passes them on in lines, one a settle."""
+
+    def __init__(self, robot: int, write: Callable[[str], object]) -> None:
+        self._head = f"[{robot}"
+        self._parts = [self._head]
+        self._write = write
+
+    def observe(self, z: Observation | None) -> None:
+        """It began a tick and observed ``z``, if anything."""
+        self._parts.append(str(Action.observing(z).value))
+
+    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
+        """It was given a message of these raw values."""
+        self._parts.append(f"[{sender},{x_hat},{alpha}]")
+
+    def settle(self) -> None:
+        """It ended the tick."""
+        self._parts.append(str(SETTLE))
+        self.flush()
+
+    def silent(self) -> None:
+        """The broadcast of its last tick does not go out."""
+        self._parts.append(f'"{SILENT}"')
+
+    def falsified(self, x_hat: int, alpha_bits: int) -> None:
+        """The broadcast of its last tick goes out with these values instead of its own."""
+        self._parts.append(f"[{x_hat},{alpha_bits}]")
+
+    def restart(self) -> None:
+        """It starts anew."""
+        self._parts.append(f'"{RESTART}"')
+
+    def foreign(self, frame: can.Message) -> None:
+        """``frame`` went over the bus under its id, and it was another that sent it."""
+        self._write(f'"{frame_as_text(frame)}"\n')
+
+    def flush(self) -> None:
+        """Pass on what was taken so far."""
+        if len(self._parts) > 1:
+            self._write(",".join(self._parts) + "]\n")
+            self._parts = [self._head]
+
+
+class SidecarWriter:
+    """A sidecar in the making.
+
+    A context manager: at its end the sidecar is complete, and one of the files that appear together.
+
+    Attributes:
+        robots: The recorder of each robot of the header, by id.
+    """
+
+    def __init__(self, path: Path | str, header: Header, files: FileSet) -> None:
+        """Begin a sidecar, one of ``files``.
+
+        Raises UsageError if it cannot be written or two robots have one id.
+        """
+        ids = [robot.id for robot in header.robots]
+        if len(set(ids)) < len(ids):
+            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
+        first = json.dumps(header.plain(), allow_nan=False) + "\n"
+        self._path = path
+        temporary = files.begin(path)
+        with explaining(path):
+            self._file = temporary.open("w", encoding="ascii", buffering=1 << 16)
+        self._write(first)
+        self.robots = {robot: Recorder(robot, self._write) for robot in ids}
+
+    def injected(self, frame: can.Message) -> None:
+        """``frame`` went over the bus, and no robot sent it."""
+        self._write(f'"{frame_as_text(frame)}"\n')
+
+    def _write(self, line: str) -> None:
+        try:
+            self._file.write(line)
+        except OSError as error:
+            raise refusal(self._path, error) from error
+
+    def __enter__(self) -> SidecarWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with explaining(self._path), self._file:
+            for recorder in self.robots.values():
+                recorder.flush()
+
+
+def frame_as_text(frame: can.Message) -> str:
+    """A frame's identifier and data as candump writes them; remote and error frames are told apart."""
+    if frame.is_remote_frame:
+        return f"{frame.arbitration_id:08X}#R"
+    kind = "E" if frame.is_error_frame else ""
+    digits = 8 if frame.is_extended_id or frame.is_error_frame else 3
+    return f"{kind}{frame.arbitration_id:0{digits}X}#{frame.data.hex().upper()}"
+
+
+# --- Reading ---------------------------------------------------------------------------------------------
+
+
+class SidecarReader:
+    """A sidecar being read. A context manager.
+
+    Attributes:
+        header: What the run is made of.
+        bytes: Size of the file.
+        bytes_read: Read so far.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Read the header. Raises UsageError if there is none or it makes no sense."""
+        self._path = Path(path)
+        self._number = self.bytes_read = 0
+        try:
+            self._file = self._path.open(encoding="ascii", newline="\n")
+            self.bytes = self._path.stat().st_size
+        except OSError as error:
+            raise UsageError(f"cannot read {path}: {error.strerror}") from error
+        try:
+            self.header = self._read_header()
+        except UsageError:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> SidecarReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def lines(self) -> Iterator[tuple[int, Sequence[Event]] | str]:
+        """Yield what follows the header: a robot with its next events, or an injected frame as text.
+
+        Raises UsageError, naming the line, for one that makes no sense.
+        """
+        known = {robot.id for robot in self.header.robots}
+        for line in iter(self._next_line, ""):
+            content = self._parse(line)
+            if isinstance(content, str):
+                yield content
+                continue
+            if not (isinstance(content, list) and content and is_plain_int(content[0])):
+                raise self.wrong("neither a robot with its events nor a frame")
+            robot, *events = content
+            if robot not in known:
+                raise self.wrong(f"robot {robot} is not in the first line")
+            for event in events:
+                if not _is_event(event):
+                    raise self.wrong(f"{event!r} is no event")
+            yield robot, events
+
+    def _next_line(self) -> str:
+        """One more line; empty at the end."""
+        self._number += 1
+        try:
+            line = self._file.readline()
+            self.bytes_read += len(line)
+            return line
+        except UnicodeDecodeError as error:
+            raise UsageError(f"{self._path} is no text: {error}") from error
+
+    def _parse(self, line: str) -> Any:
+        try:
+            return json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise self.wrong(f"not JSON ({error}); was the file cut?") from error
+
+    def _read_header(self) -> Header:
+        plain = self._parse(self._next_line())
+        if not isinstance(plain, dict) or plain.get("format") != FORMAT:
+            raise self.wrong(f'it does not say "format": "{FORMAT}"')
+        if plain.get("version") != VERSION:
+            raise self.wrong(
+                f"the format is version {plain.get('version')}, and version {VERSION} is read here; replay "
+                "the log with the mcp-asdf that wrote it, or record the run again"
+            )
+        try:
+            robots = tuple(_robot_of(each) for each in plain["robots"])
+            frames = FrameFormat(**plain["frames"])
+            return Header(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
+        except KeyError as error:
+            raise self.wrong(f"{error} is missing") from error
+        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+            raise self.wrong(str(error)) from error
+
+    def wrong(self, what: str) -> UsageError:
+        """An error that names the line read last."""
+        return UsageError(f"{self._path}, line {self._number}: {what}")
+
+
+def _robot_of(plain: dict[str, Any]) -> RobotRecord:
+    table = None
+    if "table" in plain:
+        stated = plain["table"]
+        table = generate(Decimal(stated["omega"]), stated["q"])
+        if table.words()[-1] != stated["checksum"]:
+            raise UsageError(
+                f"the t-table of robot {plain['id']} has checksum {stated['checksum']}, "
+                f"the one made here {table.words()[-1]}"
+            )
+    periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
+    filters = {each.name.lower(): each for each in Filter}
+    if plain["filter"] not in filters:
+        raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(filters)}")
+    config = TickConfig(table=table, filter=filters[plain["filter"]], **periods)
+    record = RobotRecord(plain["id"], plain["firmware"], plain["b_hat"], config)
+    record.make()  # so that whatever the firmware refuses is said here
+    return record
+
+
+def _is_event(event: Any) -> bool:
+    if isinstance(event, list):
+        return len(event) in (2, 3) and all(map(is_plain_int, event)) and event[-1] <= _MAX_WORD
+    return event in (SILENT, RESTART) if isinstance(event, str) else is_plain_int(event) and event <= SETTLE
+
+
+def is_plain_int(value: Any) -> bool:
+    """Whether ``value`` is an integer >= 0, and no truth value."""
+    return type(value) is int and value >= 0

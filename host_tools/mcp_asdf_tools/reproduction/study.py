@@ -1,0 +1,202 @@
+"""The paper's whole study as experiments, and their results by what was varied.
+
+A ``Cell`` is one combination of what the paper varies. Cells that are the same experiment have one normal
+form: without flawed robots it does not matter what they would assume, nor whether only they filter; where all
+are flawed, all filter or none; and without a filter there is no filtering period. What is run stands in the
+folder ``studies``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import Limits, Scores, score
+
+FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
+PERIODS = (1000, 2000, 4000)
+
+E_MAX = 0.45
+"""Of all the paper's analyses; K_max is the length of a trial."""
+
+
+class Part(Enum):
+    """The paper's three sets of experiments."""
+
+    FULLY_CONNECTED = "fully_connected"
+    DYNAMIC = "dynamic"
+    PHYSICAL = "physical"
+
+
+PART_NAMES = {part: part.value.replace("_", " ") for part in Part}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of what the paper varies.
+
+    Attributes:
+        part: Of the study.
+        fill_ratio: f.
+        true_accuracy: b.
+        flawed_accuracy: b_hat of flawed robots at the start.
+        percent: P, how many of 100 robots are flawed.
+        mode: Who filters.
+        period: tau in steps.
+    """
+
+    part: Part
+    fill_ratio: float
+    true_accuracy: float
+    flawed_accuracy: float
+    percent: int
+    mode: Mode = Mode.NONE
+    period: int = PERIODS[0]
+
+    def but(self, **changes: Any) -> Cell:
+        """A cell that differs in ``changes``."""
+        return replace(self, **changes)
+
+    @property
+    def normal(self) -> Cell:
+        """The normal form of the same experiment."""
+        changes: dict[str, Any] = {}
+        mode = self.mode
+        if self.percent == 0:
+            changes["flawed_accuracy"] = self.true_accuracy
+            mode = Mode.NONE if mode is Mode.ASDF_MINUS else mode
+        elif self.percent == 100 and mode is Mode.ASDF_MINUS:
+            mode = Mode.ASDF_PLUS
+        if mode is Mode.NONE:
+            changes["period"] = PERIODS[0]
+        return replace(self, mode=mode, **changes)
+
+
+@cache
+def _experiments_of(part: Part) -> list[Experiment]:
+    return read_experiments(STUDIES / f"{part.value}.toml")
+
+
+@cache
+def cells_of(part: Part) -> tuple[Cell, ...]:
+    """The cells of a part in their normal form, each once."""
+    cells = (
+        Cell(
+            part,
+            each.fill_ratio,
+            each.true_accuracy,
+            each.flawed_accuracy,
+            round(100 * each.flawed / each.robots),
+            each.mode,
+            each.filter_period,
+        )
+        for each in _experiments_of(part)
+    )
+    return tuple(dict.fromkeys(cell.normal for cell in cells))
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How much is run of each experiment, and on what.
+
+    Attributes:
+        trials: How many.
+        steps: Of a trial, at most.
+        seed: Of everything random.
+        firmware: Name of the robots' firmware.
+        conventions: Of the reference firmware.
+    """
+
+    trials: int = 30
+    steps: int = 40_000
+    seed: int = 1
+    firmware: str = "native"
+    conventions: Convention = Convention.PAPER
+
+
+QUICK = Scale(trials=10, steps=10_000)
+
+
+def experiment_of(cell: Cell, scale: Scale) -> Experiment:
+    """The experiment of a cell. Raises ExperimentError if the scale will not do."""
+    common = _experiments_of(cell.part)[0]
+    return replace(
+        common,
+        flawed=round(cell.percent * common.robots / 100),
+        fill_ratio=cell.fill_ratio,
+        true_accuracy=cell.true_accuracy,
+        flawed_accuracy=cell.flawed_accuracy,
+        mode=cell.mode,
+        filter_period=cell.period,
+        trials=scale.trials,
+        steps=min(common.steps, scale.steps),
+        seed=scale.seed,
+        firmware=scale.firmware,
+        conventions=scale.conventions,
+    )
+
+
+# --- Results ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Something with a value for each trial.
+
+    Attributes:
+        name: In words.
+        of: Its values, shape (trials,).
+    """
+
+    name: str
+    of: Callable[[Trials, Scores], NDArray[np.float64]]
+
+
+H = Measure("H", lambda trials, scores: scores.h)
+H_K = Measure("h_K", lambda trials, scores: scores.h_k)
+H_E = Measure("h_e", lambda trials, scores: scores.h_e)
+
+
+class Study:
+    """Results of parts of the study, by cell."""
+
+    def __init__(self, trials: Mapping[Cell, Trials]) -> None:
+        """``trials`` of cells in their normal form."""
+        self._trials = dict(trials)
+        self._scores = {cell: score(each.settled, each.errors, limits(each)) for cell, each in trials.items()}
+
+    @property
+    def parts(self) -> set[Part]:
+        """The parts of which there are results."""
+        return {cell.part for cell in self._trials}
+
+    def sample(self, cell: Cell, measure: Measure) -> NDArray[np.float64]:
+        """A value for each trial of a cell. Raises KeyError if it has not been run."""
+        return measure.of(self._trials[cell.normal], self._scores[cell.normal])
+
+    def of(self, part: Part) -> list[Trials]:
+        """All results of a part."""
+        return [trials for cell, trials in self._trials.items() if cell.part is part]
+
+
+def limits(trials: Trials) -> Limits:
+    """K_max and e_max of the paper's analyses."""
+    return Limits(trials.experiment.steps, E_MAX)
+
+
+def study_of(parts: Iterable[tuple[Part, Sequence[Trials]]], scale: Scale) -> Study:
+    """Results by cell. Raises KeyError if they are not those of all cells at this scale."""
+    by_cell: dict[Cell, Trials] = {}
+    for part, results in parts:
+        found = {trials.experiment: trials for trials in results}
+        by_cell |= {cell: found[experiment_of(cell, scale)] for cell in cells_of(part)}
+    return Study(by_cell)

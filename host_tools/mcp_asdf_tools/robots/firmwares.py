@@ -1,0 +1,78 @@
+"""The robot firmwares by name, and any of them behind the integers that a frame carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Protocol, cast
+
+from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
+from mcp_asdf.robot import Config, FixedPointRobot, Robot, Status
+
+from mcp_asdf_tools.common.errors import UsageError
+
+RobotMaker = Callable[[Config, int, float], Robot]
+"""Makes a robot of a config, a robot id and the accuracy it assumes at the start."""
+
+FIRMWARES = {
+    "native": ("mcp_asdf.native", "NativeRobot"),
+    "mirror": ("mcp_asdf.mirror", "MirrorRobot"),
+    "reference": ("mcp_asdf.reference", "ReferenceRobot"),
+}
+
+
+def load_firmware(name: str) -> RobotMaker:
+    """Return the class of the firmware called ``name``, a key of FIRMWARES.
+
+    Raises UsageError if there is no such firmware or, for the native one, it has not been built.
+    """
+    if name not in FIRMWARES:
+        raise UsageError(f"firmware is {name!r}; choose one of {', '.join(FIRMWARES)}")
+    module, class_name = FIRMWARES[name]
+    try:
+        return cast(RobotMaker, getattr(import_module(module), class_name))
+    except ImportError as error:
+        raise UsageError(
+            f"firmware {name} cannot be loaded ({error}); build it with 'pip install .' or choose mirror"
+        ) from error
+
+
+class Port(Protocol):
+    """A robot's side of the bus: the raw integers of a message (units: ``bus.frames.Message``)."""
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate to broadcast."""
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence to broadcast."""
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Hand over a neighbour's message."""
+
+
+def port_of(robot: Robot) -> Port:
+    """Return ``robot`` itself if it speaks raw integers, else a port that rounds for it."""
+    return robot if isinstance(robot, FixedPointRobot) else RoundingPort(robot)
+
+
+class RoundingPort:
+    """The port of a robot that computes in float64: it rounds x_hat to nearest, alpha down as codecs do."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate to broadcast."""
+        return round(self._robot.x_hat * ONE)
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence to broadcast."""
+        return alpha_to_word(self._robot.alpha)
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Hand over a neighbour's message."""
+        return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha))

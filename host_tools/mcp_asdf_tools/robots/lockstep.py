@@ -1,0 +1,218 @@
+"""Driving robots of other processes, or real ones, tick by tick with command frames.
+
+The simulator's half of the protocol in ``docs/frame.md``; the robot's is ``robots.node.RobotNode``, the
+C node and the firmware images. A tick of robots that are all driven::
+
+    lockstep.observe({3: Observation.BLACK, 4: Observation.WHITE})
+    estimates = lockstep.estimates({3, 4})   # in ticks in which broadcasts are due
+    telemetry = lockstep.settle({3, 4})
+
+Between the calls, whoever else is on the bus may send.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+import can
+from mcp_asdf.robot import Observation
+
+from mcp_asdf_tools.bus.frames import (
+    Action,
+    Command,
+    Heartbeat,
+    Message,
+    Telemetry,
+    decode,
+    decode_heartbeat,
+    decode_telemetry,
+    encode_command,
+)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.node import Subjects, send_all
+
+DRIVER_ID = 126
+"""Node id of whoever commands, unless chosen otherwise: the first that Cyphal keeps for tools."""
+
+_TRANSFERS = 32
+_SLICE = 0.1
+"""Seconds between two looks whether waiting still makes sense."""
+
+
+class LockstepError(RuntimeError):
+    """A robot did not answer in time, or not in order; the message names it."""
+
+
+@dataclass(frozen=True)
+class LockstepSettings:
+    """What a simulator is told.
+
+    Attributes:
+        subjects: Where messages are.
+        node: Its node id, 0 .. 127, which no robot has.
+    """
+
+    subjects: Subjects = field(default_factory=Subjects)
+    node: int = DRIVER_ID
+
+
+class Lockstep:
+    """Commands robots over one connection to their bus.
+
+    Attributes:
+        tick: Number of the tick that is open or, between ticks, of the next.
+        repeated: Commands said a second time, since no answer had come.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        settings: LockstepSettings | None = None,
+        timeout: float = 2.0,
+        watch: Callable[[can.Message], None] = lambda frame: None,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Command from ``bus``, which is left open at the end. Nothing is sent yet.
+
+        Robots have ``timeout`` seconds to answer, and are told once more after half of them. ``watch`` is
+        shown every frame that comes in and, with ``is_rx`` false, every command that goes out; ``check`` is
+        called several times a second of waiting and may raise what ends it.
+        """
+        self.tick = self.repeated = 0
+        self._bus = bus
+        self._settings = settings or LockstepSettings()
+        self._timeout = timeout
+        self._watch = watch
+        self._check = check
+        self._commands = 0
+        self._estimates: dict[int, Message] = {}
+        self._telemetry: dict[int, Telemetry] = {}
+        self._answers: dict[int, int] = {}
+        self._orders: Mapping[int, Action] = {}
+
+    def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
+        """Return when a heartbeat of each of ``robots`` has come.
+
+        Raises LockstepError, naming those that are not there, after ``timeout`` seconds.
+        """
+        waiting = set(robots)
+        for frame in self._frames_until_none(waiting, "say that it is there", timeout):
+            heartbeat = decode_heartbeat(frame)
+            if isinstance(heartbeat, Heartbeat):
+                waiting.discard(heartbeat.sender)
+
+    def observe(self, observations: Mapping[int, Observation | None]) -> None:
+        """Let each robot, by id, observe that, or nothing.
+
+        Raises can.CanError if the bus does not take the commands.
+        """
+        if self._settings.node in observations:
+            raise UsageError(
+                f"robot {self._settings.node} has the id of the simulator; give one of them another"
+            )
+        self._estimates.clear()
+        self._order({robot: Action.observing(z) for robot, z in observations.items()})
+
+    def estimates(self, robots: Collection[int]) -> dict[int, Message]:
+        """What each of ``robots`` broadcasts in this tick, by id; the first counts if it sends several.
+
+        Raises LockstepError if one sends nothing within the time limit.
+        """
+        waiting = set(robots) - self._estimates.keys()
+        for _ in self._frames_until_none(waiting, "broadcast its estimate", self._timeout, self._orders):
+            waiting.difference_update(self._estimates)
+        return {robot: self._estimates[robot] for robot in robots}
+
+    def settle(self, robots: Collection[int]) -> dict[int, Telemetry]:
+        """Let ``robots`` settle and end the tick; returns what each answers, by id.
+
+        Raises LockstepError if one does not answer within the time limit, or not with the answer that is
+        its turn; can.CanError if the bus does not take the commands.
+        """
+        self._telemetry.clear()
+        self._order(dict.fromkeys(robots, Action.SETTLE))
+        waiting = set(robots)
+        for _ in self._frames_until_none(waiting, "settle", self._timeout, self._orders):
+            waiting.difference_update(self._telemetry)
+        for robot in robots:
+            self._check_turn(self._telemetry[robot])
+        self.tick += 1
+        return {robot: self._telemetry[robot] for robot in robots}
+
+    def leave_open(self) -> None:
+        """End the tick without a *settle*, as if all were lost: robots end it when they observe again."""
+        self.tick += 1
+
+    def _check_turn(self, answer: Telemetry) -> None:
+        """Telemetry counts settles, so that an answer to another one, or of a restarted robot, shows."""
+        robot, number = answer.sender, answer.transfer_id
+        expected = self._answers.get(robot, number)
+        if number != expected:
+            raise LockstepError(
+                f"robot {robot} answered in tick {self.tick} with telemetry {number}, not {expected} "
+                f"(modulo {_TRANSFERS}): it restarted or sends telemetry of its own accord"
+            )
+        self._answers[robot] = (number + 1) % _TRANSFERS
+
+    def _order(self, orders: Mapping[int, Action]) -> None:
+        self._orders = orders
+        self._send(orders)
+
+    def _send(self, orders: Mapping[int, Action]) -> None:
+        frames = []
+        for robot, action in orders.items():
+            command = Command(self._settings.node, self.tick, robot, action, self._commands % _TRANSFERS)
+            frames.append(encode_command(command, self._settings.subjects.commands))
+            self._commands += 1
+        send_all(self._bus, frames, self._timeout)
+        for frame in frames:
+            self._watch(frame)
+
+    def _frames_until_none(
+        self, waiting: set[int], what: str, seconds: float, orders: Mapping[int, Action] | None = None
+    ) -> Iterator[can.Message]:
+        """Take in and yield frames until whoever takes them has emptied ``waiting``.
+
+        After half of ``seconds`` those who are waited for get their ``orders`` a second time: they obey what
+        they have not heard, and ignore what they have.
+        """
+        again, began = dict(orders or {}), time.monotonic()
+        while waiting:
+            passed = time.monotonic() - began
+            if again and passed > seconds / 2:
+                self._repeat({robot: action for robot, action in again.items() if robot in waiting})
+                again, began = {}, time.monotonic() - seconds / 2
+            left = (seconds / 2 if again else seconds) - passed
+            frame = self._bus.recv(min(_SLICE, max(0.0, left)))
+            if frame is None:
+                self._check()
+            elif frame.is_rx:  # not one of the driver's own, returned to it
+                self._watch(frame)
+                self._take(frame)
+                yield frame
+            # What lies in the queue counts even if it is late, but not for ever.
+            if waiting and passed > (seconds if frame is None else 2 * seconds):
+                self._give_up(waiting, f"{what} within {seconds:g} s")
+
+    def _repeat(self, orders: Mapping[int, Action]) -> None:
+        self.repeated += len(orders)
+        self._send(orders)
+
+    def _give_up(self, waiting: Collection[int], what: str) -> NoReturn:
+        names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
+        raise LockstepError(
+            f"robot {names} did not {what} on {self._bus.channel_info}; is it there, in lockstep, with these "
+            "ids and subjects?"
+        )
+
+    def _take(self, frame: can.Message) -> None:
+        estimate = decode(frame, self._settings.subjects.estimates)
+        if isinstance(estimate, Message):
+            self._estimates.setdefault(estimate.sender, estimate)
+            return
+        telemetry = decode_telemetry(frame, self._settings.subjects.telemetry)
+        if isinstance(telemetry, Telemetry):
+            self._telemetry.setdefault(telemetry.sender, telemetry)

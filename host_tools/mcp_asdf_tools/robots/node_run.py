@@ -1,0 +1,227 @@
+"""Running one robot's node on a bus, by the clock on the wall or by that of a simulator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import can
+from mcp_asdf.robot import FixedPointRobot, Observation
+
+from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.observations import Source
+
+SEND_TIMEOUT = 2.0
+"""Seconds after which a bus that takes no frame has failed."""
+
+_SLICE = 0.1
+"""Seconds after which a wait looks whether it was told to stop."""
+
+_MOST_AT_ONCE = 4096
+"""Frames that may wait; more than that and whoever sends them leaves nobody time for anything."""
+
+_RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
+_FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
+
+Taker = Callable[[can.Message], None]
+
+
+class Stopped(Exception):  # noqa: N818 (no error)
+    """The node was told to stop."""
+
+
+@dataclass
+class Link:
+    """A node's connection to its bus.
+
+    Attributes:
+        bus: The connection; only frames that the node needs should get through its filters.
+        is_told_to_stop: Asked while waiting.
+        endures: Whether to go on when the bus fails, as a robot has to.
+        log: Takes all frames sent and received; they are stamped with the time of day.
+        failures: How often sending or receiving failed.
+        last_failure: The last reason.
+    """
+
+    bus: can.BusABC
+    is_told_to_stop: Callable[[], bool] = lambda: False
+    endures: bool = False
+    log: Taker | None = None
+    failures: int = 0
+    last_failure: str | None = None
+
+    def send(self, frame: can.Message) -> bool:
+        """Put a frame on the bus; returns whether that went well.
+
+        Raises can.CanError if it did not and the link does not endure.
+        """
+        try:
+            self.bus.send(frame, timeout=SEND_TIMEOUT)
+        except can.CanError as error:
+            self._note(error)
+            return False
+        if self.log is not None:
+            frame.timestamp = time.time()
+            self.log(frame)
+        return True
+
+    def receive(self, seconds: float) -> can.Message | None:
+        """A frame of another node, if one comes within ``seconds`` or a slice of them.
+
+        Raises Stopped if the node was told to stop, can.CanError as ``send``.
+        """
+        if self.is_told_to_stop():
+            raise Stopped
+        seconds = min(seconds, _SLICE)
+        try:
+            frame = self.bus.recv(seconds)
+        except can.CanError as error:
+            self._note(error)
+            time.sleep(seconds)  # a bus that fails at once must not be asked without end
+            return None
+        if frame is None or not frame.is_rx:
+            return None
+        if self.log is not None:
+            self.log(frame)
+        return frame
+
+    def catch_up(self, take: Taker) -> None:
+        """Hand over the frames that wait, which a clock that is late leaves no time to listen for."""
+        for _ in range(_MOST_AT_ONCE):
+            frame = self.receive(0)
+            if frame is None:
+                return
+            take(frame)
+
+    def _note(self, error: can.CanError) -> None:
+        self.failures += 1
+        self.last_failure = str(error)
+        if not self.endures:
+            raise error
+
+
+@dataclass
+class Outcome:
+    """How a node's run went.
+
+    Attributes:
+        ending: Why it ended, for people.
+        is_interrupted: Whether it was told to stop before it had done all its ticks.
+        has_failed: Whether the bus ended it.
+        lateness: How well time was kept, see ``clocks.RealTimeClock.figures``; None in lockstep.
+    """
+
+    ending: str
+    is_interrupted: bool = False
+    has_failed: bool = False
+    lateness: dict[str, Any] | None = None
+
+
+class NodeRun:
+    """A node at work.
+
+    Attributes:
+        node: The node.
+        link: Its connection.
+        outcome: How it went, once it is over.
+    """
+
+    def __init__(
+        self, node: RobotNode, link: Link, ticks: int | None = None, watch: Callable[[], None] = lambda: None
+    ) -> None:
+        """Prepare for ``ticks`` ticks, or for any number if None; ``watch`` is called now and then."""
+        self.node = node
+        self.link = link
+        self.outcome = Outcome("all ticks done")
+        self._ticks = ticks
+        self._watch = watch
+
+    def in_lockstep(self) -> None:
+        """Follow commands until all is done or something ends it."""
+        self._run(self._follow)
+
+    def in_real_time(self, source: Source) -> None:
+        """Tick at the node's rate until all is done, the observations end or something else ends it.
+
+        A tick lasts until the next one begins: what comes in meanwhile belongs to its round. A tick whose
+        observation is not there yet waits for it. Raises UsageError for an observation that is none.
+        """
+        clock = RealTimeClock(self.node.settings.ticks_per_second, sleep=self._listen)
+        try:
+            self._run(lambda: self._tick_by(clock, source))
+        finally:
+            self.outcome.lateness = clock.figures()
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            self._send(self.node.start())
+            work()
+        except (Stopped, KeyboardInterrupt):
+            self.outcome.ending = "told to stop"
+            self.outcome.is_interrupted = self._ticks is not None
+        except can.CanError as error:
+            self.outcome.ending = f"the bus failed: {error}"
+            self.outcome.has_failed = True
+
+    def _is_over(self) -> bool:
+        return self._ticks is not None and self.node.ticks >= self._ticks
+
+    def _follow(self) -> None:
+        while not (self._is_over() and self.node.is_settled):
+            self._listen(_SLICE)
+            self._watch()
+
+    def _tick_by(self, clock: RealTimeClock, source: Source) -> None:
+        while not self._is_over():
+            clock.begin(self.node.ticks)
+            self.link.catch_up(self._take)
+            try:
+                z = self._observation(source)
+            except EOFError:
+                self._settle()
+                self.outcome.ending = "the observations ended"
+                return
+            self._settle()
+            self._send(self.node.observe(z))
+            self._watch()
+        clock.begin(self.node.ticks)
+        self.link.catch_up(self._take)
+        self._settle()
+
+    def _observation(self, source: Source) -> Observation | None:
+        """The next one, waited for if need be. Raises EOFError if there are no more."""
+        while True:
+            try:
+                return source.next(0)
+            except TimeoutError:
+                self._listen(_SLICE)
+
+    def _listen(self, seconds: float) -> None:
+        """Wait for a frame and take it in, for so long at most."""
+        frame = self.link.receive(seconds)
+        if frame is not None:
+            self._take(frame)
+
+    def _take(self, frame: can.Message) -> None:
+        self._send(self.node.hear(frame))
+
+    def _send(self, frames: Iterable[can.Message]) -> None:
+        for frame in frames:
+            if not self.link.send(frame):
+                self.node.lost(frame)
+
+    def _settle(self) -> None:
+        if not self.node.is_settled:
+            self._send(self.node.settle())
+
+
+def state_of(node: RobotNode) -> dict[str, Any]:
+    """A robot's estimates and counters as plain values, for JSON; raw ones, too, where there are any."""
+    robot = node.robot
+    state: dict[str, Any] = {name: getattr(robot, name) for name in _FLOATS}
+    if isinstance(robot, FixedPointRobot):
+        state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW}
+    return state | {"counters": asdict(node.counters)}

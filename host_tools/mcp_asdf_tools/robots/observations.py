@@ -1,0 +1,111 @@
+"""Where a robot's observations come from: the emulated world, or lines of a file or of standard input."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections import deque
+from pathlib import Path
+from typing import Protocol
+
+from mcp_asdf.robot import Observation
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import standard_input
+from mcp_asdf_tools.world.swarm_world import FullyConnected, World
+
+_BATCH = 1024
+_COLOURS = (Observation.WHITE, Observation.BLACK)
+_OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
+
+
+class Source(Protocol):
+    """Where a robot's observations come from, tick by tick."""
+
+    def next(self, seconds: float) -> Observation | None:
+        """The observation of the next tick, None for a tick without one.
+
+        Raises TimeoutError if it has not come within ``seconds``, EOFError if there will be no more.
+        """
+
+    def close(self) -> None:
+        """Let go of what it was read from."""
+
+
+class WorldSource:
+    """What robot ``robot`` of the world sees: the same as in any other tool with this seed."""
+
+    def __init__(self, robot: int, fill_ratio: float, true_accuracy: float, seed: int) -> None:
+        """Put a robot into the world. Raises UsageError if a number is out of range."""
+        for name, value in (("fill-ratio", fill_ratio), ("true-accuracy", true_accuracy)):
+            if not 0 <= value <= 1:
+                raise UsageError(f"{name} is {value}; it must be 0 to 1")
+        if seed < 0:
+            raise UsageError(f"seed is {seed}; it must be 0 or more")
+        robots = robot + 1
+        self._world = World(fill_ratio, [true_accuracy] * robots, FullyConnected(robots), seed)
+        self._robot = robot
+        self._drawn: deque[int] = deque()
+
+    def next(self, seconds: float) -> Observation:
+        """The next observation. O(1) on average."""
+        if not self._drawn:
+            self._drawn.extend(self._world.observe(_BATCH)[:, self._robot].tolist())
+        return _COLOURS[self._drawn.popleft()]
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
+
+
+class LineSource:
+    """Lines 0 (white), 1 (black) or - (nothing this tick), from a file, a pipe or a terminal as they come."""
+
+    def __init__(self, name: str) -> None:
+        """Open the file ``name``, or standard input if that is ``-``.
+
+        Raises UsageError if it cannot be opened.
+        """
+        self._name = "standard input" if name == "-" else name
+        self._is_own = name != "-"
+        try:
+            # Unbuffered: what Python has read ahead select() would not know of.
+            self._fd = os.open(Path(name), os.O_RDONLY) if self._is_own else standard_input()
+        except OSError as error:
+            raise UsageError(f"cannot read observations from {self._name}: {error}") from error
+        self._lines: deque[bytes] = deque()
+        self._rest = b""
+        self._has_ended = False
+        self._number = 0
+
+    def next(self, seconds: float) -> Observation | None:
+        """The next line's observation. Raises as ``Source``, and UsageError for a line that is none."""
+        if not self._lines and not self._has_ended:
+            self._read(seconds)
+        if not self._lines:
+            raise EOFError if self._has_ended else TimeoutError
+        self._number += 1
+        line = self._lines.popleft().strip()
+        if line not in _OF_LINE:
+            raise UsageError(
+                f"{self._name}, line {self._number}: {line.decode(errors='replace')!r} is no observation; "
+                "give 0 (white), 1 (black) or - (nothing)"
+            )
+        return _OF_LINE[line]
+
+    def close(self) -> None:
+        """Close the file; standard input stays open."""
+        if self._is_own:
+            os.close(self._fd)
+
+    def _read(self, seconds: float) -> None:
+        if not select.select([self._fd], [], [], seconds)[0]:
+            return
+        try:
+            read = os.read(self._fd, 1 << 16)
+        except OSError as error:
+            raise UsageError(f"cannot read observations from {self._name}: {error}") from error
+        *lines, self._rest = (self._rest + read).split(b"\n")
+        if not read:
+            self._has_ended = True
+            lines = [self._rest] if self._rest else []
+        self._lines.extend(lines)

@@ -1,0 +1,144 @@
+"""The options that say what one robot is and where its messages are on the bus."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, FirmwareError
+
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.sidecar import RobotRecord, config_as_plain
+from mcp_asdf_tools.robots.firmwares import FIRMWARES
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+
+_DEFAULTS = TickConfig()
+_OMEGA = "0.05"
+_SUBJECTS = Subjects()
+
+
+def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
+    """Declare what the robot is; ``firmware`` is the default."""
+    group = parser.add_argument_group("robot")
+    group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
+    group.add_argument(
+        "--b-hat",
+        type=float,
+        metavar="B",
+        default=0.95,
+        help="accuracy that it assumes (default %(default)s)",
+    )
+    group.add_argument(
+        "--filter",
+        choices=[each.name.lower() for each in Filter],
+        default=_DEFAULTS.filter.name.lower(),
+        help="when it recalibrates: by the test, every period without it, never (default %(default)s)",
+    )
+    for name, value, text in (
+        ("comms-period", _DEFAULTS.comms_period, "ticks between broadcasts"),
+        (
+            "filter-period",
+            _DEFAULTS.filter_period,
+            "nominal filtering period tau, a multiple of --comms-period",
+        ),
+    ):
+        group.add_argument(
+            f"--{name}", type=int, metavar="TICKS", default=value, help=f"{text} (default {value})"
+        )
+    group.add_argument(
+        "--memory",
+        type=int,
+        metavar="M",
+        default=DEFAULT_MEMORY,
+        help="observations at which t and n are halved, a multiple of 4, at least 64 (default %(default)s)",
+    )
+    group.add_argument(
+        "--omega",
+        metavar="W",
+        default=_OMEGA,
+        help="of the t-table: type II error probability, above 0 and at most 0.9 (default %(default)s)",
+    )
+    group.add_argument(
+        "--neighbours",
+        type=int,
+        metavar="Q",
+        default=MAX_ID,
+        help="of the t-table: neighbours that it is made for, 2 to 127 (default %(default)s)",
+    )
+    group.add_argument(
+        "--firmware",
+        choices=list(FIRMWARES),
+        default=firmware,
+        help="the C itself, the same in Python integers, or the paper's equations (default %(default)s)",
+    )
+
+
+def robot_of(args: argparse.Namespace) -> RobotRecord:
+    """The robot that the options ask for. Raises UsageError if there can be none."""
+    filter_, omega = Filter[args.filter.upper()], parse_omega(args.omega)
+    has_table = filter_ is Filter.ADAPTIVE
+    if not has_table and (omega, args.neighbours) != (parse_omega(_OMEGA), MAX_ID):
+        raise UsageError(f"filter is {args.filter}, without a t-table: leave out --omega and --neighbours")
+    table = generate(omega, args.neighbours) if has_table else None
+    config = TickConfig(table, filter_, args.comms_period, args.filter_period, args.memory)
+    record = RobotRecord(args.id, args.firmware, args.b_hat, config)
+    try:
+        record.make()
+    except FirmwareError as error:
+        raise UsageError(str(error)) from error
+    return record
+
+
+def robot_arguments(robot: RobotRecord) -> list[str]:
+    """The options that ask for ``robot``; the opposite of ``robot_of``."""
+    plain = config_as_plain(robot.config)
+    table = plain.pop("table", None)
+    plain |= {"id": robot.id, "b_hat": robot.b_hat, "firmware": robot.firmware}
+    if table is not None and robot.config.filter is Filter.ADAPTIVE:
+        plain |= {"omega": table["omega"], "neighbours": table["q"]}
+    return _options(plain.items())
+
+
+def add_subject_options(parser: argparse.ArgumentParser) -> None:
+    """Declare where messages are on the bus."""
+    group = parser.add_argument_group("frames")
+    for name, text, default in (
+        ("subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject),
+        ("priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority),
+        ("telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject),
+        ("command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject),
+    ):
+        group.add_argument(
+            f"--{name}", type=int, metavar="N", default=default, help=f"{text} (default {default})"
+        )
+
+
+def subjects_of(args: argparse.Namespace) -> Subjects:
+    """Where messages are by the options. Raises UsageError if they will not do."""
+    try:
+        return Subjects(
+            FrameFormat(args.subject, args.priority),
+            FrameFormat(args.telemetry_subject, _SUBJECTS.telemetry.priority),
+            FrameFormat(args.command_subject, _SUBJECTS.commands.priority),
+        )
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+
+
+def subject_arguments(subjects: Subjects) -> list[str]:
+    """The options that ask for ``subjects``; the opposite of ``subjects_of``."""
+    plain = {
+        "subject": subjects.estimates.subject,
+        "priority": subjects.estimates.priority,
+        "telemetry_subject": subjects.telemetry.subject,
+        "command_subject": subjects.commands.subject,
+    }
+    return _options(plain.items())
+
+
+def _options(values: Iterable[tuple[str, object]]) -> list[str]:
+    """Options in one word each, so that a negative number is no option."""
+    return [f"--{name.replace('_', '-')}={value}" for name, value in values]

@@ -1,0 +1,121 @@
+"""Robots as processes of their own, each with a connection of its own to the bus, driven in lockstep."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.sidecar import RobotRecord
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.options import robot_arguments, subject_arguments
+
+_PATIENCE = 10.0
+"""Seconds that a process has for ending when it is told to."""
+
+
+class NodeProcesses:
+    """Running ``mcp-asdf node --lockstep`` processes. A context manager: leaving it ends them all.
+
+    If this process dies in whatever way, they end, too.
+
+    Attributes:
+        reports: What each node reported at its end, by robot id: ``mcp-asdf node --json``.
+    """
+
+    def __init__(self) -> None:
+        """Look after no process yet; ``start_nodes`` makes some."""
+        self.reports: dict[int, dict[str, Any]] = {}
+        self._processes: dict[int, subprocess.Popen[str]] = {}
+
+    def start(self, robot: int, command: Sequence[str]) -> None:
+        """Start one more process. Raises OSError if that is impossible."""
+        self._processes[robot] = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for this process, which then ends the others
+        )
+
+    def check(self) -> None:
+        """Raises LockstepError, with what it said, if a process has ended. O(processes)."""
+        for robot, process in self._processes.items():
+            if process.poll() is not None:
+                errors = process.stderr.read().strip() if process.stderr else ""
+                raise LockstepError(
+                    f"the process of robot {robot} ended with exit code {process.returncode}: "
+                    f"{errors or 'it said nothing'}"
+                )
+
+    def __enter__(self) -> NodeProcesses:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes.values():
+            process.terminate()
+        for robot, process in self._processes.items():
+            try:
+                report = process.communicate(timeout=_PATIENCE)[0]
+            except subprocess.TimeoutExpired:
+                process.kill()
+                report = process.communicate()[0]
+            with suppress(ValueError):  # it was killed, or failed before it could report
+                self.reports[robot] = json.loads(report)
+
+
+def start_nodes(
+    robots: Sequence[RobotRecord],
+    bus_of: Callable[[int], BusChoice],
+    subjects: Subjects,
+    ticks_per_second: int,
+    log_of: Callable[[int], Path] | None = None,
+) -> NodeProcesses:
+    """Start a process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
+
+    Open the connection that commands them first, then wait until all are up::
+
+        with can_bus as bus, start_nodes(robots, lambda robot: choice, Subjects(), 10) as nodes:
+            lockstep = Lockstep(bus, check=nodes.check)
+            lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
+
+    A heartbeat is due every ``ticks_per_second`` ticks. A node writes its log, and what ``mcp-asdf replay``
+    needs, where ``log_of`` says. On SocketCAN this process and the new ones stay on one processor, see
+    ``keep_order``. Raises UsageError if a bus is inside this process or two robots have one id.
+    """
+    ids = [robot.id for robot in robots]
+    if len(set(ids)) < len(ids):
+        raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
+    commands = []
+    for robot in robots:
+        words = [*robot_arguments(robot), *subject_arguments(subjects), f"--rate={ticks_per_second}"]
+        words += ["--lockstep", "--until-eof", "--json", *([f"--log={log_of(robot.id)}"] if log_of else [])]
+        commands.append(
+            [sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", *words, *bus_of(robot.id).arguments()]
+        )
+    if any(bus_of(robot).interface == "socketcan" for robot in ids):
+        keep_order()
+    with ExitStack() as stack:
+        nodes = stack.enter_context(NodeProcesses())
+        for robot, command in zip(robots, commands, strict=True):
+            nodes.start(robot.id, command)
+        stack.pop_all()  # all is well: whoever called ends them
+    return nodes
+
+
+def keep_order() -> None:
+    """Let this process, and those it starts, run on one processor only.
+
+    A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several of them one
+    robot may hear a command before the estimate that it followed, and lockstep needs the same order for all.
+    """
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -1,0 +1,144 @@
+"""Faults between robots, injected so that a run can be repeated to the bit.
+
+``Faults`` stands between nodes and whatever carries their frames, be it the medium of an emulated swarm or
+a bus with a real controller; it knows neither. In every tick it is used so:
+
+    faults = Faults([parse_fault("loss=0.2,robots=3-5"), parse_fault("babble=0.1,frames=20")], seed=1)
+
+    if faults.crash(robot, tick):                              # dead: it neither observes nor settles
+        ...
+    for frame in [*own_frames, *faults.babble(robot, tick)]:
+        for sent in faults.leave(frame, robot, tick):          # what gets onto the bus
+            for way in faults.deliver(sent, neighbour):        # what a neighbour hears of it
+                ...                                            # way.frame in tick + way.delay
+
+Randomness: whether a fault strikes is decided by a draw that is a function of the seed, the fault, the tick,
+the sender, the receiver and which of the sender's frames in this tick it is, and of nothing else: not of
+what else is on the bus, nor of when frames come. It does not depend on the rate either: a larger rate strikes
+wherever a smaller one does (but for bursts). A draw is BLAKE2b of those numbers, keyed with the seed.
+
+Faults act in the order given, each on what those before it have left.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import can
+
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.swarm.fault_injectors import (
+    AT_SENDERS,
+    ON_THE_WAY,
+    AtSender,
+    Babbler,
+    Delivery,
+    Draws,
+    Injector,
+    OnTheWay,
+    Sent,
+    Spells,
+)
+from mcp_asdf_tools.swarm.fault_spec import Fault, Kind, parse_fault
+
+__all__ = ["Delivery", "Fault", "Faults", "Kind", "Sent", "parse_fault"]
+
+
+class Faults:
+    """Faults at work. A tick is 0 .. 2**32 - 1, and those asked for one after the other must not fall.
+
+    Every call is O(faults), with crash, busoff and burst O(ticks since the last).
+
+    Attributes:
+        faults: What may go wrong, in the order in which it acts.
+    """
+
+    def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat | None = None) -> None:
+        """Prepare. ``frames`` says which frames are estimates; those are what freeze and liar change.
+
+        Raises UsageError if ``seed`` is not in 0 .. 2**128 - 1.
+        """
+        if not 0 <= seed < 1 << 128:
+            raise UsageError(f"seed is {seed}; choose 0 .. 2**128 - 1")
+        self.faults = tuple(faults)
+        self._frames = FrameFormat() if frames is None else frames
+        kinds = [fault.kind for fault in faults]
+        draws = [Draws(seed, kind, kinds[:place].count(kind)) for place, kind in enumerate(kinds)]
+        self._all = [self._injector(*each) for each in zip(self.faults, draws, strict=True)]
+        self._spells = [each for each in self._all if isinstance(each, Spells)]
+        self._babblers = [each for each in self._all if isinstance(each, Babbler)]
+        self._at_senders = [each for each in self._all if isinstance(each, AtSender)]
+        self._on_the_way = [each for each in self._all if isinstance(each, OnTheWay)]
+        self._numbers: dict[int, tuple[int, Counter[int]]] = {}
+
+    def crash(self, robot: int, tick: int) -> Fault | None:
+        """The fault that keeps ``robot`` dead in this tick; None while it lives."""
+        lasting = [each.fault for each in self._spells if each.lasts(robot, tick)]
+        return next((fault for fault in lasting if fault.kind is Kind.CRASH), None)
+
+    def is_off(self, robot: int, tick: int) -> bool:
+        """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``deliver`` heed it."""
+        # All are asked, since that is how they count.
+        return any([each.lasts(robot, tick) for each in self._spells])
+
+    def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
+        """The frames, stamped ``now`` (seconds), that the node sends beside its own.
+
+        Ask once a tick, and give each to ``leave``.
+        """
+        if self.is_off(robot, tick):
+            return []
+        identifier = self._frames.identifier(robot)
+        return [
+            can.Message(timestamp=now, arbitration_id=identifier, data=data, is_rx=False)
+            for each in self._babblers
+            for data in each.contents(robot, tick)
+        ]
+
+    def leave(self, frame: can.Message, sender: int, tick: int) -> list[Sent]:
+        """What gets onto the bus where a node sends ``frame``. Ask once for each frame, in the order sent."""
+        if not self.faults:
+            return [Sent(frame, sender, tick)]
+        if self.is_off(sender, tick):
+            return []
+        leaving = [Sent(frame, sender, tick, self._number(frame, sender, tick))]
+        for each in self._at_senders:
+            leaving = [after for sent in leaving for after in each.act(sent)]
+        return leaving
+
+    def deliver(self, sent: Sent, receiver: int) -> Sequence[Delivery]:
+        """What ``receiver`` hears of a frame. Ask once for each; error frames reach everybody on the bus."""
+        if self.is_off(receiver, sent.tick):
+            return ()
+        ways: Sequence[Delivery] = (Delivery(sent.frame),)
+        if not sent.frame.is_error_frame:
+            for each in self._on_the_way:
+                ways = each.act(ways, sent, receiver)
+        return ways
+
+    def figures(self) -> list[dict[str, Any]]:
+        """Each fault's text and how often it struck, as plain values for JSON.
+
+        Counted are ticks of a robot for crash and busoff, frames for all others.
+        """
+        return [{"fault": str(each.fault), "injected": each.injected} for each in self._all]
+
+    def _injector(self, fault: Fault, draws: Draws) -> Injector:
+        if fault.kind in (Kind.CRASH, Kind.BUSOFF):
+            return Spells(fault, draws)
+        if fault.kind is Kind.BABBLE:
+            return Babbler(fault, draws)
+        if fault.kind in AT_SENDERS:
+            return AT_SENDERS[fault.kind](fault, draws, self._frames)
+        return ON_THE_WAY[fault.kind](fault, draws)
+
+    def _number(self, frame: can.Message, sender: int, tick: int) -> int:
+        """How many frames of its identifier the sender has sent before in this tick."""
+        last, counts = self._numbers.get(sender, (-1, Counter()))
+        if last != tick:
+            self._numbers[sender] = tick, (counts := Counter())
+        counts[frame.arbitration_id] += 1
+        return counts[frame.arbitration_id] - 1

@@ -1,0 +1,292 @@
+"""What carries frames from robot to robot: who is in range, what goes wrong on the way, on which buses.
+
+``Air`` decides what each robot hears, and when. A medium lets the frames really pass over python-can buses:
+
+- ``SharedBus``: all robots are on one bus, which hands every frame to everybody, and each robot's radio lets
+  through what the air would. Another program on the bus sees what was sent.
+- ``Remote``: the same with robots that are not in this process.
+- ``ChannelPerRobot``: every robot has a bus to itself, with the medium at its other end, which reads what the
+  robot sends and writes what it hears. Another program on that bus sees what this robot sees.
+
+All let a robot hear the same frames in the same order.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import count
+from typing import Protocol
+
+import can
+
+from mcp_asdf_tools.robots.clock import Clock
+from mcp_asdf_tools.swarm.connection import Connection, Taker
+from mcp_asdf_tools.swarm.faults import Faults, Sent
+from mcp_asdf_tools.world.topology import Topology
+
+OpenBus = Callable[[int], can.BusABC]
+"""Joins the bus of a robot, by id."""
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Which robots are on which buses.
+
+    Attributes:
+        open_bus: Joins the bus of a robot.
+        is_shared: Whether that is one bus for all, else every robot has its own.
+        remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
+    """
+
+    open_bus: OpenBus
+    is_shared: bool = True
+    remote: frozenset[int] = frozenset()
+
+
+class Hearer(Protocol):
+    """A robot, as a medium knows it."""
+
+    def hear(self, frame: can.Message) -> None:
+        """Take in a frame that a neighbour has sent, whatever has become of it."""
+
+    def hear_stranger(self, frame: can.Message) -> None:
+        """Take in a frame that nobody of the swarm has sent."""
+
+
+class Air:
+    """What each robot hears of what is sent, by the topology and the faults.
+
+    Attributes:
+        in_range: Frames sent so far, counted once for each neighbour in range.
+        arrived: Frames heard so far.
+    """
+
+    def __init__(self, topology: Topology, faults: Faults) -> None:
+        self.in_range = self.arrived = 0
+        self._topology = topology
+        self._faults = faults
+        self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
+        self._order = count()
+
+    def arrivals(self, receiver: int, tick: int, sent: Sequence[Sent]) -> list[can.Message]:
+        """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
+
+        Ask once a tick. O((sent + late) log late).
+        """
+        neighbours = self._topology.neighbours(receiver)
+        in_range = [each for each in sent if each.sender in neighbours]
+        heard = self._heard(receiver, tick, in_range) if self._faults.faults else [s.frame for s in in_range]
+        self.in_range += len(in_range)
+        self.arrived += len(heard)
+        return heard
+
+    def _heard(self, receiver: int, tick: int, in_range: Sequence[Sent]) -> list[can.Message]:
+        late = self._late.setdefault(receiver, [])
+        for each in in_range:
+            for way in self._faults.deliver(each, receiver):
+                heapq.heappush(late, (tick + way.delay, way.place, next(self._order), way.frame))
+        heard = []
+        while late and late[0][0] <= tick:
+            heard.append(heapq.heappop(late)[-1])
+        return heard
+
+
+class Medium(Protocol):
+    """Carries frames. A context manager: leaving it closes the buses."""
+
+    def send(self, sent: Sent) -> None:
+        """Let the sender put a frame on its bus. Raises can.CanError if that does not take it."""
+
+    def carry(self, tick: int) -> None:
+        """Let every robot hear what it hears in this tick, after all have sent.
+
+        Raises SwarmError if a bus loses a frame and the clock waits for it. ``send`` may do so, too.
+        """
+
+    @property
+    def missed(self) -> int:
+        """Frames that a bus did not bring in time so far."""
+
+    def __enter__(self) -> Medium: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+class SharedBus:
+    """All robots on one bus. O(robots) a frame."""
+
+    def __init__(
+        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: Taker | None
+    ) -> None:
+        """Let every robot join. With ``log`` one more connection does, and hands over every frame."""
+        self._hearers = hearers
+        self._air = air
+        self._clock = clock
+        with ExitStack() as stack:
+            buses = [stack.enter_context(wiring.open_bus(robot)) for robot in range(len(hearers))]
+            log_bus = None if log is None else stack.enter_context(wiring.open_bus(0))
+            self._stack = stack.pop_all()
+        self._radios = [
+            Connection(bus, f"robot {robot}", "robot {0.sender}", hearer.hear_stranger)
+            for robot, (bus, hearer) in enumerate(zip(buses, hearers, strict=True))
+        ]
+        self._logs = [] if log_bus is None else [Connection(log_bus, "the log", _FRAME, every=log)]
+        self._come: list[list[Sent]] = [[] for _ in hearers]
+        self._unread: list[Sent] = []
+
+    def send(self, sent: Sent) -> None:
+        """Let the sender put a frame on the bus."""
+        self._radios[sent.sender].send(sent.frame)
+        self._unread.append(sent)
+        if len(self._unread) == _BATCH:
+            self._read(sent.tick)
+
+    def _read(self, tick: int) -> None:
+        """Let everybody read what was sent."""
+        unread, self._unread = self._unread, []
+        for inbox in self._logs:
+            inbox.take(unread, self._clock.patience(tick))
+        for robot, (radio, come) in enumerate(zip(self._radios, self._come, strict=True)):
+            others = [each for each in unread if each.sender != robot]
+            come.extend(radio.take(others, self._clock.patience(tick)))
+
+    def carry(self, tick: int) -> None:
+        """Let every robot hear those frames that the air lets through."""
+        self._read(tick)
+        for robot, (hearer, come) in enumerate(zip(self._hearers, self._come, strict=True)):
+            for frame in self._air.arrivals(robot, tick, come):
+                hearer.hear(frame)
+            come.clear()
+
+    @property
+    def missed(self) -> int:
+        """Frames that the bus did not bring in time so far."""
+        return sum(each.missed for each in self._radios)
+
+    def __enter__(self) -> SharedBus:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+class Remote:
+    """Robots that are all elsewhere and on one bus, where they hear each other without anybody's help.
+
+    Attributes:
+        end: The connection over which they are commanded.
+    """
+
+    missed = 0
+
+    def __init__(self, hearers: Sequence[Hearer], air: Air, wiring: Wiring) -> None:
+        self.end = wiring.open_bus(0)
+        self._hearers = hearers
+        self._air = air
+        self._sent: list[Sent] = []
+
+    def send(self, sent: Sent) -> None:
+        """It is on the bus already."""
+        self._sent.append(sent)
+
+    def carry(self, tick: int) -> None:
+        """Tell each robot's half that is here what the robot hears."""
+        for robot, hearer in enumerate(self._hearers):
+            others = [each for each in self._sent if each.sender != robot]
+            for frame in self._air.arrivals(robot, tick, others):
+                hearer.hear(frame)
+        self._sent.clear()
+
+    def __enter__(self) -> Remote:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end.shutdown()
+
+
+class ChannelPerRobot:
+    """A bus for every robot, and the medium between them. O(robots) a frame.
+
+    Attributes:
+        ends: The medium's connection to each robot's bus, by id.
+    """
+
+    def __init__(
+        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: Taker | None
+    ) -> None:
+        """Let the medium join every robot's bus, and robots that are here theirs.
+
+        ``log`` takes what those send.
+        """
+        self._hearers = hearers
+        self._air = air
+        self._clock = clock
+        with ExitStack() as stack:
+            join = wiring.open_bus
+            ends = [stack.enter_context(join(robot)) for robot in range(len(hearers))]
+            here = [robot for robot in range(len(hearers)) if robot not in wiring.remote]
+            radios = [stack.enter_context(join(robot)) for robot in here]
+            self._stack = stack.pop_all()
+        self.ends = [Connection(end, "the medium", "robot {0.sender}", every=log) for end in ends]
+        self._radios = {
+            robot: Connection(bus, f"robot {robot}", _FRAME, hearers[robot].hear_stranger)
+            for robot, bus in zip(here, radios, strict=True)
+        }
+        self._come: list[Sent] = []
+
+    def send(self, sent: Sent) -> None:
+        """Let the sender put a frame on its bus, where that of a remote robot is already, and read it."""
+        radio = self._radios.get(sent.sender)
+        if radio is None:
+            self._come.append(sent)
+            return
+        radio.send(sent.frame)
+        self._come += self.ends[sent.sender].take([sent], self._clock.patience(sent.tick))
+        if len(self._come) % _BATCH == 0:
+            radio.drain(_BATCH)
+
+    def carry(self, tick: int) -> None:
+        """Write on each robot's bus what the air lets it hear, and let it read that."""
+        for robot, hearer in enumerate(self._hearers):
+            others = [each for each in self._come if each.sender != robot]
+            arrivals = self._air.arrivals(robot, tick, others)
+            for start in range(0, len(arrivals), _BATCH):
+                for frame in self._pass_on(robot, arrivals[start : start + _BATCH], tick):
+                    hearer.hear(frame)
+        self._come.clear()
+
+    def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
+        """Put ``frames`` on the robot's bus; returns what it reads there."""
+        radio, end = self._radios.get(robot), self.ends[robot]
+        if radio is None:
+            # An error frame is a driver's report: on a real bus nobody can send one.
+            frames = [frame for frame in frames if not frame.is_error_frame]
+        for frame in frames:
+            end.send(frame)
+        if radio is None:
+            return frames
+        carried = [Sent(frame, robot, tick) for frame in frames]
+        heard = radio.take(carried, self._clock.patience(tick))
+        if len(frames) == _BATCH:
+            end.drain(_BATCH)
+        return [each.frame for each in heard]
+
+    @property
+    def missed(self) -> int:
+        """Frames that the buses did not bring in time so far."""
+        return sum(each.missed for each in [*self._radios.values(), *self.ends])
+
+    def __enter__(self) -> ChannelPerRobot:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+_FRAME = "frame {0.frame.arbitration_id:08X}"
+
+_BATCH = 64
+"""Frames after which they are read: a socket of usual size keeps more than 200."""

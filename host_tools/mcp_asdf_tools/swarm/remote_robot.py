@@ -1,0 +1,239 @@
+"""Robots of a swarm that run elsewhere, in a process or a controller of their own, driven in lockstep.
+
+A ``RemoteNode`` stands for one of them here: it knows of the robot what its frames tell. ``Driver`` commands
+those on one bus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import can
+from mcp_asdf.fixed_point import word_to_alpha
+from mcp_asdf.robot import Counters, Observation
+
+from mcp_asdf_tools.bus.frames import (
+    MAX_NODE,
+    ONE,
+    FrameFormat,
+    Message,
+    Rejection,
+    Telemetry,
+    decode,
+    decode_telemetry,
+)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.sidecar import Recorder, RobotRecord
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep, LockstepSettings
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.rounds import RoundTimer
+from mcp_asdf_tools.swarm.emulated_robot import Decoder
+from mcp_asdf_tools.swarm.fault_spec import Kind
+from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings
+from mcp_asdf_tools.swarm.traffic import Reception
+
+ANSWER_TIMEOUT = 10.0
+"""Seconds that a robot has to answer."""
+
+
+def check_remote(settings: Settings, wiring: Wiring) -> None:
+    """Raises UsageError if a swarm with these remote robots cannot be."""
+    remote = wiring.remote
+    if not remote:
+        return
+    if settings.robots > MAX_ROBOTS_AND_TOOLS:
+        raise UsageError(
+            f"robots is {settings.robots}; with robots elsewhere take at most {MAX_ROBOTS_AND_TOOLS}, since "
+            f"id {DRIVER_ID} commands them"
+        )
+    if not set(remote) <= set(range(settings.robots)):
+        raise UsageError(f"robot {max(remote)} is to run elsewhere, but ids are 0 to {settings.robots - 1}")
+    Subjects(estimates=settings.frames)
+    for fault in settings.faults:
+        if fault.kind is Kind.CRASH and not set(remote).isdisjoint(fault.robots or remote):
+            raise UsageError(
+                f"fault {fault} cannot befall robots that run elsewhere; name others, or use busoff"
+            )
+    if not wiring.is_shared:
+        return
+    if set(remote) != set(range(settings.robots)):
+        raise UsageError(f"robots here and elsewhere need a bus each: {EACH_A_BUS}")
+    if settings.faults or settings.graph is not None or settings.density is not None:
+        raise UsageError(
+            "robots elsewhere on one bus hear everything from everybody; for faults or a topology "
+            f"{EACH_A_BUS}"
+        )
+
+
+EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
+
+
+class RemoteRobot:
+    """What is known of a robot from what it was told and what it says. b_hat has 24 bits, x 23.
+
+    Attributes:
+        t: Observations commanded.
+        n: Black ones among them.
+        b_hat: Assumed accuracy.
+        x_hat: Local estimate.
+        alpha: Local confidence.
+        x: Informed estimate.
+        counters: Only that of updates is known.
+    """
+
+    def __init__(self, b_hat: float) -> None:
+        self.t = self.n = 0
+        self.b_hat = b_hat
+        self.x_hat = self.x = 0.5
+        self.alpha = 0.0
+        self.counters = Counters()
+
+    def saw(self, z: Observation | None) -> None:
+        """It was told to observe this, or nothing."""
+        self.t += z is not None
+        self.n += z is Observation.BLACK
+
+    def said(self, message: Message) -> None:
+        """It has broadcast this."""
+        self.x_hat, self.alpha = message.x_hat / ONE, word_to_alpha(message.alpha)
+
+    def told(self, telemetry: Telemetry) -> None:
+        """It has answered this."""
+        self.x, self.b_hat = telemetry.x / ONE, telemetry.b_hat / 2**24
+        # Telemetry has 8 bits of the count, and comes after every tick.
+        updates = self.counters.updates
+        self.counters = Counters(updates=updates + (telemetry.updates - updates) % 256)
+
+
+class RemoteNode:
+    """The half of a remote robot that is here; ``emulated_robot.Node`` has the same members."""
+
+    def __init__(
+        self, record: RobotRecord, is_flawed: bool, decoder: Decoder, recorder: Recorder | None = None
+    ) -> None:
+        """Stand for the robot of ``record``; ``recorder`` is told what happens to it."""
+        self.id = record.id
+        self.is_flawed = is_flawed
+        self.is_alive = True
+        self.robot = RemoteRobot(record.b_hat)
+        self.heard = 0
+        self.reception = Reception()
+        self.recorder = recorder
+        self._timer = RoundTimer(record.config.comms_period)
+        self._decode = decoder
+
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, as far as they are known here."""
+        return self.robot.counters
+
+    def observe(self, z: Observation | None) -> bool:
+        """It is told to begin a tick; returns whether it broadcasts in it."""
+        self.robot.saw(z)
+        if self.recorder is not None:
+            self.recorder.observe(z)
+        is_due = self._timer.begin()
+        if is_due:
+            self.heard = 0
+        return is_due
+
+    def hear(self, frame: can.Message) -> None:
+        """It hears ``frame``."""
+        message = self._decode(frame)
+        if isinstance(message, Rejection):
+            self.reception.take_other(frame, message)
+            return
+        if self.recorder is not None:
+            self.recorder.receive(message.sender, message.x_hat, message.alpha)
+        self.reception.delivered += 1
+        self.heard += 1
+
+    def hear_stranger(self, frame: can.Message) -> None:
+        """What strangers say on its bus, it hears by itself."""
+
+    def settle(self, telemetry: Telemetry) -> None:
+        """It has ended the tick, and answered so."""
+        self._timer.end()
+        self.robot.told(telemetry)
+        if self.recorder is not None:
+            self.recorder.settle()
+
+
+class Driver:
+    """Commands the robots on one bus.
+
+    Attributes:
+        nodes: Their halves that are here, by id.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        nodes: Sequence[RemoteNode],
+        frames: FrameFormat,
+        log: Callable[[can.Message], None] | None = None,
+    ) -> None:
+        """Prepare; ``log`` takes every frame that comes over ``bus``, which is left open at the end."""
+        self.nodes = {node.id: node for node in nodes}
+        self._frames = frames
+        self._log = log
+        self._check: Callable[[], None] = lambda: None
+        self._held: list[can.Message] = []
+        self._estimates: dict[int, can.Message] = {}
+        self._lockstep = Lockstep(
+            bus,
+            LockstepSettings(Subjects(estimates=frames)),
+            ANSWER_TIMEOUT,
+            watch=self._see,
+            check=self._look_after,
+        )
+
+    def wait_until_up(self, timeout: float, check: Callable[[], None]) -> None:
+        """Return when all robots have said that they are there.
+
+        From now on ``check`` is called while robots are waited for; it may raise what ends that. Raises
+        LockstepError after ``timeout`` seconds.
+        """
+        self._check = check
+        self._lockstep.wait_until_up(self.nodes, timeout)
+
+    def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[RemoteNode, can.Message]]:
+        """Let robots observe, by id; returns the frames that they send in this tick, by rising id.
+
+        Other frames than estimates go with those of the next tick, since nobody can tell when they come.
+        Raises as ``Lockstep``.
+        """
+        self._estimates = {}
+        sent, self._held = self._held, []
+        self._lockstep.observe(observations)
+        due = [robot for robot, z in observations.items() if self.nodes[robot].observe(z)]
+        for robot, message in self._lockstep.estimates(due).items():
+            self.nodes[robot].robot.said(message)
+        return [(self.nodes[_sender(f)], f) for f in sent] + [
+            (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
+        ]
+
+    def settle(self, robots: Collection[int]) -> None:
+        """Let ``robots`` settle. Raises as ``Lockstep``."""
+        for robot, telemetry in self._lockstep.settle(robots).items():
+            self.nodes[robot].settle(telemetry)
+        self._held.sort(key=_sender)
+
+    def _look_after(self) -> None:
+        self._check()
+
+    def _see(self, frame: can.Message) -> None:
+        """Keep what the robots send, but for their answers."""
+        if self._log is not None:
+            self._log(frame)
+        if _sender(frame) not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
+            return
+        if isinstance(decode(frame, self._frames), Message):
+            self._estimates.setdefault(_sender(frame), frame)
+        else:
+            self._held.append(frame)
+
+
+def _sender(frame: can.Message) -> int:
+    return frame.arbitration_id & MAX_NODE

@@ -1,0 +1,187 @@
+"""One run of a swarm from start to end: what it did over time, and what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from statistics import fmean
+from typing import Any
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.bus.load import BIT_RATES, load
+from mcp_asdf_tools.recording.sidecar import versions
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.swarm.connection import SwarmError
+from mcp_asdf_tools.swarm.emulated_robot import Node
+from mcp_asdf_tools.swarm.remote_robot import RemoteNode
+from mcp_asdf_tools.swarm.settings import Settings
+from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.traffic import Traffic
+
+QUANTITIES = ("b_hat", "x_hat", "x")
+"""What a history holds of each robot."""
+
+MAX_SAMPLES = 2000
+"""About as many as a picture can show."""
+
+Hook = Callable[[Swarm], None]
+"""Called after every tick."""
+
+
+class History:
+    """Every robot's b_hat, x_hat and x over time, thinned so that memory does not grow with the run."""
+
+    def __init__(self, ticks: int) -> None:
+        """Prepare for a run of ``ticks``."""
+        self._stride = -(-ticks // MAX_SAMPLES)
+        self._ticks: list[int] = []
+        self._rows: list[list[list[float]]] = []
+
+    def sample(self, swarm: Swarm) -> None:
+        """Remember the present state if it is this tick's turn."""
+        if swarm.ticks % self._stride == 0:
+            self.add(swarm)
+
+    def add(self, swarm: Swarm) -> None:
+        """Remember the present state, once."""
+        if self._ticks[-1:] != [swarm.ticks]:
+            self._ticks.append(swarm.ticks)
+            self._rows.append([[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES])
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Ticks done at each sample, rising from 0."""
+        return np.array(self._ticks, dtype=np.int64)
+
+    def values(self, quantity: str) -> NDArray[np.float64]:
+        """One of QUANTITIES, of shape (samples, robots)."""
+        index = QUANTITIES.index(quantity)
+        return np.array([row[index] for row in self._rows], dtype=np.float64)
+
+
+@dataclass
+class Run:
+    """A run, finished or not.
+
+    Attributes:
+        settings: What was run.
+        nodes: The robots in their last state.
+        history: The way there.
+        results: What came out, as plain values for JSON.
+        interrupted: Whether Ctrl-C ended it.
+        failure: Why the bus ended it, None if it did not.
+    """
+
+    settings: Settings
+    nodes: Sequence[Node | RemoteNode]
+    history: History
+    results: dict[str, Any] = field(default_factory=dict)
+    interrupted: bool = False
+    failure: str | None = None
+
+    def report(self, bus: dict[str, Any]) -> dict[str, Any]:
+        """Everything needed to repeat the run, and its results, as plain values; equal for equal runs."""
+        return {
+            "parameters": self.settings.parameters(),
+            "bus": bus,
+            "versions": versions(),
+            "interrupted": self.interrupted,
+            "failure": self.failure,
+            "results": self.results,
+        }
+
+
+def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
+    """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
+
+    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; what was done counts.
+    """
+    history = History(swarm.settings.ticks)
+    history.add(swarm)
+    outcome = Run(swarm.settings, swarm.nodes, history)
+    try:
+        while swarm.ticks < swarm.settings.ticks:
+            swarm.tick()
+            history.sample(swarm)
+            for hook in hooks:
+                hook(swarm)
+    except KeyboardInterrupt:
+        outcome.interrupted = True
+    except (SwarmError, LockstepError, can.CanError) as error:
+        outcome.failure = f"tick {swarm.ticks + 1}: {error}"
+    history.add(swarm)
+    outcome.results = _results(swarm, history)
+    return outcome
+
+
+def _results(swarm: Swarm, history: History) -> dict[str, Any]:
+    x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
+    counters = [node.counters for node in swarm.nodes]
+    has_remote = any(isinstance(node, RemoteNode) for node in swarm.nodes)
+    tick = 1 / swarm.settings.ticks_per_second
+    return {
+        "ticks": swarm.ticks,
+        "mean_x": fmean(x),
+        "mean_error": fmean(np.abs(x - swarm.world.fill_ratio)),
+        "spread_x": float(np.ptp(x)),
+        "spread_x_hat": float(np.ptp(x_hat)),
+        "tests": None if has_remote else sum(each.tests for each in counters),
+        "updates": sum(each.updates for each in counters),
+        "b_hat": {
+            "flawed": _before_and_after(history, [node.id for node in swarm.nodes if node.is_flawed]),
+            "other": _before_and_after(history, [node.id for node in swarm.nodes if not node.is_flawed]),
+        },
+        "frames": swarm.traffic.figures(),
+        "faults": swarm.faults.figures(),
+        "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
+        "clock": swarm.clock.figures(),
+        "robots": [_robot_figures(node) for node in swarm.nodes],
+    }
+
+
+def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any] | None:
+    """Mean b_hat of ``robots`` at the start and at the end; None if there are none."""
+    if not robots:
+        return None
+    chosen = history.values("b_hat")[:, robots]
+    after = chosen[-1]
+    return {
+        "robots": len(robots),
+        "before": fmean(chosen[0]),
+        "after": fmean(after),
+        "after_least": float(after.min()),
+        "after_most": float(after.max()),
+    }
+
+
+def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, float]]:
+    """Share of its time that the traffic of a run would take of one real bus, by bit rate.
+
+    ``mean`` over the ``seconds`` of the run, and ``peak`` in the tick, of ``tick`` seconds, that has most.
+    """
+    return {
+        str(rate): {
+            "mean": load(traffic.bits, seconds, rate) if seconds else 0.0,
+            "peak": load(traffic.most_bits, tick, rate),
+        }
+        for rate in BIT_RATES
+    }
+
+
+def _robot_figures(node: Node | RemoteNode) -> dict[str, Any]:
+    """What one robot heard and made of it."""
+    reception, counters = node.reception, node.counters
+    return {
+        "id": node.id,
+        "delivered": reception.delivered,
+        "refused": reception.refused,
+        "rejected": {reason.name: count for reason, count in reception.rejected.items()},
+        "tests": None if isinstance(node, RemoteNode) else counters.tests,
+        "updates": counters.updates,
+        "t": node.robot.t,
+        "b_hat": node.robot.b_hat,
+        "x": node.robot.x,
+    }

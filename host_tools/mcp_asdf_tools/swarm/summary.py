@@ -1,0 +1,149 @@
+"""What came out of a swarm's run, for people."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from typing import Any
+
+from rich.table import Table
+
+from mcp_asdf_tools.bus.load import LIMIT
+from mcp_asdf_tools.swarm.run import Run
+
+
+def summary(run: Run, bus: str, seconds: float) -> Table:
+    """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
+    results, settings = run.results, run.settings
+    table = Table(box=None, padding=(0, 1), show_header=False)
+    table.add_column(style="bold")
+    table.add_column()
+    table.add_row("run", f"{results['ticks']} of {settings.ticks} ticks in {seconds:.1f} s{_ending(run)}")
+    table.add_row("estimate", _estimate(run))
+    for name in ("flawed", "other"):
+        table.add_row(f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
+    tests = "an unknown number of" if results["tests"] is None else results["tests"]
+    table.add_row("filter", f"{tests} tests, {results['updates']} updates")
+    table.add_row("frames", _frames(run, bus))
+    for row in (*_faults(results), *_rejections(results), *_collisions(results), *_clock(results)):
+        table.add_row(*row)
+    table.add_row("bus load", _loads(results))
+    table.add_row("parameters", parameters(run))
+    return table
+
+
+def one_line(run: Run) -> str:
+    """The outcome in one line, for quiet runs."""
+    results = run.results
+    return (
+        f"seed {run.settings.seed}: {run.settings.robots} robots, {results['ticks']} ticks, "
+        f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
+    )
+
+
+def parameters(run: Run) -> str:
+    """Every parameter as the option that sets it, in a form that can be typed again."""
+    plain = run.settings.parameters()
+    plain |= plain.pop("frames")
+    graph, faults = plain.pop("graph"), plain.pop("faults")
+    words = [f"--{name.replace('_', '-')} {value}" for name, value in plain.items() if value is not None]
+    words += [] if graph is None else [f"--graph {shlex.quote(graph['source'])}"]
+    return " ".join([*words, *(f"--fault {shlex.quote(fault)}" for fault in faults)])
+
+
+def load_warning(results: dict[str, Any]) -> str | None:
+    """What to say of bit rates at which a real bus would be too busy; None if there are none."""
+    busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > LIMIT]
+    if not busy:
+        return None
+    return (
+        f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {LIMIT:.0%} of the time; "
+        "use a faster one, a longer --comms-period, or fewer ticks a second"
+    )
+
+
+def _ending(run: Run) -> str:
+    if run.failure is not None:
+        return f"; failed in {run.failure}"
+    return "; interrupted" if run.interrupted else ""
+
+
+def _estimate(run: Run) -> str:
+    results, f = run.results, run.settings.fill_ratio
+    return (
+        f"mean x {results['mean_x']:.5f}, f {f:g}, mean error {results['mean_error']:.5f}, "
+        f"spread of x {results['spread_x']:.5f}, of x_hat {results['spread_x_hat']:.5f}"
+    )
+
+
+def _change(group: dict[str, float] | None, truth: float) -> str:
+    if group is None:
+        return "no such robots"
+    return (
+        f"{group['before']:.4f} -> {group['after']:.4f} ({group['after_least']:.4f} to "
+        f"{group['after_most']:.4f}, {group['robots']} robots; b {truth:g})"
+    )
+
+
+def _frames(run: Run, bus: str) -> str:
+    frames = run.results["frames"]
+    rejected = sum(frames["rejected"].values())
+    return (
+        f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "
+        f"{frames['delivered']} messages delivered, {rejected} frames rejected, {frames['refused']} "
+        f"messages refused, {frames['strays']} strays"
+    )
+
+
+def _faults(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What was injected, and how much of the traffic arrived."""
+    if not results["faults"]:
+        return
+    frames = results["frames"]
+    share = frames["arrived"] / frames["in_range"] if frames["in_range"] else 0.0
+    yield (
+        "arrived",
+        f"{frames['arrived']} of {frames['in_range']} frames, {share:.1%}; {frames['on_the_bus']} on the bus",
+    )
+    for fault in results["faults"]:
+        yield "fault", f"{fault['fault']}: {fault['injected']} injected"
+
+
+def _rejections(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What each robot rejected and refused."""
+    for robot in results["robots"]:
+        reasons = [f"{count} {reason}" for reason, count in robot["rejected"].items()]
+        reasons += [f"{robot['refused']} refused"] if robot["refused"] else []
+        if reasons:
+            yield f"robot {robot['id']}", f"{robot['delivered']} messages delivered; {', '.join(reasons)}"
+
+
+def _collisions(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for robot_id, number in results["frames"]["collisions"].items():
+        yield (
+            "id collision",
+            f"another node sent {number} messages as robot {robot_id}; give it a free id",
+        )
+
+
+def _clock(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    clock = results["clock"]
+    if clock is None:
+        return
+    mean, most, drift = (1e3 * clock[name] for name in ("mean_lateness", "max_lateness", "drift"))
+    yield (
+        "clock",
+        f"ticks began {mean:.3f} ms late on average, {most:.3f} ms at most, {clock['late_ticks']} of them by "
+        f"more than half a tick; drift {drift:.3f} ms; {results['frames']['missed']} frames came late or not",
+    )
+
+
+def _loads(results: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{_rate(int(rate))}bit/s {share['mean']:.1%} (peak {share['peak']:.0%})"
+        for rate, share in results["bus_load"].items()
+    )
+
+
+def _rate(bit_rate: int) -> str:
+    return f"{bit_rate // 10**6} M" if bit_rate % 10**6 == 0 else f"{bit_rate // 1000} k"

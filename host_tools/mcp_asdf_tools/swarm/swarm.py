@@ -1,0 +1,201 @@
+"""A swarm of robots on CAN buses, tick by tick.
+
+Every robot runs a firmware of its own and joins the bus with a connection of its own. In one tick all
+robots observe, those whose broadcast is due send a frame, all hear what the medium carries to them, and all
+settle: the latency 0 of the paper's Algorithm 1. In lockstep a tick ends only when nothing is missing that
+the faults have not taken away, so that a run depends on its settings alone, not on the timing of the bus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import can
+from mcp_asdf.robot import Observation
+
+from mcp_asdf_tools.bus.frames import Message, decode
+from mcp_asdf_tools.bus.load import wire_bits
+from mcp_asdf_tools.recording.sidecar import SidecarWriter
+from mcp_asdf_tools.robots.clock import make_clock
+from mcp_asdf_tools.swarm.connection import Taker
+from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
+from mcp_asdf_tools.swarm.fates import note_fate
+from mcp_asdf_tools.swarm.faults import Faults, Sent
+from mcp_asdf_tools.swarm.medium import Air, ChannelPerRobot, Medium, Remote, SharedBus, Wiring
+from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
+from mcp_asdf_tools.swarm.settings import Deployment, Settings, make_world, robot_records
+from mcp_asdf_tools.swarm.traffic import Traffic
+
+__all__ = ["Deployment", "Settings", "Swarm"]
+
+_COLOURS = (Observation.WHITE, Observation.BLACK)
+
+
+class Swarm:
+    """Robots on a bus. A context manager: leaving it takes them off the bus.
+
+    Attributes:
+        settings: What the swarm is made of.
+        world: The ground truth.
+        nodes: The robots by id.
+        faults: What goes wrong between them.
+        clock: What tells when a tick is over.
+        traffic: What went over the bus so far.
+        ticks: Ticks done.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        wiring: Wiring,
+        log: Taker | None = None,
+        sidecar: SidecarWriter | None = None,
+    ) -> None:
+        """Make the robots and let each join its bus.
+
+        ``log`` takes every frame that robots send, ``sidecar`` what happens to each. If some run elsewhere,
+        call ``wait_until_up`` before the first tick. Raises UsageError if the firmware or the bus cannot be
+        had, or the settings ask what robots elsewhere cannot do.
+        """
+        self.settings = settings
+        self.ticks = 0
+        self.world = make_world(settings)
+        self.faults = Faults(settings.faults, settings.seed, settings.frames)
+        self.clock = make_clock(settings.clock, settings.ticks_per_second)
+        self._sidecar = sidecar
+        decoder = Decoder(settings.frames)
+        self.nodes: list[Node | RemoteNode] = [
+            (RemoteNode if record.id in wiring.remote else Node)(
+                record,
+                record.id < settings.flawed_robots,
+                decoder,
+                None if sidecar is None else sidecar.robots[record.id],
+            )
+            for record in robot_records(settings)
+        ]
+        self.traffic = Traffic([node.reception for node in self.nodes])
+        self._air = Air(self.world.topology, self.faults)
+        self._medium, self._drivers = self._connect(wiring, None if log is None else _as_received(log))
+
+    def _connect(self, wiring: Wiring, log: Taker | None) -> tuple[Medium, list[Driver]]:
+        """What carries frames, and what drives remote robots."""
+        check_remote(self.settings, wiring)
+        frames = self.settings.frames
+        away = [node for node in self.nodes if isinstance(node, RemoteNode)]
+        if not wiring.is_shared:
+            channels = ChannelPerRobot(self.nodes, self._air, wiring, self.clock, log)
+            return channels, [Driver(channels.ends[n.id].bus, [n], frames, log) for n in away]
+        if away:
+            remote = Remote(self.nodes, self._air, wiring)
+            return remote, [Driver(remote.end, away, frames, log)]
+        return SharedBus(self.nodes, self._air, wiring, self.clock, log), []
+
+    def __enter__(self) -> Swarm:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._medium.__exit__()
+
+    def wait_until_up(self, timeout: float, check: Callable[[], None] = lambda: None) -> None:
+        """Return when all remote robots are there.
+
+        ``check`` is called while they are waited for, now and later; it may raise what ends that. Raises
+        LockstepError, naming who is not there, after ``timeout`` seconds.
+        """
+        for driver in self._drivers:
+            driver.wait_until_up(timeout, check)
+
+    def tick(self) -> None:
+        """Let all robots take one step together.
+
+        Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot does not
+        answer, can.CanError if the bus takes no frame; the swarm is then halfway through a tick and of no
+        further use. O(robots**2).
+        """
+        self.clock.begin(self.ticks)
+        seen = [_COLOURS[colour] for colour in self.world.observe()[0].tolist()]
+        alive = [node for node in self.nodes if isinstance(node, Node) and self._survives(node)]
+        frames: list[tuple[Node | RemoteNode, can.Message]] = [*self._reports(alive)]
+        frames += self._broadcasts([node for node in alive if node.observe(seen[node.id])])
+        frames += self._commanded(seen)
+        sent = [each for node, frame in frames for each in self._send(node, frame)]
+        sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
+        self._medium.carry(self.ticks)
+        for node in alive:
+            node.settle()
+        for driver in self._drivers:
+            driver.settle(driver.nodes)
+        self.ticks += 1
+        self._count(sent)
+
+    def _commanded(self, seen: list[Observation]) -> Iterator[tuple[RemoteNode, can.Message]]:
+        """Let remote robots observe; yields what they send."""
+        for driver in self._drivers:
+            for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
+                is_estimate = isinstance(decode(frame, self.settings.frames), Message)
+                self.traffic.sent += is_estimate
+                self.traffic.heartbeats_sent += not is_estimate
+                yield node, frame
+
+    def _survives(self, node: Node) -> bool:
+        """Whether the robot lives in this tick; wakes it if it was dead in the last."""
+        fault = self.faults.crash(node.id, self.ticks)
+        if fault is None and not node.is_alive:
+            node.wake()
+        elif fault is not None and node.is_alive:
+            node.die(fault.rejoin == "new")
+        return node.is_alive
+
+    def _reports(self, alive: list[Node]) -> Iterator[tuple[Node, can.Message]]:
+        """Heartbeats, then telemetry of the state before this tick."""
+        now = self._now
+        period = self.settings.telemetry_period
+        if self.ticks % self.settings.ticks_per_second == 0:
+            self.traffic.heartbeats_sent += len(alive)
+            yield from ((node, node.heartbeat(now)) for node in alive)
+        if period and self.ticks % period == 0:
+            self.traffic.telemetry_sent += len(alive)
+            yield from ((node, node.telemetry_frame(now)) for node in alive)
+
+    def _broadcasts(self, due: list[Node]) -> Iterator[tuple[Node, can.Message]]:
+        """The estimates of this tick; they follow the other frames, which no robot waits for."""
+        self.traffic.sent += len(due)
+        yield from ((node, node.broadcast(self._now)) for node in due)
+
+    def _send(self, node: Node | RemoteNode, frame: can.Message, is_own: bool = True) -> list[Sent]:
+        """Let a robot send what the faults leave of a frame, its own or one that it babbles."""
+        leaving = self.faults.leave(frame, node.id, self.ticks)
+        # What a robot elsewhere sends is on its bus, whatever the faults make of it here.
+        if self._sidecar is not None and isinstance(node, Node):
+            note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
+        for sent in leaving:
+            self._medium.send(sent)
+        return leaving
+
+    def _babble(self, node: Node | RemoteNode) -> list[Sent]:
+        frames = self.faults.babble(node.id, self.ticks, self._now)
+        return [sent for frame in frames for sent in self._send(node, frame, is_own=False)]
+
+    @property
+    def _now(self) -> float:
+        """Simulated time, seconds."""
+        return self.ticks / self.settings.ticks_per_second
+
+    def _count(self, sent: list[Sent]) -> None:
+        bits = sum(wire_bits(each.frame) for each in sent)
+        traffic = self.traffic
+        traffic.on_the_bus += len(sent)
+        traffic.bits += bits
+        traffic.most_bits = max(traffic.most_bits, bits)
+        traffic.in_range, traffic.arrived = self._air.in_range, self._air.arrived
+        traffic.missed = self._medium.missed
+
+
+def _as_received(log: Taker) -> Taker:
+    """Direction is that of the log's connection, where SocketCAN calls sent what comes from this computer."""
+
+    def take(frame: can.Message) -> None:
+        frame.is_rx = True
+        log(frame)
+
+    return take

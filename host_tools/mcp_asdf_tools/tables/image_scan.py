@@ -1,0 +1,146 @@
+"""Finding t-tables inside a built image: ELF, Intel HEX, or plain binary."""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO, StringIO
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
+from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.tables.table_files import Finding, compare
+from mcp_asdf_tools.tables.thresholds import omega_from_word
+
+_BYTE_ORDERS = {"<": "little-endian", ">": "big-endian"}
+_DAMAGE = (ELFError, IntelHexError, UnicodeDecodeError, OverflowError, zlib.error)
+"""Exceptions of the two libraries when a file is damaged."""
+_HEX_SUFFIXES = {".hex", ".ihex", ".ihx"}
+_HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
+_TEXT_BYTES = b"\t\r\n" + bytes(range(0x20, 0x7F))
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Bytes of an image that lie together."""
+
+    name: str
+    address: int
+    data: bytes
+
+
+def verify_image(path: Path) -> list[Finding]:
+    """Find every table in the image ``path`` and compare it with the one made anew.
+
+    Returns one finding per table, and at least one: an image without a table is a finding with a problem.
+    ELF is recognised by its first bytes, Intel HEX by its first record or the suffix (.hex, .ihex, .ihx);
+    other files count as plain binary, unless the bytes of an image cannot lie there as they are: in lines
+    of text, such as S-records, and in UF2. A table is the magic and a possible q, in either byte order and
+    at any alignment, with either the right checksum or, for a damaged one, at least half of its entries in
+    the range of such entries: the magic alone also stands in the firmware's code, and in texts such as
+    "ITCM". Raises UsageError if the file cannot be read or is in another format.
+    """
+    findings = [_finding(path, chunk, *hit) for chunk in _chunks(path) for hit in _hits(chunk.data)]
+    return findings or [Finding(str(path), problem="no t-table found; is one linked in, and used?")]
+
+
+def _chunks(path: Path) -> list[_Chunk]:
+    try:
+        data = path.read_bytes()
+        return _chunks_of(data, path)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except _DAMAGE as error:
+        raise UsageError(f"cannot read {path}: {error}; the file is damaged, build it again") from error
+
+
+def _chunks_of(data: bytes, path: Path) -> list[_Chunk]:
+    if data.startswith(b"\x7fELF"):
+        return _elf_chunks(data)
+    if _HEX_RECORD.match(data):
+        return _hex_chunks(data)
+    foreign = _foreign_format(data)
+    if foreign:
+        raise UsageError(
+            f"{path} is {foreign}; give the ELF, Intel HEX or plain binary file of the same build "
+            "(of S-records, objcopy -I srec -O binary makes one)"
+        )
+    return _hex_chunks(data) if path.suffix.lower() in _HEX_SUFFIXES else [_Chunk("", 0, data)]
+
+
+def _foreign_format(data: bytes) -> str | None:
+    """A name for ``data`` if it is no image: a table, were there one, would not be found in it."""
+    if data.startswith(b"UF2\n"):
+        return "in UF2"
+    is_text = b"\n" in data and not data.translate(None, _TEXT_BYTES)
+    return "text, but not Intel HEX" if is_text else None
+
+
+def _elf_chunks(data: bytes) -> list[_Chunk]:
+    """Sections that are loaded; segments if the sections were stripped."""
+    elf = ELFFile(BytesIO(data))
+    sections = [
+        _Chunk(section.name, section["sh_addr"], section.data())
+        for section in elf.iter_sections()
+        if section["sh_flags"] & SH_FLAGS.SHF_ALLOC and section["sh_type"] != "SHT_NOBITS"
+    ]
+    return sections or [
+        _Chunk("segment", segment["p_vaddr"], segment.data()) for segment in elf.iter_segments("PT_LOAD")
+    ]
+
+
+def _hex_chunks(data: bytes) -> list[_Chunk]:
+    image = IntelHex()
+    image.loadhex(StringIO(data.decode("ascii")))
+    return [_Chunk("", start, image.tobinstr(start, end - 1)) for start, end in image.segments()]
+
+
+def _hits(data: bytes) -> Iterator[tuple[str, int, tuple[int, ...]]]:
+    """Byte order, offset and words of every table; fewer words than it should have at the end of the data."""
+    for order in _BYTE_ORDERS:
+        magic = struct.pack(order + "I", MAGIC).strip(b"\0")
+        before = 1 if order == "<" else 0  # bytes of word 0 in front of the magic: q
+        found = data.find(magic, before)
+        while found >= 0:
+            start = found - before
+            words = _words(data[start : start + 4 * (EXTRA_WORDS + MAX_Q)], order)
+            q = words[0] & 0xFF if words else 0
+            words = words[: EXTRA_WORDS + q]
+            if MIN_Q <= q <= MAX_Q and _is_table(words, q):
+                yield order, start, words
+            found = data.find(magic, found + 1)
+
+
+def _words(data: bytes, order: str) -> tuple[int, ...]:
+    count = len(data) // 4
+    return struct.unpack(f"{order}{count}I", data[: 4 * count])
+
+
+def _is_table(words: tuple[int, ...], q: int) -> bool:
+    if len(words) == EXTRA_WORDS + q and checksum(words[:-1]) == words[-1]:
+        return True
+    possible = sum(_possible(word, m) for m, word in enumerate(words[2 : q + 2], start=2))
+    return 2 * possible >= q
+
+
+def _possible(entry: int, m: int) -> bool:
+    """Whether k_m can be this for some omega: it is above 1 and below 1 + 64 / (m - 1)."""
+    excess = entry - (1 << FRACTION_BITS)
+    return excess > 0 and excess * (m - 1) < 64 << FRACTION_BITS
+
+
+def _finding(path: Path, chunk: _Chunk, order: str, offset: int, words: tuple[int, ...]) -> Finding:
+    where = f"{chunk.name}+{offset:#x}" if chunk.name else f"{chunk.address + offset:#x}"
+    place, q = f"{path}: {where} ({_BYTE_ORDERS[order]})", words[0] & 0xFF
+    omega = omega_from_word(words[1])
+    if omega is None:
+        return Finding(place, q=q, problem=f"word 1 (omega) is {words[1]:#010x}, which no omega gives")
+    return compare(place, omega, words, q)

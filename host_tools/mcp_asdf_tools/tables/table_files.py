@@ -1,0 +1,240 @@
+"""A t-table as files: a C source for the firmware and JSON for machines, and checking them.
+
+Both are a pure function of omega and q, byte for byte, so checking a file is making it again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.tables.thresholds import (
+    GENERATOR_VERSION,
+    MAX_MESSAGES,
+    Difference,
+    check_q,
+    first_difference,
+    first_different_entry,
+    generate,
+    parse_omega,
+    worst_threshold_error,
+)
+
+_SYMBOL = re.compile(
+    r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\[[0-9]+\] MCP_ASDF_ROM = \{(.*?)\};", re.DOTALL
+)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_C_WORD = re.compile(r"0x[0-9A-Fa-f]+")
+
+
+def stem(omega: Decimal, q: int) -> str:
+    """Return the file name without suffix, such as ``t_table_omega05_q127``.
+
+    After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is
+    0.05, 10 is 0.1, 125 is 0.125. No two tables share a name.
+    """
+    places = f"{omega.normalize():f}".partition(".")[2]
+    return f"t_table_omega{places:0<2}_q{q}"
+
+
+def describe(omega: Decimal, q: int) -> dict[str, Any]:
+    """Return the content of the JSON file: what the table is and its entries."""
+    table = generate(omega, q)
+    words = table.words()
+    error = worst_threshold_error(omega, table)
+    return {
+        "symbol": f"mcp_asdf_{stem(omega, q)}",
+        "omega": float(omega),
+        "omega_word": table.omega_word,
+        "q": q,
+        "degrees_of_freedom": "m - 1",
+        "format_version": FORMAT_VERSION,
+        "generator": "mcp-asdf table",
+        "generator_version": GENERATOR_VERSION,
+        "bytes": 4 * len(words),
+        "bytes_formula": "12 + 4 q",
+        "worst_threshold_error": {"rounding": error.rounding, "beyond_q": error.beyond_q},
+        "checksum": words[-1],
+        "sha256": hashlib.sha256(struct.pack(f"<{len(words)}I", *words)).hexdigest(),
+        "fraction_bits": FRACTION_BITS,
+        "entries": list(table.entries),
+    }
+
+
+def json_text(omega: Decimal, q: int) -> str:
+    """Return the JSON file. Omega has at most 9 digits, so it reads back as the decimal it was."""
+    return json.dumps(describe(omega, q), indent=2) + "\n"
+
+
+_C_FILE = """\
+/* A t-table for MCP-ASDF: thresholds of the hypothesis test. Generated; to change it, make another.
+ *
+ *   omega               {omega} (type II error probability)
+ *   q                   {q} (maximum number of messages in a round that has an entry of its own)
+ *   degrees of freedom  m - 1, for m messages
+ *   entries             k_m = (t_{{m-1,(1-omega)/2}} / sqrt(m) + 1)^2 m / (m - 1) for m = 2 .. q, to nearest;
+ *                       one more for all m > q: k at m = q + 1 with the normal quantile in place of t
+ *   format              version {format_version}: magic and q, omega, entries (2^-{fraction_bits}), checksum
+ *   size                {bytes} bytes = {bytes_formula}
+ *   threshold error     relative, at most {rounding} for m <= q ({beyond_q})
+ *   generator version   {generator_version}
+ *
+ * made with   mcp-asdf table --omega {omega} --neighbours {q} --output .
+ * check with  mcp-asdf table --check {stem}.c
+ * use with    extern const uint32_t {symbol}[{words}];
+ */
+#include "mcp_asdf_arithmetic.h"
+
+extern const uint32_t {symbol}[{words}];
+
+/* clang-format off */
+const uint32_t {symbol}[{words}] MCP_ASDF_ROM = {{
+{body}
+}};
+"""
+
+
+def c_text(omega: Decimal, q: int) -> str:
+    """Return the C99 source: one constant array, which needs ``mcp_asdf_arithmetic.h`` and nothing else."""
+    facts = describe(omega, q)
+    error = facts["worst_threshold_error"]
+    beyond = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"
+    return _C_FILE.format_map(
+        facts
+        | {
+            "omega": f"{omega:f}",
+            "stem": stem(omega, q),
+            "words": EXTRA_WORDS + q,
+            "rounding": f"{error['rounding']:.2e}",
+            "beyond_q": beyond if q < MAX_MESSAGES else f"there are never more than {MAX_MESSAGES} messages",
+            "body": _c_body(generate(omega, q)),
+        }
+    )
+
+
+def _c_body(table: Table) -> str:
+    values = [entry / 2**FRACTION_BITS for entry in table.entries]
+    meanings = ["magic, q", "omega * 2^32"]
+    meanings += [f"m = {m}: {value:.9f}" for m, value in enumerate(values[:-1], start=2)]
+    meanings += [f"m > {table.q}: {values[-1]:.9f}", "checksum"]
+    lines = zip(table.words(), meanings, strict=True)
+    return "\n".join(f"    0x{word:08X}U, /* {meaning} */" for word, meaning in lines)
+
+
+def write(omega: Decimal, q: int, folder: Path) -> list[Path]:
+    """Write the C and the JSON file into ``folder``, which is made if need be; returns their paths.
+
+    Both are written, or neither. Raises UsageError if one cannot be.
+    """
+    name = stem(omega, q)
+    contents = {folder / f"{name}.c": c_text(omega, q), folder / f"{name}.json": json_text(omega, q)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+    with FileSet() as files:
+        for path, text in contents.items():
+            files.write(path, text)
+    return list(contents)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The outcome of checking one table.
+
+    Attributes:
+        place: The file, and where in it if it is an image.
+        omega, q: The table that it claims to be; None if it is unknown.
+        problem: What is wrong; None if nothing is.
+        difference: The word that differs, if that is what is wrong.
+    """
+
+    place: str
+    omega: Decimal | None = None
+    q: int | None = None
+    problem: str | None = None
+    difference: Difference | None = None
+
+
+def compare(place: str, omega: Decimal, words: Sequence[int], q: int) -> Finding:
+    """Check a table's words against the table made anew."""
+    difference = first_difference(words, generate(omega, q))
+    return Finding(place, omega, q, str(difference) if difference else None, difference)
+
+
+def check_file(path: Path) -> Finding:
+    """Compare a generated ``.c`` or ``.json`` file with the one made anew.
+
+    Entries are compared first, then the text line by line, line ends aside. Raises UsageError if the file
+    cannot be read or does not say which table it is.
+    """
+    readers = {".json": (_read_json, json_text), ".c": (_read_c, c_text)}
+    if path.suffix not in readers:
+        raise UsageError(f"{path} is neither .c nor .json; for a built image use --verify")
+    read, render = readers[path.suffix]
+    text = _read_text(path)
+    omega, q, entries = read(path, text)
+    expected = generate(omega, q)
+    difference = first_different_entry((*expected.words()[:2], *entries), expected)
+    problem = str(difference) if difference else _first_changed_line(text, render(omega, q))
+    return Finding(str(path), omega, q, problem, difference)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError:
+        raise UsageError(f"{path} is not a text file; for a built image use --verify") from None
+
+
+def _read_json(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
+    """Read omega, q and the entries."""
+    try:
+        data = json.loads(text, parse_float=str)
+        omega, q, entries = str(data["omega"]), data["q"], data["entries"]
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise UsageError(
+            f"{path} is not a t-table in JSON ({error!r}); make it anew with --output"
+        ) from error
+    if type(q) is not int or not (isinstance(entries, list) and all(type(k) is int for k in entries)):
+        raise UsageError(f"{path}: 'q' and all 'entries' must be whole numbers; make it anew with --output")
+    return (*_claim(path, omega, q), entries)
+
+
+def _read_c(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
+    """Read omega and q from the array's name, and the entries between two words and the checksum."""
+    match = _SYMBOL.search(text)
+    if match is None:
+        raise UsageError(f"{path} defines no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
+    places, q, body = match.groups()
+    words = [int(word, 16) for word in _C_WORD.findall(_COMMENT.sub("", body))]
+    return (*_claim(path, f"0.{places}", int(q)), words[2:-1])
+
+
+def _claim(path: Path, omega: str, q: int) -> tuple[Decimal, int]:
+    try:
+        return parse_omega(omega), check_q(q)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _first_changed_line(found: str, expected: str) -> str | None:
+    lines = zip_longest(found.split("\n"), expected.split("\n"))
+    for number, (left, right) in enumerate(lines, start=1):
+        if left != right:
+            return f"line {number}: found {left!r}, expected {right!r}"
+    return None

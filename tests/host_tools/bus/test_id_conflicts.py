@@ -1,0 +1,120 @@
+"""Two nodes with one id are noticed, and one node on a bad bus is never taken for two."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable
+
+import pytest
+from mcp_asdf_tools.bus.frames import Heartbeat, Message
+from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
+
+ID = 5
+SEED = 41
+
+
+def broadcast(sender: int, number: int) -> Message:
+    """The sender's message ``number``; every one has a content of its own."""
+    return Message(ID, number, sender, number % 32)
+
+
+def first_noticed(messages: Iterable[Message]) -> int | None:
+    """How many messages were heard when a collision was reported; None if none was."""
+    watch = CollisionWatch()
+    for count, message in enumerate(messages, 1):
+        collision = watch.hear(message)
+        assert (collision is None) == (not watch.found)
+        if collision is not None:
+            assert watch.found == {message.sender: collision}
+            return count
+    return None
+
+
+def one_sender(seed: str, messages: int, loss: float, repeats: float, late: int) -> list[Message]:
+    """What arrives: each message with its chances to be lost, repeated, and delayed by up to ``late``."""
+    draw = random.Random(seed)
+    arrivals = []
+    for number in range(messages):
+        if draw.random() >= loss:
+            arrivals.append((number + draw.randint(0, late), number))
+            if draw.random() < repeats:
+                arrivals.append((number + draw.randint(0, late), number))
+    return [broadcast(0, number) for _, number in sorted(arrivals)]
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1, 0.5, 0.8, 0.9, 0.95, 0.99])
+@pytest.mark.parametrize(("repeats", "late"), [(0.0, 0), (0.3, 0), (0.3, 3), (0.3, 12)])
+def test_one_sender_on_a_bad_bus_is_no_collision(loss: float, repeats: float, late: int) -> None:
+    seed = f"{SEED} {loss} {repeats} {late}"
+    arriving = one_sender(seed, 20_000, loss, repeats, late)
+    assert first_noticed(arriving) is None, f"replay: one_sender({seed!r}, 20_000, {loss}, {repeats}, {late})"
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3, 0.9])
+def test_a_node_that_restarts_is_no_collision(loss: float) -> None:
+    draw = random.Random(SEED)
+    number, arriving = 0, []
+    for content in range(20_000):
+        number = 0 if draw.random() < 0.02 else number + 1
+        if draw.random() >= loss:
+            arriving.append(Message(ID, content, 0, number % 32))
+    assert first_noticed(arriving) is None
+
+
+def two_senders(offset: int, shuffled: bool, loss: float) -> list[Message]:
+    """Two nodes that send in each of 500 rounds; the second counts ``offset`` ahead of the first."""
+    draw = random.Random(f"{SEED} {offset} {shuffled} {loss}")
+    arriving = []
+    for number in range(500):
+        both = [broadcast(0, number), broadcast(1, number + offset)]
+        if shuffled:
+            draw.shuffle(both)
+        arriving += [message for message in both if draw.random() >= loss]
+    return arriving
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize("offset", range(32))
+def test_two_senders_are_noticed_within_35_rounds(offset: int, shuffled: bool) -> None:
+    noticed = first_noticed(two_senders(offset, shuffled, loss=0.0))
+    assert noticed is not None
+    assert noticed <= 70
+
+
+@pytest.mark.parametrize("offset", range(32))
+def test_two_senders_are_noticed_with_loss(offset: int) -> None:
+    assert first_noticed(two_senders(offset, True, loss=0.25)) is not None
+
+
+def test_own_id_is_noticed_at_once() -> None:
+    watch = CollisionWatch(own=ID)
+    assert watch.hear(Message(ID + 1, 0, 0, 0)) is None
+    assert watch.hear(Heartbeat(ID, 0, 0)) is Collision.OWN_ID
+    assert watch.found == {ID: Collision.OWN_ID}
+    assert watch.hear(Heartbeat(ID, 1, 1)) is None, "it was reported"
+
+
+def test_ids_and_kinds_are_told_apart() -> None:
+    watch = CollisionWatch(own=127)
+    for number in range(1000):
+        for sender in range(3):
+            assert watch.hear(Message(sender, 10 * number + sender, 0, number % 32)) is None
+            assert watch.hear(Heartbeat(sender, number, (number + 9) % 32)) is None
+    assert not watch.found
+
+
+def test_only_the_shared_id_is_reported() -> None:
+    watch = CollisionWatch()
+    for first, second in zip(*[iter(two_senders(9, True, 0.0))] * 2, strict=True):
+        for message in (first, second):
+            watch.hear(message)
+        watch.hear(Message(ID + 1, first.x_hat, 0, first.transfer_id))
+    assert watch.found == {ID: Collision.TWO_SENDERS}
+
+
+def test_two_heartbeats_are_noticed() -> None:
+    watch = CollisionWatch()
+    for second in range(40):
+        watch.hear(Heartbeat(ID, second, second % 32))
+        watch.hear(Heartbeat(ID, 1000 + second, (second + 4) % 32))
+    assert watch.found == {ID: Collision.TWO_SENDERS}

@@ -1,0 +1,265 @@
+"""The slcan server: python-can's own client, and Cyphal's, reach a bus of this process."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import can
+import pytest
+from can.interfaces import virtual
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcp_asdf_tools.bus import frames
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message
+from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
+from robots import ALPHA_ONE
+
+CHANNEL = "slcan test"
+TIMEOUT = 5.0
+
+
+def join() -> can.BusABC:
+    return can.Bus(interface="virtual", channel=CHANNEL, ignore_config=True)
+
+
+@pytest.fixture
+def server() -> Iterator[SlcanServer]:
+    with SlcanServer(join()) as running:
+        yield running
+
+
+def require_serial() -> None:
+    pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
+
+
+def client(server: SlcanServer) -> can.BusABC:
+    require_serial()
+    channel = f"socket://127.0.0.1:{server.port}"
+    return can.Bus(interface="slcan", channel=channel, sleep_after_open=0, ignore_config=True)
+
+
+def wait_until_open(server: SlcanServer) -> None:
+    deadline = time.monotonic() + TIMEOUT
+    while not server._is_open:
+        assert time.monotonic() < deadline, "the client did not open the adapter"
+        time.sleep(0.01)
+
+
+FRAMES = [
+    can.Message(arbitration_id=0x106BB82A, data=bytes.fromhex("0000400000803fe0")),
+    can.Message(arbitration_id=0x1FFFFFFF, data=b""),
+    can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\r\a\0"),
+    can.Message(arbitration_id=0, is_extended_id=False, data=b"12345678"),
+    can.Message(arbitration_id=0x123, is_remote_frame=True, dlc=8),
+    can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=0),
+]
+
+
+def essence(frame: can.Message | None) -> tuple[Any, ...]:
+    assert frame is not None
+    flags = (frame.is_extended_id, frame.is_remote_frame, frame.is_fd, frame.is_error_frame)
+    return (frame.arbitration_id, *flags, frame.dlc, bytes(frame.data))
+
+
+def received(bus: can.BusABC) -> can.Message | None:
+    """The next frame; python-can's slcan ends a wait early on an answer of the adapter."""
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        frame = bus.recv(0.1)
+        if frame is not None:
+            return frame
+    return None
+
+
+def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
+    with join() as bus, client(server) as program:
+        wait_until_open(server)
+        for frame in FRAMES:
+            bus.send(frame)
+            assert essence(received(program)) == essence(frame)
+            program.send(frame)
+            assert essence(received(bus)) == essence(frame)
+    assert server.dropped == 0
+
+
+def test_programs_come_and_go(server: SlcanServer) -> None:
+    with join() as bus:
+        for _ in range(3):
+            with client(server) as program:
+                wait_until_open(server)
+                bus.send(FRAMES[0])
+                assert essence(received(program)) == essence(FRAMES[0])
+            while server._is_open:
+                time.sleep(0.01)
+
+
+def raw(server: SlcanServer) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.port), TIMEOUT)
+
+
+def answers(program: socket.socket, length: int) -> bytes:
+    """What the adapter says, ``length`` bytes or a little more."""
+    text = b""
+    while len(text) < length:
+        more = program.recv(100)
+        assert more, text
+        text += more
+    return text
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        (b"S8\rO\r", b"\r\r"),
+        (b"\rV\rN\rF\r", b"\rV1013\rN0001\rF00\r"),
+        (b"O\rT106BB82A0\rt7FF0\r", b"\rZ\rz\r"),
+        (b"T106BB82A0\r", b"\a"),  # the adapter is closed
+        (b"O\rC\rt1230\r", b"\r\r\a"),
+        (b"O\r?\rt12\rt8000\rT200000000\rt1239\rt1231\rt12310\rtxyz0\r", b"\r" + 8 * b"\a"),
+        (b"O\r" + 100 * b"x", b"\r\a"),
+    ],
+)
+def test_every_line_has_its_answer(server: SlcanServer, asked: bytes, answer: bytes) -> None:
+    with raw(server) as program:
+        program.sendall(asked)
+        assert answers(program, len(answer)) == answer
+
+
+def test_fd_and_error_frames_stay_where_they_are(server: SlcanServer) -> None:
+    with join() as bus, raw(server) as program:
+        program.sendall(b"O\r")
+        wait_until_open(server)
+        bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
+        bus.send(can.Message(is_error_frame=True))
+        bus.send(FRAMES[0])
+        expected = b"\r" + line_of(FRAMES[0])
+        assert answers(program, len(expected)) == expected
+
+
+def test_a_slow_program_loses_whole_frames_and_stops_nobody(server: SlcanServer) -> None:
+    with join() as bus, socket.socket() as program:
+        program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        program.connect(("127.0.0.1", server.port))
+        program.sendall(b"O\r")
+        wait_until_open(server)
+        deadline = time.monotonic() + 60
+        while not server.dropped:
+            for _ in range(1000):
+                bus.send(FRAMES[0])
+            assert time.monotonic() < deadline, "the socket takes everything"
+        program.settimeout(0.5)
+        text = b""
+        try:
+            while True:
+                text += program.recv(1 << 20)
+        except TimeoutError:
+            pass
+    assert set(text.removeprefix(b"\r").split(b"\r")) == {line_of(FRAMES[0])[:-1], b""}
+
+
+@settings(derandomize=True, max_examples=300, deadline=None)
+@given(st.binary(max_size=30) | st.from_regex(rb"[tTrR][0-9A-F]{3,12}\Z"))
+def test_any_line_is_a_frame_or_none(line: bytes) -> None:
+    frame = frame_of(line)
+    if frame is not None:
+        assert line_of(frame)[:-1] == line.upper() if line[:1].isupper() else line_of(frame)
+
+
+def test_a_taken_port_is_named(server: SlcanServer) -> None:
+    with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
+        SlcanServer(join(), server.port)
+    with pytest.raises(UsageError, match="slcan port is 65536; it must be 1 to 65535"):
+        SlcanServer(join(), 65536)
+    with can.Bus(interface="virtual", channel=CHANNEL, ignore_config=True):
+        assert len(virtual.channels[CHANNEL]) == 2, "a refused server left its bus open"
+
+
+async def heard_by_pycyphal(pycyphal: Any, port: int, is_listening: threading.Event) -> Any:
+    """A message of subject 3000 as Cyphal's own tools would receive it."""
+    cyphal_can = importlib.import_module("pycyphal.transport.can")
+    pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
+    media = pythoncan.PythonCANMedia(f"slcan:socket://127.0.0.1:{port}", 1_000_000, 8)
+    transport = cyphal_can.CANTransport(media, None)
+    subject = pycyphal.transport.MessageDataSpecifier(3000)
+    specifier = pycyphal.transport.InputSessionSpecifier(subject, None)
+    session = transport.get_input_session(specifier, pycyphal.transport.PayloadMetadata(7))
+    is_listening.set()
+    transfer = await session.receive(asyncio.get_running_loop().time() + 4 * TIMEOUT)
+    transport.close()
+    return transfer
+
+
+def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
+    require_serial()
+    pycyphal = pytest.importorskip("pycyphal", reason="pycyphal is not installed (pip install pycyphal)")
+    done, is_listening = threading.Event(), threading.Event()
+
+    def robot() -> None:
+        is_listening.wait(4 * TIMEOUT)
+        with join() as bus:
+            bus.send(frames.encode_heartbeat(Heartbeat(42, 1, 1)))
+            for count in range(1000):
+                bus.send(frames.encode(Message(42, 2**22, ALPHA_ONE, count % 32), FrameFormat()))
+                if done.wait(0.05):
+                    return
+
+    sender = threading.Thread(target=robot)
+    sender.start()
+    try:
+        transfer = asyncio.run(heard_by_pycyphal(pycyphal, server.port, is_listening))
+    finally:
+        done.set()
+        is_listening.set()
+        sender.join()
+    assert transfer is not None
+    assert transfer.source_node_id == 42
+    assert b"".join(map(bytes, transfer.fragmented_payload)) == bytes.fromhex("0000400000803f")
+
+
+def estimates_at(port: int, heard: list[can.Message], count: int) -> None:
+    """Connect as soon as there is an adapter, collect estimates, then press Ctrl-C."""
+    deadline = time.monotonic() + 10 * TIMEOUT
+    try:
+        with connection_to(port, deadline) as program:
+            program.sendall(b"O\r")
+            for line in program.makefile("r", newline="\r"):
+                frame = frame_of(line.rstrip("\r").encode())
+                if frame is not None and isinstance(frames.decode(frame, FrameFormat()), Message):
+                    heard.append(frame)
+                if len(heard) == count or time.monotonic() > deadline:
+                    return
+    finally:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
+def connection_to(port: int, deadline: float) -> socket.socket:
+    while True:
+        try:
+            return socket.create_connection(("127.0.0.1", port), TIMEOUT)
+        except ConnectionRefusedError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
+
+
+def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+    heard: list[can.Message] = []
+    listener = threading.Thread(target=estimates_at, args=(port, heard, 30))
+    listener.start()
+    swarm = ["swarm", "--robots", "3", "--ticks", "100000", "--filter", "off", "--clock", "real-time"]
+    assert main([*swarm, "--slcan", str(port)]) == 130
+    listener.join()
+    assert f"socket://127.0.0.1:{port}" in capsys.readouterr().err
+    assert {frame.arbitration_id & 127 for frame in heard} == {0, 1, 2}
+    assert len(heard) == 30

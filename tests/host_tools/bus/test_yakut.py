@@ -1,0 +1,127 @@
+"""Cyphal's command-line tool reads a running swarm, by the commands that docs/frame.md shows."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import shlex
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+import yaml
+from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf_tools.bus import frames
+from mcp_asdf_tools.bus.frames import FrameFormat, Message
+from support import PATH, ROOT, require
+
+ROBOTS = 3
+ENOUGH = 90.0
+"""Seconds after which a test gives up waiting."""
+PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Variables that tell yakut where types are: OpenCyphal's and ours; and a home for what it compiles."""
+    folder = tmp_path_factory.mktemp("types")
+    layouts = yaml.safe_load((ROOT / "tests/data/uavcan_types.yml").read_text(encoding="utf-8"))
+    for name, text in layouts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    path = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{folder}"
+    home = str(tmp_path_factory.mktemp("home"))
+    return {**os.environ, "PATH": PATH, "CYPHAL_PATH": path, "HOME": home, "COLUMNS": "160", "LINES": "60"}
+
+
+@contextmanager
+def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
+    """A swarm that runs; gives the documented command that joins its bus, without what it is to do."""
+    require("yakut")
+    command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
+    endless = ["--filter-period", "1000", "--ticks", "100000000", "--slcan", "0", *options]
+    quiet, told = subprocess.DEVNULL, subprocess.PIPE
+    with subprocess.Popen(
+        command + endless, env=environment, stdout=quiet, stderr=told, text=True
+    ) as running:
+        assert running.stderr
+        where = re.search(r"socket://\S+:(\d+)", running.stderr.readline())
+        try:
+            assert where
+            yield documented(where[1])
+        finally:
+            running.send_signal(signal.SIGINT)
+            running.communicate()
+
+
+def documented(port: str) -> list[str]:
+    """The page's command for port 20000, for another port."""
+    line = next(line for line in PAGE.splitlines() if line.startswith("yakut") and "slcan" in line)
+    *command, monitor = shlex.split(line.replace("20000", port))
+    assert monitor == "monitor"
+    return command
+
+
+def test_it_prints_what_the_robots_broadcast(environment: dict[str, str], tmp_path: Path) -> None:
+    """Every estimate that it shows is in the swarm's own log, member by member."""
+    wanted = ["sub", "3000:mcp_asdf_messages.estimate"]
+    assert " ".join(["yakut", *wanted]) in PAGE
+    with swarm(environment, "--log", str(tmp_path / "run.log")) as yakut:
+        command = [*yakut[:1], "--json", *yakut[1:], *wanted, "--count", "60", "+M"]
+        shown = subprocess.run(
+            command, env=environment, capture_output=True, timeout=ENOUGH, check=True
+        ).stdout
+    estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
+    assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
+    assert {message_of(estimate) for estimate in estimates} <= logged(tmp_path / "run.log")
+
+
+def message_of(estimate: dict[str, Any]) -> Message:
+    meta = estimate["_meta_"]
+    assert meta["dtype"] == "mcp_asdf_messages.Estimate.1.0"
+    alpha = alpha_to_word(estimate["alpha"])
+    return Message(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
+
+
+def logged(log: Path) -> set[Message]:
+    with can.LogReader(log) as reader:
+        found = (frames.decode(frame, FrameFormat()) for frame in reader)
+        return {message for message in found if isinstance(message, Message)}
+
+
+def test_every_robot_is_in_its_monitor(environment: dict[str, str]) -> None:
+    """Operational and healthy, beside the monitor itself, which is node 126; with the subjects they send."""
+    with swarm(environment) as yakut:
+        screen = watched([*yakut, "monitor"], environment, shows_all)
+    assert shows_all(screen), CONTROL.sub("", screen)
+
+
+def shows_all(screen: str) -> bool:
+    text = CONTROL.sub("", screen)
+    healthy = {int(node) for node in re.findall(r"(\d+) +oper +nomina", text)}
+    subjects = {int(subject) for subject in re.findall(r"^ *(\d+) .* \1\s*$", text, re.MULTILINE)}
+    return healthy >= {*range(ROBOTS), 126} and subjects >= {3000, frames.HEARTBEAT_SUBJECT}
+
+
+def watched(command: list[str], environment: dict[str, str], is_enough: Callable[[str], bool]) -> str:
+    """What a program writes to its terminal until that is enough, or for too long."""
+    ours, its = pty.openpty()
+    with subprocess.Popen(command, env=environment, stdin=its, stdout=its, stderr=its) as program:
+        screen, deadline = "", time.monotonic() + ENOUGH
+        while time.monotonic() < deadline and not is_enough(screen):
+            if select.select([ours], [], [], 0.1)[0]:
+                screen += os.read(ours, 1 << 16).decode(errors="replace")
+        program.kill()
+    os.close(ours)
+    os.close(its)
+    return screen

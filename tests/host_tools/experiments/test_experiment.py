@@ -1,0 +1,336 @@
+"""Experiments, the files that describe them, and what their sensors see."""
+
+from __future__ import annotations
+
+import re
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcp_asdf.fixed_point import b_hat_to_raw
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.reference import local_estimate
+from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import (
+    Activation,
+    Drift,
+    Experiment,
+    ExperimentError,
+    Floor,
+    Mode,
+    Topology,
+)
+from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.world.philox import CERTAIN
+from mcp_asdf_tools.world.sensors import black_probabilities, true_accuracies
+
+AUTHORS = Path(__file__).parents[2] / "data/authors_parameters.yml"
+
+
+# --- Values ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("robots", 0, "robots is 0; it must be 1 to 128"),
+        ("robots", 129, "1 to 128"),
+        ("robots", 2.5, "whole number"),
+        ("robots", True, "give a number"),
+        ("robots", "ten", "give a number"),
+        ("robots", float("inf"), "whole number"),
+        ("flawed", 11, "flawed is 11; it must be 0 to robots, 10"),
+        ("flawed", -1, "0 to robots"),
+        ("fill_ratio", 1.5, "0 to 1"),
+        ("fill_ratio", float("nan"), "0 to 1"),
+        ("mode", "asdf", "choose one of none, asdf_minus, asdf_plus"),
+        ("filter_period", 0, "1 to"),
+        ("memory", 63, "64 to"),
+        ("memory", 66, "a multiple of 4"),
+        ("memory", 2**31 + 4, "64 to 2147483648"),
+        ("omega", 0, "above 0"),
+        ("omega", 0.95, "at most 0.9"),
+        ("seed", -1, "0 to"),
+        ("seed", 2**64, "0 to"),
+        ("steps", 0, "1 to"),
+        ("trials", 0, "1 to"),
+        ("firmware", "real", "choose one of native, mirror, reference"),
+        ("firmware", 3, "give a word"),
+        ("conventions", "authors", "choose firmware reference"),
+        ("drift_rate", 0.1, "choose a drift"),
+        ("colour", 1, "unknown key 'colour'"),
+    ],
+)
+def test_an_impossible_value_is_named(key: str, value: Any, words: str) -> None:
+    with pytest.raises(ExperimentError, match=words) as error:
+        Experiment.from_parameters({key: value})
+    assert error.value.key == key
+
+
+def test_periods_must_fit() -> None:
+    with pytest.raises(ExperimentError, match="multiple of comms_period, 3"):
+        Experiment(comms_period=3, filter_period=100)
+
+
+def test_drift_starts_above_its_floor() -> None:
+    with pytest.raises(ExperimentError, match="at most true_accuracy"):
+        Experiment(drift=Drift.LINEAR, true_accuracy=0.6, lowest_accuracy=0.7)
+
+
+def test_parameters_come_back() -> None:
+    experiment = Experiment(
+        mode=Mode.ASDF_MINUS, omega=Decimal("0.15"), drift=Drift.STEPPED, drift_rate=-1e-4, seed=2**64 - 1
+    )
+    assert Experiment.from_parameters(experiment.parameters()) == experiment
+
+
+def test_a_whole_number_may_stand_for_a_float() -> None:
+    assert repr(Experiment(true_accuracy=1, fill_ratio=0)) == repr(
+        Experiment(true_accuracy=1.0, fill_ratio=0.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("mode", "activation", "flawed", "other"),
+    [
+        (Mode.NONE, Activation.ADAPTIVE, Filter.OFF, Filter.OFF),
+        (Mode.ASDF_MINUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.OFF),
+        (Mode.ASDF_PLUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE),
+        (Mode.ASDF_MINUS, Activation.ALWAYS, Filter.ALWAYS, Filter.OFF),
+    ],
+)
+def test_who_filters_and_when(mode: Mode, activation: Activation, flawed: Filter, other: Filter) -> None:
+    experiment = Experiment(robots=4, flawed=2, mode=mode, activation=activation)
+    configs = [experiment.config(robot) for robot in range(4)]
+    assert [config.filter for config in configs] == [flawed, flawed, other, other]
+    assert all((config.table is not None) == (config.filter == Filter.ADAPTIVE) for config in configs)
+    assert [experiment.b_hat(robot) for robot in range(4)] == [0.55, 0.55, 0.95, 0.95]
+
+
+# --- Sensors ---------------------------------------------------------------------------------------------
+
+
+# The paper's table of p(z = 1) and of x_hat for assumed accuracies, to its printed digits.
+TABLE_I = [
+    (0.55, 0.55, "0.505", {0.55: "0.550", 0.75: "0.510", 0.95: "0.506"}),
+    (0.55, 0.95, "0.545", {0.95: "0.550", 0.75: "0.590", 0.55: "0.950"}),
+    (0.95, 0.55, "0.545", {0.55: "0.950", 0.75: "0.590", 0.95: "0.550"}),
+    (0.95, 0.95, "0.905", {0.95: "0.950", 0.75: "1.000", 0.55: "1.000"}),
+]
+
+
+@pytest.mark.parametrize(("fill_ratio", "accuracy", "printed", "estimates"), TABLE_I)
+def test_the_papers_first_table(
+    fill_ratio: float, accuracy: float, printed: str, estimates: dict[float, str]
+) -> None:
+    experiment = Experiment(fill_ratio=fill_ratio, true_accuracy=accuracy)
+    probability = float(black_probabilities(experiment, 0)[0, 0]) / CERTAIN
+    assert f"{probability:.3f}" == printed
+    for b_hat, expected in estimates.items():
+        blacks = round(1000 * probability)
+        assert f"{local_estimate(blacks, 1000, b_hat):.3f}" == expected
+        robot = MirrorRobot(Config(filter=Filter.OFF), 0, b_hat_to_raw(b_hat) / 2**32)
+        for step in range(1000):
+            robot.step(Observation.BLACK if step < blacks else Observation.WHITE)
+        assert f"{robot.x_hat:.3f}" == expected
+
+
+def test_accuracy_without_drift_never_changes() -> None:
+    assert true_accuracies(Experiment(), 0).tolist() == [[0.95]]
+
+
+def test_linear_drift_goes_down_to_the_floor() -> None:
+    experiment = Experiment(steps=1000, drift=Drift.LINEAR, drift_rate=-1e-3, lowest_accuracy=0.6)
+    path = true_accuracies(experiment, 0)
+    assert path.shape == (1000, 1)
+    assert path[[0, 100, 349, 999], 0] == pytest.approx([0.95, 0.85, 0.601, 0.6])
+
+
+def test_stepped_drift_changes_at_its_period_only() -> None:
+    path = true_accuracies(Experiment(steps=1000, drift=Drift.STEPPED, drift_rate=-1e-4, drift_period=300), 0)
+    changes = np.flatnonzero(np.diff(path[:, 0])) + 1
+    assert changes.tolist() == [300, 600, 900]
+    assert path[999, 0] == pytest.approx(0.95 - 0.09)
+
+
+def test_wiener_drift_has_the_moments_of_its_process() -> None:
+    experiment = Experiment(
+        robots=100,
+        flawed=0,
+        true_accuracy=0.75,
+        steps=400,
+        drift=Drift.WIENER,
+        drift_rate=1e-5,
+        drift_diffusion=1e-3,
+    )
+    paths = np.concatenate([true_accuracies(experiment, trial) for trial in range(5)], axis=1)
+    moves = np.diff(paths, axis=0)
+    assert (paths[0] == 0.75).all()
+    assert abs(moves.mean() - 1e-5) < 4e-3 / moves.size**0.5
+    assert moves.std() == pytest.approx(1e-3, rel=0.01)
+    assert paths[-1].var() == pytest.approx(399e-6, rel=0.2)
+    assert len(np.unique(paths[-1])) == 500
+
+
+# --- TOML ------------------------------------------------------------------------------------------------
+
+
+def experiments_of(folder: Path, text: str, name: str = "grid.toml") -> list[Experiment]:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return read_experiments(path)
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
+    assert experiments_of(tmp_path, "") == [Experiment()]
+
+
+def test_lists_make_a_grid(tmp_path: Path) -> None:
+    found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nmode = ["none", "asdf_plus"]\n')
+    assert [(each.flawed, each.mode.value, each.steps) for each in found] == [
+        (1, "none", 1000),
+        (1, "asdf_plus", 1000),
+        (3, "none", 1000),
+        (3, "asdf_plus", 1000),
+    ]
+
+
+def test_grids_stand_on_the_keys_above_them(tmp_path: Path) -> None:
+    text = (
+        "trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed_proportion = 0.5\ntrials = 3\n"
+    )
+    found = experiments_of(tmp_path, text)
+    assert [(each.trials, each.flawed, each.fill_ratio) for each in found] == [(2, 1, 0.9), (3, 5, 0.55)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("steps = 10\nrobotz = 3\n", "line 2: unknown key 'robotz'"),
+        ("\n\nrobots = 0\n", "line 3: robots is 0"),
+        ("robots = [3, 0]\n", "line 1: robots is 0"),
+        ("robots = 4\nflawed = 5\n", "line 2: flawed is 5"),
+        ("steps = 1\n[[grid]]\nmode = 'x'\n", "line 3: mode is 'x'"),
+        ("steps = 1\n[[grid]]\n[[grid]]\nsteps = 0\n", "line 4: steps is 0"),
+        ("flawed_proportion = 0.25\n", "line 1: flawed_proportion 0.25 of 10 robots is 2.5"),
+        ("flawed_proportion = 2\n", "line 1: flawed_proportion is 2"),
+        ("flawed = 1\nflawed_proportion = 0.1\n", "line 2: flawed and flawed_proportion"),
+        ("trials = []\n", "line 1: trials makes 0"),
+        ("steps = \n", "line 1"),
+        ("grid = 3\n", r"write \[\[grid\]\]"),
+        ("steps = [[1]]\n", "line 1: steps is"),
+        ("omega = [0.05, 1.5]\n", "line 1: omega is 1.5"),
+        (f"seed = {list(range(400))}\nsteps = {list(range(1, 400))}\n", "line 2: steps makes 159600"),
+    ],
+)
+def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words) as error:
+        experiments_of(tmp_path, text)
+    assert str(tmp_path / "grid.toml") in str(error.value)
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"name it \.toml"):
+        read_experiments(tmp_path / "grid.json")
+    with pytest.raises(UsageError, match="cannot read"):
+        read_experiments(tmp_path / "absent.toml")
+
+
+def test_the_physical_experiment_comes_with_the_program() -> None:
+    found = read_experiments(Path("physical"))
+    assert len(set(found)) == 2 * 3 * 4
+    assert {each.flawed for each in found} == {0, 2, 4, 8}
+    assert {(each.sides, each.fill_ratio, each.floor, each.speed) for each in found} == {
+        ((3.0353, 3.0226), 0.448, Floor.CODE, 0.1)
+    }
+    first = found[0]
+    assert first.ticks_per_second / first.observation_period == 2, "observations a second"
+    assert first.steps / first.ticks_per_second == 1000, "seconds"
+    density = first.robots * np.pi * first.radio_range**2 / np.prod(first.sides)
+    assert density == pytest.approx(1.3, abs=0.05)
+    with pytest.raises(UsageError, match=r"no file studio; what comes with the program is .*physical"):
+        read_experiments(Path("studio"))
+
+
+# --- The authors' YAML -----------------------------------------------------------------------------------
+
+
+def test_the_authors_file_runs_as_it_is() -> None:
+    found = read_experiments(AUTHORS)
+    assert [each.flawed for each in found] == [1, 3, 5]
+    common = Experiment(
+        mode=Mode.ASDF_MINUS, filter_period=200, steps=1000, trials=2, omega=Decimal("0.1"), flawed=1
+    )
+    assert found[0] == common
+
+
+def test_numbers_may_be_written_in_any_way(tmp_path: Path) -> None:
+    for written in ("4.0e+4", "4e4", "40000", "40000.0", '"40000"'):
+        found = experiments_of(tmp_path, AUTHORS.read_text().replace("1.0e+3", written), "file.yml")
+        assert found[0].steps == 40_000
+
+
+def test_what_is_not_fully_connected_moves(tmp_path: Path) -> None:
+    text = AUTHORS.read_text().replace("fullyConnected: True", "fullyConnected: False")
+    found = experiments_of(tmp_path, text, "file.yml")
+    assert {(each.topology, each.latency, each.density, each.robots) for each in found} == {
+        (Topology.DYNAMIC, 1, 1.0, 10)
+    }
+
+
+def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -> None:
+    text = (
+        AUTHORS.read_text().replace("BRAVO", "ALPHA").replace("correctFilter: False", "correctFilter: True")
+    )
+    text = text.replace("filterSpecificParams:\n  type_2_err_prob: 0.1\n", "")
+    found = experiments_of(tmp_path, text, "file.yaml")
+    assert {(each.activation, each.mode) for each in found} == {(Activation.ALWAYS, Mode.ASDF_PLUS)}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("numRobots: 10", "numRobots: ten", "line 2: numRobots is 'ten'; give a number"),
+        ("numRobots: 10", "numRobots: 0", "line 2: numRobots: robots is 0"),
+        ("numRobots: 10", "numRobotz: 10", "line 2: unknown key 'numRobotz'"),
+        ("numTrials: 2", "numSteps: 2", "line 16: numSteps stands here twice"),
+        ("numTrials: 2\n", "", "line 21: the file ends without numTrials"),
+        ("  incSteps: 3\n", "", "without flawedRobotRange.incSteps"),
+        ("incSteps: 3", "incSteps: 4", "line 6: incSteps is 4"),
+        ("  max: 5", "  max: 11", "line 5: flawedRobotRange.max: flawed is 11"),
+        ("AccW: 0.55", "AccW: 0.6", "line 9: flawedSensorAccW is 0.6"),
+        ("numRobots: 10", "numRobots: 129", "line 2: numRobots: robots is 129"),
+        ("fullyConnected: True", "fullyConnected: 7", "line 17: fullyConnected is '7'"),
+        ("BRAVO", "DELTA", "line 18: method is 'DELTA'; choose one of ALPHA, BRAVO"),
+        ("type_2_err_prob: 0.1", "type_2_err_prob: 1.5", "line 20: filterSpecificParams.type_2_err_prob"),
+        ("numTrials: 2", "numTrials: 2.5", "line 16: numTrials: trials is 2.5"),
+        ("numTrials: 2", "numTrials: [2]", "line 16: numTrials is no single value"),
+        ("commsPeriod: 1", "commsPeriod: 3", "line 14: sensorFilterPeriod: filter_period is 200"),
+        ("numRobots: 10", "numRobots: [", "file.yml"),
+    ],
+)
+def test_errors_in_the_authors_file_name_the_line(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = AUTHORS.read_text()
+    assert old in text
+    with pytest.raises(UsageError, match=words):
+        experiments_of(tmp_path, text.replace(old, new), "file.yml")
+
+
+def test_a_file_without_parameters_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no parameters"):
+        experiments_of(tmp_path, "", "file.yml")
+
+
+def test_the_grid_of_the_documentation_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "docs/experiments.md"
+    (grid,) = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    found = experiments_of(tmp_path, grid)
+    assert len(set(found)) == len(found) == 2 * 2 * 2 * 3 * 4 * 3
+
+
+def test_the_documentation_names_every_parameter() -> None:
+    page = (Path(__file__).parents[3] / "docs/experiments.md").read_text(encoding="utf-8")
+    assert [name for name in Experiment().parameters() if f"`{name}`" not in page] == []

@@ -1,0 +1,232 @@
+"""Pictures show what they say: their artists are compared with the numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, PathPatch
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.arena_plots import BODY_RADIUS, network, trajectories
+from mcp_asdf_tools.experiments.experiment import Experiment, Mode, Topology
+from mcp_asdf_tools.experiments.plots import boxes, confidence, scatter, series_beside
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
+from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.world.arenas import make_arena
+
+LIMITS = Limits(300, 0.45)
+BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, mode=Mode.NONE)
+GRID = [
+    replace(BASE, flawed=flawed, fill_ratio=f, flawed_accuracy=b_hat, mode=mode, filter_period=period)
+    for f in (0.55, 0.95)
+    for flawed, b_hat in ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
+    for mode, period in ((Mode.NONE, 100), (Mode.ASDF_PLUS, 100), (Mode.ASDF_PLUS, 150))
+]
+MOVING = Experiment(topology=Topology.DYNAMIC, robots=12, flawed=5, steps=400, filter_period=100, trials=2)
+
+
+def results_of(experiment: Experiment, thinning: int = 0) -> Trials:
+    measured = run_trials(experiment, 0, experiment.trials, thinning)
+    (trials,) = experiments_in(table_of(experiment, measured, thinning))
+    return trials
+
+
+@pytest.fixture(scope="module")
+def grid() -> list[Trials]:
+    return [results_of(experiment) for experiment in GRID]
+
+
+def panels(figure: Figure) -> dict[str, Axes]:
+    return {axes.get_title(): axes for axes in figure.axes if axes.get_visible()}
+
+
+# --- Scores ----------------------------------------------------------------------------------------------
+
+
+def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
+    found = panels(boxes(grid, LIMITS))
+    assert list(found) == ["$f = 0.55$, $b = 0.95$", "$f = 0.95$, $b = 0.95$"]
+    for f, axes in zip((0.55, 0.95), found.values(), strict=True):
+        medians = sorted(_levels(axes, 12))
+        own = [trials for trials in grid if trials.experiment.fill_ratio == f]
+        slots = {(0, 0.95): 0, (2, 0.55): 1, (2, 0.75): 2, (4, 0.55): 3}
+        own.sort(key=lambda trials: (slots[_swarm(trials)], _series(trials)))
+        expected = [np.median(score(trials.settled, trials.errors, LIMITS).h) for trials in own]
+        assert [level for _, level in medians] == pytest.approx(expected)
+        assert [round(x) for x, _ in medians] == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+        labels = [label.get_text().replace("\N{MINUS SIGN}", "-") for label in axes.get_xticklabels()]
+        assert labels == ["", "-0.4", "-0.2", "-0.4"]
+        assert [text.get_text() for text in axes.texts] == ["0%", "50%", "100%"]
+
+
+def _swarm(trials: Trials) -> tuple[int, float]:
+    return trials.experiment.flawed, trials.experiment.flawed_accuracy
+
+
+def _series(trials: Trials) -> int:
+    experiment = trials.experiment
+    return 0 if experiment.mode is Mode.NONE else 1 + (experiment.filter_period == 150)
+
+
+def _levels(axes: Axes, count: int) -> list[tuple[float, float]]:
+    """Middle and height of the lines across boxes."""
+    assert len([patch for patch in axes.patches if isinstance(patch, PathPatch)]) == count
+    lines = [
+        np.array(line.get_xydata())
+        for line in axes.lines
+        if line.get_linewidth() == 1 and line.get_linestyle() != "None"
+    ]
+    found = [(float(line[:, 0].mean()), float(line[0, 1])) for line in lines if len(line) == 2]
+    assert len(found) == count
+    return found
+
+
+def test_series_are_named_by_what_varies(grid: list[Trials]) -> None:
+    (legend,) = boxes(grid, LIMITS).legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["no filter", r"ASDF+, $\tau$ = 100", r"ASDF+, $\tau$ = 150"]
+    (legend,) = boxes(grid, LIMITS, lambda experiment: "all of them").legends
+    assert [text.get_text() for text in legend.get_texts()] == ["all of them"]
+
+
+def test_points_are_the_trials_and_their_medians(grid: list[Trials]) -> None:
+    figure = scatter(grid, LIMITS)
+    found = [axes for axes in figure.axes if axes.get_title().startswith("no filter\n$f = 0.95")]
+    own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.mode is Mode.NONE]
+    assert len(found[0].lines) == 2 * len(own)
+    for trials, points, middle in zip(own, found[0].lines[::2], found[0].lines[1::2], strict=True):
+        scores = score(trials.settled, trials.errors, LIMITS)
+        assert np.array_equal(np.array(points.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
+        assert np.array_equal(
+            np.array(middle.get_xydata())[0], [np.median(scores.h_k), np.median(scores.h_e)]
+        )
+
+
+def test_what_does_not_fit_a_picture_is_refused(grid: list[Trials]) -> None:
+    many = [replace(grid[0], experiment=replace(GRID[0], seed=seed)) for seed in range(9)]
+    for draw in (boxes, scatter):
+        with pytest.raises(UsageError, match="9 series do not fit"):
+            draw(many, LIMITS)
+
+
+# --- Over time, confidence -------------------------------------------------------------------------------
+
+
+def test_series_beside_each_other_show_their_records() -> None:
+    runs = [
+        results_of(replace(BASE, flawed=1, trials=1, mode=mode), 10) for mode in (Mode.NONE, Mode.ASDF_PLUS)
+    ]
+    grid = np.array(series_beside(runs, 0).axes).reshape(3, 2)
+    for column, trials in zip(grid.T, runs, strict=True):
+        for axes, quantity in zip(column, ("b_hat", "x_hat", "x"), strict=True):
+            drawn = np.array([line.get_ydata() for line in axes.lines[:4]])
+            assert np.array_equal(drawn[::-1].T, trials.records[quantity][0])
+            assert np.array_equal(axes.lines[0].get_xdata(), np.arange(0, 301, 10))
+
+
+def test_confidence_is_the_papers_equation() -> None:
+    (axes,) = confidence().axes
+    for line, share in zip(axes.lines, (0.505, 0.7, 0.905), strict=True):
+        for b_hat, alpha in np.array(line.get_xydata())[::40]:
+            if 1 - b_hat < share < b_hat:  # not saturated: alpha = (2 b_hat - 1)^2 t^3 / (n (t - n))
+                assert alpha == pytest.approx((2 * b_hat - 1) ** 2 / (share * (1 - share)), rel=1e-4)
+            if share > b_hat:
+                inner = b_hat**2 - (2 * b_hat - 1) * share
+                expected = (2 * b_hat - 1) ** 2 * inner / (b_hat * (b_hat - 1)) ** 2
+                assert alpha == pytest.approx(expected, rel=1e-4)
+
+
+# --- The moving world ------------------------------------------------------------------------------------
+
+
+def robots_drawn(figure: Figure) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    bodies = [patch for patch in figure.axes[0].patches if isinstance(patch, Circle)]
+    return np.array([patch.center for patch in bodies if patch.radius == BODY_RADIUS])
+
+
+def test_paths_lead_from_start_to_end() -> None:
+    arena = make_arena(MOVING, 1)
+    start = arena.positions
+    arena.step(300)
+    figure = trajectories(MOVING, 1, 300)
+    paths = [np.array(line.get_xydata()) for line in figure.axes[0].lines[:12]][::-1]
+    assert np.array_equal([path[0] for path in paths], start)
+    assert np.array_equal([path[-1] for path in paths], arena.positions)
+    assert np.array_equal(robots_drawn(figure), arena.positions)
+    assert all(np.hypot(*np.diff(path, axis=0).T).max() < 0.015 for path in paths)
+
+
+def test_a_network_shows_who_hears_whom() -> None:
+    arena = make_arena(MOVING, 0)
+    arena.step(200)
+    figure = network(MOVING, 0, 200)
+    (links,) = [each for each in figure.axes[0].collections if isinstance(each, LineCollection)]
+    drawn = np.array([np.ravel(segment) for segment in links.get_segments()])
+    assert len(drawn) == len(arena.links) > 0
+    assert np.array_equal(drawn, arena.positions[arena.links.astype(int)].reshape(-1, 4))
+    assert np.hypot(drawn[:, 2] - drawn[:, 0], drawn[:, 3] - drawn[:, 1]).max() < MOVING.radio_range
+    assert np.array_equal(robots_drawn(figure), arena.positions)
+
+
+@pytest.mark.parametrize(
+    ("experiment", "trial", "step", "words"),
+    [
+        (BASE, 0, 10, "do not move"),
+        (MOVING, 2, 10, "there is no trial 2; choose one of 0 .. 1"),
+        (MOVING, 0, 0, "there is no step 0; choose one of 1 .. 400"),
+        (MOVING, 0, 401, "there is no step 401"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told(experiment: Experiment, trial: int, step: int, words: str) -> None:
+    for draw in (trajectories, network):
+        with pytest.raises(UsageError, match=words):
+            draw(experiment, trial, step)
+
+
+# --- The command -----------------------------------------------------------------------------------------
+
+STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("trajectories", "pdf"), ("network", "svg"), ("alpha", "png")])
+def test_the_command_draws(kind: str, suffix: str, tmp_path: Path) -> None:
+    results, picture = tmp_path / "run.parquet", tmp_path / f"picture.{suffix}"
+    write_table(results, table_of(MOVING, run_trials(MOVING, 0, 1)))
+    given = [str(picture)] if kind == "alpha" else [str(results), str(picture), "--step", "50"]
+    written = []
+    for _ in range(2):
+        assert cli.main(["plot", *given, "--kind", kind]) == 0
+        written.append(picture.read_bytes())
+    assert written[0].startswith(STARTS[suffix])
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["x.png"], "boxes needs results"),
+        (["r.parquet", "x.png", "--kind", "alpha"], "needs no results"),
+        (["two.parquet", "x.png", "--kind", "network"], "holds 2 experiments; network is drawn of one"),
+    ],
+)
+def test_bad_usage_is_told(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tables = [table_of(replace(BASE, seed=seed), run_trials(BASE, 0, 1)) for seed in (1, 2)]
+    write_table(Path("r.parquet"), tables[0])
+    write_table(Path("two.parquet"), pa.concat_tables(tables))
+    assert cli.main(["plot", *arguments]) == 2
+    assert words in capsys.readouterr().err

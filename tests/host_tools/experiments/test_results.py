@@ -1,0 +1,132 @@
+"""Results as files: what is written is what was measured, and readable without this project."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+import pytest
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.results import (
+    FORMAT,
+    describe,
+    experiments_in,
+    read_table,
+    table_of,
+    versions,
+    write_authors_json,
+    write_csv,
+    write_table,
+)
+from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.experiments.simulation import QUANTITIES, run_trials
+
+SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
+OTHER = replace(SHORT, mode=Mode.NONE, seed=2**64 - 1)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A file of two experiments, the first recorded."""
+    tables = [table_of(each, run_trials(each, 0, 3, thinning=10), 10) for each in (SHORT, OTHER)]
+    write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
+    return tmp_path / "results.parquet"
+
+
+def test_results_come_back(path: Path) -> None:
+    table = read_table(path)
+    found = experiments_in(table)
+    assert [trials.experiment for trials in found] == [SHORT, OTHER]
+    for trials in found:
+        measured = run_trials(trials.experiment, 0, 3, thinning=10)
+        assert trials.numbers == [0, 1, 2]
+        for name in ("settled", "errors", "b_hat", "tests", "updates"):
+            assert np.array_equal(getattr(trials, name), getattr(measured, name)), name
+        for index, name in enumerate(QUANTITIES):
+            assert np.array_equal(trials.records[name], measured.records[index]), name
+        assert trials.records["x"].shape == (3, 31, 4)
+
+
+def test_trials_are_sorted(tmp_path: Path) -> None:
+    tables = [table_of(SHORT, run_trials(SHORT, first, 1)) for first in (2, 0, 1)]
+    write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
+    (trials,) = experiments_in(read_table(tmp_path / "results.parquet"))
+    assert trials.numbers == [0, 1, 2]
+    assert np.array_equal(trials.settled, run_trials(SHORT, 0, 3).settled)
+    assert trials.records == {}
+
+
+def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
+    file = pq.ParquetFile(path)
+    row = file.read().to_pylist()[0]
+    for name, value in SHORT.parameters().items():
+        assert row[name] == value, name
+    assert len(row["k"]) == len(row["e"]) == 4
+    assert len(row["b_hat"]) == 3 * 4
+    said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
+    assert said == {"format": FORMAT, "versions": versions(), "delta": 0.01, "thinning": 10}
+    assert said == describe(read_table(path))
+
+
+def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    for name, content in (("text", b"nothing"), ("empty", b"")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(UsageError, match="cannot read"):
+            read_table(tmp_path / name)
+    with pytest.raises(UsageError, match="cannot read"):
+        read_table(tmp_path / "absent")
+    pq.write_table(pa.table({"k": [1]}), tmp_path / "other.parquet")
+    with pytest.raises(UsageError, match="holds no results"):
+        read_table(tmp_path / "other.parquet")
+
+
+def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
+    found, limits = experiments_in(read_table(path)), Limits(300, 0.55)
+    write_csv(tmp_path / "results.csv", [(trials, limits) for trials in found])
+    with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["mode"], row["trial"], row["seed"]) for row in rows] == [
+        (experiment.mode.value, str(trial), str(experiment.seed))
+        for experiment in (SHORT, OTHER)
+        for trial in range(3)
+    ]
+    scores = score(found[0].settled, found[0].errors, limits)
+    assert float(rows[1]["H"]) == pytest.approx(scores.h[1])
+    assert float(rows[1]["mean_K"]) == found[0].settled[1].mean()
+    assert float(rows[1]["mean_e"]) == pytest.approx(found[0].errors[1].mean())
+    assert float(rows[1]["mean_b_hat"]) == pytest.approx(found[0].b_hat[1, -1].mean())
+    assert float(rows[1]["updates"]) == found[0].updates[1].sum()
+
+
+def test_the_authors_scripts_find_their_layout(tmp_path: Path) -> None:
+    """Decoded as their analysis does: robot by robot and step by step, columns by place."""
+    table = table_of(SHORT, run_trials(SHORT, 0, 3, thinning=1), 1)
+    (trials,) = experiments_in(table)
+    paths = write_authors_json(tmp_path / "runs", trials)
+    assert len(paths) == 3
+    for number, path in enumerate(paths):
+        content = json.loads(path.read_text())
+        assert "static_topo" in content["sim_type"]
+        assert (content["trial_ind"], content["num_trials"], content["num_steps"]) == (number, 3, 300)
+        assert (content["num_robots"], content["num_flawed_robots"], content["tfr"]) == (4, 1, 0.55)
+        values = np.array(
+            [[[float(v) for v in row.split(",")] for row in robot] for robot in content["data_str"]]
+        )
+        assert values.shape == (4, 301, 10)
+        assert (values[..., 0] == SHORT.seed).all()
+        columns = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat")
+        for place, name in enumerate(columns, start=1):
+            assert pytest.approx(trials.records[name][number], rel=1e-11) == values[..., place].T, name
+        assert (values[:, :, 2] == np.arange(301)).all()
+
+
+def test_the_authors_layout_needs_every_step(path: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="thinning of 1"):
+        write_authors_json(tmp_path / "runs", experiments_in(read_table(path))[0])
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,161 @@
+"""K, e and the scores against their definitions, and ours against those of the reference study."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks import fidelity
+from mcp_asdf_tools.experiments import scores
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.scores import Limits, found_limits, score, settling_step
+from numpy.typing import NDArray
+
+
+def settling_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
+    """The least K with abs(x[K] - x[k]) < delta for every k >= K, tried one after the other."""
+    return next(k for k in range(len(series)) if all(abs(series[k] - later) < delta for later in series[k:]))
+
+
+def series_of(seed: int) -> NDArray[np.float64]:
+    """A walk that may calm down, jump or turn back, on a grid where differences meet the threshold."""
+    source = np.random.default_rng(seed)
+    length = int(source.integers(1, 60))
+    moves = source.integers(-2, 3, length) * source.choice([0, 1, 1, 8], length)
+    values: NDArray[np.float64] = np.cumsum(moves)[-length:].astype(np.float64)
+    return values if seed % 2 else values * np.linspace(1, 0, length)
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 7, 4096])
+def test_k_is_the_definition(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
+    monkeypatch.setattr(scores, "_CHUNK", chunk)
+    found = set()
+    for seed in range(400):
+        series = series_of(seed)
+        expected = settling_step_by_definition(series, 3.0)
+        assert settling_step(series, 3.0) == expected, f"replay: series_of({seed}), chunk {chunk}"
+        found.add(expected)
+    assert len(found) > 20
+
+
+def test_k_of_raw_integers_is_that_of_their_values() -> None:
+    source = np.random.default_rng(5)
+    for _ in range(50):
+        raw = (2**22 + np.cumsum(source.integers(-30_000, 30_001, 300)) * np.linspace(1, 0, 300)).astype(
+            np.uint32
+        )
+        assert settling_step(raw, 0.01 * 2**23) == settling_step_by_definition(raw / 2**23, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("series", "expected"),
+    [
+        ([0.5], 0),
+        ([0.5, 0.5, 0.5], 0),
+        ([0.0, 1.0], 1),
+        ([0.5, 0.9, 0.5], 2),  # near its end at the start, but not in between
+        ([0.0, 0.25, 0.5], 2),  # a difference equal to the threshold is not below it
+        ([0.25, 0.125, 0.375, 0.125], 0),  # the middle is near both ends, which are not near each other
+        ([0.5, 0.125, 0.375, 0.125], 3),
+        ([0.5, math.nan, 0.5], 2),
+        ([0.5, 0.5, math.nan], 2),
+    ],
+)
+def test_k_by_hand(series: list[float], expected: int) -> None:
+    assert settling_step(np.array(series), 0.25) == expected
+
+
+def test_scores_by_hand() -> None:
+    settled = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
+    errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
+    result = score(settled, errors, Limits(1000, 0.5))
+    assert result.h_k[0] == pytest.approx(85 * math.exp(-0.2))
+    assert result.h_e[0] == pytest.approx(70 * math.exp(-0.2))
+    assert result.h[0] == pytest.approx((result.h_k[0] + result.h_e[0]) / 2)
+
+
+def test_the_best_and_the_worst_swarm() -> None:
+    best = score([[0, 0]], [[0.0, 0.0]], Limits(10, 0.5))
+    worst = score([[10, 10]], [[0.5, 0.5]], Limits(10, 0.5))
+    assert (best.h_k[0], best.h_e[0], best.h[0]) == (100, 100, 100)
+    assert (worst.h_k[0], worst.h_e[0], worst.h[0]) == (0, 0, 0)
+
+
+def test_no_number_counts_as_the_worst() -> None:
+    assert score([[1, 1]], [[math.nan, math.nan]], Limits(10, 0.5)).h_e[0] == 0
+
+
+def test_limits_are_the_largest_found() -> None:
+    assert found_limits([[1, 7], [3, 2]], [[0.1, 0.2], [math.nan, 0.3]]) == Limits(7, 0.3)
+    assert found_limits([[0]], [[0.0]]) == Limits(1, 1)
+
+
+# --- The reference study ---------------------------------------------------------------------------------
+
+
+def test_the_reference_has_the_conventions_used_here() -> None:
+    """Its h_K is 100 (1 - K / 40000) with whole K, as all robots have one estimate, and H is the mean."""
+    with fidelity.REFERENCE.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 46 * 30
+    for row in rows:
+        h_k, h_e, h = (float(row[name]) for name in fidelity.SCORES)
+        settled = round(40_000 * (1 - h_k / 100))
+        assert h == pytest.approx((h_k + h_e) / 2, abs=1e-6)
+        own = score([[settled] * 10], [[0.45 * (1 - h_e / 100)] * 10], fidelity.LIMITS)
+        assert own.h_k[0] == pytest.approx(h_k, abs=1e-6)
+        assert own.h[0] == pytest.approx(h, abs=1e-6)
+
+
+def test_native_scores_have_the_distributions_of_the_reference() -> None:
+    cells = fidelity.read_cells(seed=1)
+    corrected = fidelity.holm(np.ravel(fidelity.compare(cells, trials=32)).tolist())
+    assert min(corrected) >= fidelity.LEVEL, f"replay: python {fidelity.__file__} --trials 32 --seed 1"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"true_accuracy": 0.75},
+        {"filter_period": 2000},
+        {"flawed": 1},
+        {"mode": "asdf_plus"},
+    ],
+)
+def test_the_comparison_notices_another_experiment(change: dict[str, float | str]) -> None:
+    name = ("asdf_minus", 5, 0.95, 1000)
+    (cell,) = [
+        each
+        for each in fidelity.read_cells()
+        if (
+            each.experiment.mode.value,
+            each.experiment.flawed,
+            each.experiment.fill_ratio,
+            each.experiment.filter_period,
+        )
+        == name
+    ]
+    other = Experiment.from_parameters({**cell.experiment.parameters(), **change, "trials": 1})
+    values = fidelity.p_values(fidelity.simulate(other, 64), cell.scores)
+    assert min(values) < 1e-4
+
+
+def test_holm_is_the_procedure() -> None:
+    source = np.random.default_rng(3)
+    for _ in range(100):
+        values = source.random(12) ** 4
+        ordered = sorted(values)
+        rejected = 0
+        while rejected < 12 and ordered[rejected] <= 0.05 / (12 - rejected):
+            rejected += 1
+        assert sum(value <= 0.05 for value in fidelity.holm(values.tolist())) == rejected
+
+
+def test_a_seed_repeats_an_experiment() -> None:
+    experiment = Experiment(steps=500, filter_period=100)
+    assert np.array_equal(fidelity.simulate(experiment, 3), fidelity.simulate(experiment, 3))
+    other = fidelity.simulate(replace(experiment, seed=2), 3)
+    assert not np.array_equal(fidelity.simulate(experiment, 3), other)

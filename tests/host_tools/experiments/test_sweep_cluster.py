@@ -1,0 +1,131 @@
+"""Sweeps on a Dask cluster: the same bits as here, also when a worker dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import pytest
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments import cluster as cluster_module
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import read_table
+from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from support import ROOT
+
+distributed = pytest.importorskip("distributed", reason="distributed is not installed: make setup")
+
+SLOW = Experiment(firmware="mirror", robots=4, flawed=1, steps=200, filter_period=50, trials=12)
+"""Its jobs are single trials."""
+
+CLUSTER = """\
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    workers = int(sys.argv[1])
+    with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
+        print(cluster_module.scheduler_address, flush=True)
+        sys.stdin.read()
+"""
+"""Worker processes, until the input ends."""
+
+
+@contextmanager
+def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
+    """A cluster of this many processes; gives the scheduler's address and what ends it when closed."""
+    (folder / "cluster_module.py").write_text(CLUSTER, encoding="utf-8")
+    command = [sys.executable, str(folder / "cluster_module.py"), str(workers)]
+    pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=quiet, text=True, cwd=ROOT) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip(), process.stdin
+        finally:
+            process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The scheduler's address of two workers."""
+    with cluster_of(2, tmp_path_factory.mktemp("cluster")) as (address, _):
+        yield address
+
+
+def worker_processes(address: str) -> list[int]:
+    connect: Any = distributed.Client
+    with connect(address, set_as_default=False) as client:
+        return list(client.run(os.getpid).values())
+
+
+def test_a_killed_worker_changes_nothing(cluster: str, tmp_path: Path) -> None:
+    here, there = Store(tmp_path / "here.parquet", [SLOW]), Store(tmp_path / "there.parquet", [SLOW])
+    victim, other = worker_processes(cluster)
+    finished: list[int] = []
+
+    def kill_one(trials: int) -> None:
+        finished.append(trials)
+        if len(finished) == 3:
+            os.kill(victim, signal.SIGKILL)
+
+    table = run_sweep(there, 1, report=kill_one, scheduler=cluster)
+    assert sum(finished) == len(finished) == SLOW.trials  # each job's results came once
+    assert table.equals(run_sweep(here, 1))
+    assert (tmp_path / "here.parquet").read_bytes() == (tmp_path / "there.parquet").read_bytes()
+    assert victim not in worker_processes(cluster)
+    assert other in worker_processes(cluster)
+
+
+def test_the_cluster_runs_only_what_is_missing(
+    cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(trials: int, output: str, *arguments: str) -> int:
+        path = tmp_path / "grid.toml"
+        path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {trials}\n")
+        given = [str(path), "--output", str(tmp_path / output), "--json", *arguments]
+        assert cli.main(["sweep", *given]) == 0
+        return int(json.loads(capsys.readouterr().out)["run"])
+
+    assert answer(20, "there.parquet", "--workers", "1") == 20
+    assert answer(50, "there.parquet", "--scheduler", cluster) == 30
+    assert answer(50, "here.parquet", "--workers", "1") == 50
+    assert read_table(tmp_path / "there.parquet").equals(read_table(tmp_path / "here.parquet"))
+
+
+def test_another_version_is_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "versions", lambda: {"mcp-asdf": "9.9.9"})
+    with pytest.raises(UsageError, match="install the same on all"):
+        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
+
+
+def test_no_scheduler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
+    store = Store(tmp_path / "x.parquet", [SLOW])
+    for address in ("tcp://127.0.0.1:1", "nonsense://x", ""):
+        with pytest.raises(UsageError, match="no Dask scheduler at"):
+            run_sweep(store, 1, scheduler=address)
+
+
+def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
+    with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError, match="has no workers"):
+        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
+
+
+def test_a_lost_cluster_is_told(tmp_path: Path) -> None:
+    long = replace(SLOW, trials=500)
+    store, message = Store(tmp_path / "x.parquet", [long]), "what was finished is kept"
+    with cluster_of(1, tmp_path) as (address, end), pytest.raises(UsageError, match=message):
+        run_sweep(store, 1, report=lambda trials: end.close(), scheduler=address)
+    left = Store(tmp_path / "x.parquet", [long]).left
+    assert 0 < left == store.left < long.trials

@@ -1,0 +1,391 @@
+"""Robots run again from a log say the same to the bit; any other value is found, whatever the format."""
+
+from __future__ import annotations
+
+import json
+import random
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from can.interfaces import virtual
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode
+from mcp_asdf_tools.bus.slcan_server import SlcanServer
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.recording import replay as module
+from mcp_asdf_tools.recording.log_reading import read_log
+from mcp_asdf_tools.recording.replay import Player, Verdict, verify
+from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
+from mcp_asdf_tools.swarm.fault_spec import Kind
+from robots import ALPHA_ONE
+from wire import record
+
+SMALL = "--robots 4 --ticks 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
+BROADCASTS = 4 * 40
+
+
+@pytest.fixture(autouse=True)
+def no_bus_is_left() -> Iterator[None]:
+    yield
+    assert not virtual.channels
+
+
+def swarm(log: Path, options: str = "") -> list[can.Message]:
+    """Run a small swarm; returns what its log holds."""
+    assert main(["swarm", *shlex.split(f"{SMALL} {options}"), "--log", str(log)]) == 0
+    return list(read_log(log))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a small swarm, for reading only."""
+    log = tmp_path_factory.mktemp("swarm") / "run.log"
+    swarm(log)
+    return log
+
+
+def check(frames: list[can.Message], log: Path) -> Verdict:
+    with SidecarReader(sidecar_path(log)) as sidecar:
+        return verify(frames, sidecar)
+
+
+# Checking
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".asc.gz"])
+def test_every_format_is_reproduced(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / f"run{suffix}"
+    swarm(log)
+    capsys.readouterr()
+    assert main(["replay", str(log), "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert verdict == Verdict(reproduced=BROADCASTS, other=16).plain()
+
+
+@pytest.mark.parametrize(
+    "options", ["--firmware mirror", "--firmware reference", "--comms-period 5", "--filter off --subject 9"]
+)
+def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
+    frames = swarm(tmp_path / "run.log", options)
+    verdict = check(frames, tmp_path / "run.log")
+    assert verdict.difference is None
+    assert verdict.reproduced == BROADCASTS // (5 if "comms" in options else 1)
+
+
+FAULTS = {kind: kind.value + ("=0.9,frames=0" if kind is Kind.QUEUE else "=0.3") for kind in Kind}
+FAULTS[Kind.COLLIDE] += ",id=2"
+
+
+@pytest.mark.parametrize("kind", Kind, ids=lambda kind: kind.value)
+def test_what_faults_did_is_no_difference(kind: Kind, tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    verdict = check(swarm(log, f"--fault {FAULTS[kind]}"), log)
+    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --fault {FAULTS[kind]}"
+    assert verdict.not_logged == 0
+    injected = json.loads(Path(f"{log}.json").read_text())["results"]["faults"][0]["injected"]
+    assert injected > 0
+    if kind in (Kind.FREEZE, Kind.LIAR):
+        assert verdict.falsified > 0
+        assert verdict.falsified + verdict.reproduced == BROADCASTS
+    if kind in (Kind.COLLIDE, Kind.BABBLE):
+        assert verdict.foreign > 0
+
+
+@pytest.mark.parametrize(
+    "options", ["--seed 1", "--seed 2 --comms-period 5", "--density 2 --channel 'bus{robot}'"]
+)
+def test_what_faults_did_together_is_no_difference(options: str, tmp_path: Path) -> None:
+    """Among so many frames of strangers some equal a broadcast that is still to come."""
+    log, faults = tmp_path / "run.log", " ".join(f"--fault {each}" for each in FAULTS.values())
+    verdict = check(swarm(log, f"--ticks 120 {options} {faults}"), log)
+    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --ticks 120 {options} {faults}"
+    assert verdict.foreign > 0
+    assert verdict.reproduced > 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
+    frames, draw = list(read_log(recorded)), random.Random(seed)
+    estimates = [n for n, frame in enumerate(frames) if isinstance(decode(frame, FrameFormat()), Message)]
+    place = draw.choice(estimates)
+    content = int.from_bytes(frames[place].data, "little") ^ 1 << draw.randrange(55)
+    frames[place].data = bytearray(content.to_bytes(8, "little"))
+    verdict = check(frames, recorded)
+    said = decode(frames[place], FrameFormat())
+    if isinstance(said, Message):
+        assert verdict.difference is not None, f"replay: random.Random({seed})"
+        assert verdict.difference.frame == place + 1
+        assert verdict.difference.logged == said
+        expected = verdict.difference.expected
+        assert expected is not None
+        assert verdict.difference.alpha_bits == alpha_bits(frames[place])
+        assert (expected.x_hat, expected.alpha_bits) != (said.x_hat, alpha_bits(frames[place]))
+        assert expected.tick == 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
+    else:  # no legal estimate any more: one that the log lacks
+        assert (verdict.difference, verdict.not_logged) == (None, 1)
+
+
+def test_a_bit_of_alpha_that_robots_do_not_use_is_found(recorded: Path) -> None:
+    frames = list(read_log(recorded))
+    frame = next(
+        f for f in frames if isinstance(decode(f, FrameFormat()), Message) and alpha_bits(f) % 2 == 0
+    )
+    assert 0 < alpha_bits(frame) < bits_of(0.25)
+    before = decode(frame, FrameFormat())
+    frame.data[3] ^= 1
+    assert decode(frame, FrameFormat()) == before
+    difference = check(frames, recorded).difference
+    assert difference is not None
+    assert difference.expected is not None
+    assert difference.alpha_bits == difference.expected.alpha_bits ^ 1
+
+
+def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    lines = sidecar_path(recorded).read_text().splitlines()
+    events = json.loads(lines[30])
+    assert events[1] in (0, 1)
+    events[1] = 1 - events[1]
+    sidecar_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
+    difference = check(list(read_log(recorded)), log).difference
+    assert difference is not None
+    assert difference.logged.sender == events[0]
+
+
+def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
+    frames = swarm(tmp_path / "run.log", "--ticks 200")
+    draw = random.Random(8)
+    kept = [frame for frame in frames if draw.random() < 0.3]
+    verdict = check(kept, tmp_path / "run.log")
+    assert verdict.difference is None, "replay: random.Random(8)"
+    assert verdict.reproduced + verdict.not_logged == 4 * 200
+    assert verdict.reproduced == sum(isinstance(decode(f, FrameFormat()), Message) for f in kept)
+
+
+def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
+    log, robot = tmp_path / "x", record(5).make()
+    stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
+    header = Header([record(5)], None, FrameFormat())
+    with FileSet() as files, SidecarWriter(sidecar_path(log), header, files) as writer:
+        writer.robots[5].observe(Observation.BLACK)
+        writer.robots[5].foreign(stranger)
+    robot.observe(Observation.BLACK)
+    own = encode(Message(5, robot.port.x_hat_raw, robot.port.alpha_raw, 0), FrameFormat())
+    for order in ([own, stranger], [stranger, own]):
+        assert check(order, log) == Verdict(reproduced=1, foreign=1)
+    verdict = check([stranger, stranger, own], log)
+    assert verdict.difference is not None
+    assert verdict.difference.frame == 2
+    verdict = check([own, own], log)
+    assert verdict.difference is not None
+    assert "makes no more broadcasts" in str(verdict.difference)
+    assert check([], log) == Verdict(not_logged=1)
+
+
+def test_a_sidecar_that_contradicts_itself_is_named(tmp_path: Path) -> None:
+    header = Header([record(5)], None, FrameFormat())
+    with FileSet() as files, SidecarWriter(tmp_path / "x.events", header, files) as writer:
+        writer.robots[5].settle()
+        writer.robots[5].silent()
+    with pytest.raises(UsageError, match="line 3: robot 5 has a broadcast silent before it made one"):
+        check([], tmp_path / "x")
+
+
+def test_the_first_difference_is_told(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    text = recorded.read_text().splitlines()
+    text[50] = text[50].replace("#", "#00000000000000EA", 1)[: text[50].index("#") + 17]
+    log.write_text("\n".join(text) + "\n")
+    assert main(["replay", str(log), "--events", str(sidecar_path(recorded))]) == 1
+    captured = capsys.readouterr()
+    assert "not reproduced: frame 51 at 1.0" in captured.err
+    assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer 10, but in tick 11 " in captured.err
+
+
+# Playing
+
+
+def frames_at(*times: float, node: int = 3) -> list[can.Message]:
+    return [can.Message(arbitration_id=0x106BB800 | node, timestamp=time, data=b"12345678") for time in times]
+
+
+class Clock:
+    """A clock that only sleeping moves; a bus that notes when it is given frames."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.sent: list[tuple[float, int]] = []
+        self.fails = False
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.now += seconds
+
+    def send(self, frame: can.Message, timeout: float) -> None:
+        if self.fails:
+            raise can.CanOperationError("bus off")
+        self.sent.append((self.now - 1000.0, frame.arbitration_id & 0x7F))
+
+    def recv(self, timeout: float) -> None:
+        self.now += timeout
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+def player(clock: Clock, **settings: Any) -> Player:
+    return Player(clock, **settings)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("speed", "times"), [(1.0, [0, 1.5, 4]), (0.5, [0, 3, 8]), (4.0, [0, 0.375, 1])])
+def test_frames_are_played_in_time(speed: float, times: list[float], clock: Clock) -> None:
+    playing = player(clock, speed=speed)
+    playing.play(frames_at(7.0, 8.5, 11.0))
+    assert [when for when, _ in clock.sent] == pytest.approx(times)
+    assert playing.playback.sent == 3
+    assert playing.playback.lateness < 1e-6
+
+
+def test_flat_out_nothing_waits_and_the_past_is_no_trouble(clock: Clock) -> None:
+    player(clock, speed=0).play(frames_at(7.0, 8.5, 1.0))
+    assert clock.sent == [(0.0, 3)] * 3
+    began = clock.now - 1000.0
+    player(clock, speed=1).play(frames_at(7.0, 6.0, 6.5))
+    assert clock.sent[3:] == [(began, 3)] * 3
+
+
+def test_who_is_left_out_and_what_cannot_be_sent(clock: Clock) -> None:
+    error = can.Message(is_error_frame=True)
+    standard = can.Message(arbitration_id=0x103, is_extended_id=False)
+    playing = player(clock, left_out=(3, 4))
+    playing.play([*frames_at(1.0), error, *frames_at(1.0, node=5), standard, *frames_at(1.0, node=4)])
+    assert [node for _, node in clock.sent] == [5, 3]
+    assert playing.playback.skipped == 3
+
+
+def test_a_bus_that_refuses_frames_is_counted(clock: Clock) -> None:
+    clock.fails = True
+    playing = player(clock)
+    playing.play(frames_at(1.0, 2.0))
+    assert (playing.playback.sent, playing.playback.failures) == (0, 2)
+    assert playing.playback.last_failure == "bus off"
+
+
+def test_playing_stops_when_told(clock: Clock) -> None:
+    playing = player(clock, is_told_to_stop=lambda: clock.now > 1001)
+    playing.play(frames_at(0.0, 0.5, 100.0))
+    assert len(clock.sent) == 2
+    assert playing.playback.is_stopped
+    assert playing.playback.seconds == pytest.approx(1.0, abs=0.2)
+
+
+# The command
+
+
+def test_a_log_without_sidecar_is_played(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    shutil.copy(recorded, log)
+    frames = list(read_log(log))
+    server = f"{SLCAN} --speed 0 --leave-out 1"
+    played = play_to_slcan(log, server)
+    expected = [frame for frame in frames if frame.arbitration_id & 0x7F != 1]
+    assert [(f.arbitration_id, bytes(f.data)) for f in played] == [
+        (f.arbitration_id, bytes(f.data)) for f in expected
+    ]
+    assert f"{len(expected)} frames sent" in capsys.readouterr().out
+
+
+SLCAN = "--interface slcan --channel socket://127.0.0.1:{port} --bus-kwargs sleep_after_open=0"
+
+
+def play_to_slcan(log: Path, options: str) -> list[can.Message]:
+    """What gets onto a bus behind an slcan adapter when the command plays ``log`` onto it."""
+    pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
+
+    def join() -> can.BusABC:
+        return can.Bus(interface="virtual", channel="replay test", ignore_config=True)
+
+    with join() as bus, SlcanServer(join()) as server:
+        assert main(["replay", str(log), *shlex.split(options.format(port=server.port))]) == 0
+        return list(iter(lambda: bus.recv(0.5), None))
+
+
+BAD = {
+    "absent.log": "absent.log",
+    "absent.log --events run.log.events": "cannot read the log absent.log: No such file",
+    "run.log --events absent": "cannot read absent: No such file",
+    "run.log --events run.log": "run.log, line 1: not JSON",
+    "run.log --speed -1": "speed is -1.0; it must be 0 (flat out) or a positive factor",
+    "run.log --speed nan": "speed is nan",
+    "run.log --speed 2": "run.log.events is there; add --onto-bus",
+    "run.log --leave-out 3": "run.log.events is there; add --onto-bus",
+    "run.log --onto-bus --leave-out 128": "leave-out is 128; ids are 0 to 127",
+    "run.log --onto-bus": "the bus virtual vcan0 is inside this process, where nobody hears run.log",
+    "lone.log": "provide lone.log.events or give --events",
+    "cut.log --events run.log.events": "the log cut.log is malformed behind frame 3 ",
+    "empty.log --events run.log.events": "the log empty.log holds no frame",
+    "run.xyz --events run.log.events": "the log run.xyz is malformed behind frame 0 ",
+    "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
+    "run.log --interface nonsense --onto-bus": "nonsense",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD)
+def test_bad_usage(
+    arguments: str,
+    recorded: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for path in (recorded, sidecar_path(recorded)):
+        shutil.copy(path, tmp_path)
+    lines = Path("run.log").read_text().splitlines(keepends=True)
+    for name, text in (
+        ("lone.log", lines),
+        ("cut.log", [*lines[:3], lines[3][:20]]),
+        ("empty.log", []),
+        ("run.xyz", lines),
+        ("other.log", ["(0.0) vcan0 123#00 R\n"]),
+    ):
+        Path(name).write_text("".join(text))
+    assert main(["replay", *arguments.split()]) == 2
+    captured = capsys.readouterr()
+    assert BAD[arguments] in captured.err
+
+
+# python-can's reader of BLF leaves a file that it refuses to the garbage collector.
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+@pytest.mark.parametrize(
+    "suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".mf4", ".db", ".xyz", ""]
+)
+def test_garbage_is_refused_whatever_its_name_says(suffix: str, tmp_path: Path) -> None:
+    draw, path = random.Random(suffix), tmp_path / f"x{suffix}"
+    for size in (0, 1, 100, 5000):
+        path.write_bytes(draw.randbytes(size))
+        with pytest.raises(UsageError, match=r"the log .*x"):
+            list(read_log(path))
+    with pytest.raises(UsageError, match=r"cannot read the log .*absent.*: No such file"):
+        list(read_log(tmp_path / f"absent{suffix}"))
+    with pytest.raises(UsageError, match=r"cannot read the log .*: Is a directory"):
+        list(read_log(tmp_path))
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,204 @@
+"""What a sidecar is told it tells again; what is no sidecar is refused with its line."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+from collections.abc import Callable
+from decimal import Decimal
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.table import Table
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.recording.sidecar import (
+    Header,
+    Recorder,
+    RobotRecord,
+    SidecarReader,
+    SidecarWriter,
+    config_as_plain,
+    frame_as_text,
+    sidecar_path,
+    versions,
+)
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.tables.thresholds import generate
+from wire import record
+
+RECORDS = (
+    record(0, "native", 0.1 + 0.2),
+    record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+    RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
+    RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
+)
+HEADER = Header(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+
+
+def read(path: Path) -> tuple[Header, list[Any]]:
+    with SidecarReader(path) as reader:
+        return reader.header, list(reader.lines())
+
+
+def test_the_header_comes_back(tmp_path: Path) -> None:
+    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files):
+        pass
+    assert read(tmp_path / "x") == (HEADER, [])
+
+
+def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
+    draw = random.Random(4)
+    told: dict[int, list[Any]] = {record.id: [] for record in RECORDS}
+
+    def tell(robot: int, recorder: Recorder) -> None:
+        z, values = draw.choice([*Observation, None]), [draw.randrange(1 << 24), draw.randrange(1 << 32)]
+        sender = draw.randrange(128)
+        calls: list[tuple[Callable[[], None], Any]] = [
+            (lambda: recorder.observe(z), 2 if z is None else int(z)),
+            (lambda: recorder.receive(sender, *values), [sender, *values]),
+            (recorder.settle, 3),
+            (recorder.silent, "silent"),
+            (lambda: recorder.falsified(values[0], values[1]), values),
+            (recorder.restart, "restart"),
+        ]
+        call, event = draw.choice(calls)
+        call()
+        told[robot].append(event)
+
+    frame = can.Message(arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5"))
+    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files) as writer:
+        for _ in range(3000):
+            robot = draw.choice(list(told))
+            tell(robot, writer.robots[robot])
+        writer.injected(frame)
+        writer.robots[7].foreign(frame)
+    _, lines = read(tmp_path / "x")
+    assert [line for line in lines if isinstance(line, str)] == ["186BB92A#0000603333F307E5"] * 2
+    for robot, events in told.items():
+        found = [
+            event for line in lines if not isinstance(line, str) and line[0] == robot for event in line[1]
+        ]
+        assert found == events, "replay: random.Random(4)"
+
+
+@pytest.mark.parametrize(
+    ("frame", "text"),
+    [
+        (can.Message(arbitration_id=0x42, data=b"\xab"), "00000042#AB"),
+        (can.Message(arbitration_id=0x42, is_extended_id=False), "042#"),
+        (can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3), "00000042#R"),
+        (can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)), "E00000088#00"),
+    ],
+)
+def test_frames_are_written_as_candump_does(frame: can.Message, text: str) -> None:
+    assert frame_as_text(frame) == text
+
+
+def test_it_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = sidecar_path(tmp_path / "run.log")
+    assert path.name == "run.log.events"
+    path.write_text("of yesterday")
+    with (
+        pytest.raises(ZeroDivisionError),
+        FileSet() as files,
+        SidecarWriter(path, HEADER, files) as writer,
+    ):
+        writer.robots[0].settle()
+        raise ZeroDivisionError
+    assert path.read_text() == "of yesterday"
+    with FileSet() as files, SidecarWriter(path, HEADER, files) as writer:
+        writer.robots[0].observe(Observation.BLACK)  # not settled yet, and not lost
+        assert path.read_text() == "of yesterday"
+    assert read(path)[1] == [(0, [1])]
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot write .*no/such: its folder does not exist"):
+        SidecarWriter(tmp_path / "no/such", HEADER, FileSet())
+    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
+        SidecarWriter(tmp_path / "x", Header([record(1), record(1)], 1, FrameFormat()), FileSet())
+    own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
+    with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
+        config_as_plain(TickConfig(own))
+    assert list(tmp_path.iterdir()) == []
+
+
+def spoiled(**changes: Any) -> str:
+    """A header with changes, of the first robot if they name something of robots."""
+    plain = HEADER.plain()
+    for name, value in changes.items():
+        target = plain if name in plain else plain["robots"][0]
+        target[name] = value
+    return json.dumps(plain)
+
+
+GOOD = json.dumps(HEADER.plain())
+BAD = {
+    "": "line 1: not JSON",
+    "{}": 'line 1: it does not say "format": "mcp-asdf events"',
+    "[1]": "line 1: it does not say",
+    "(1.0) vcan0 1#00": "line 1: not JSON",
+    "[" * 100_000: "line 1: not JSON",
+    spoiled(
+        version=1
+    ): "line 1: the format is version 1, and version 2 is read here; replay the log with the",
+    spoiled(version=3): "line 1: the format is version 3, and version 2 is read here",
+    spoiled(robots=5): "line 1: ",
+    spoiled(frames={"subject": 6144, "priority": 4}): "line 1: subject is 6144",
+    spoiled(filter="sometimes"): "line 1: filter is 'sometimes'; it must be one of adaptive, always, off",
+    spoiled(firmware="own"): "line 1: firmware is 'own'",
+    spoiled(memory=63): "line 1: memory is 63",
+    spoiled(comms_period=0): "line 1: comms_period is 0",
+    spoiled(comms_period=3): "line 1: filter_period is 10; choose a multiple of comms_period 3",
+    spoiled(comms_period="1"): "line 1: ",
+    spoiled(b_hat=1.5): "line 1: b_hat is 1.5",
+    spoiled(table={"omega": "0.05", "q": 20, "checksum": 1}): "line 1: the t-table of robot 0 has checksum 1",
+    spoiled(table={"omega": "x", "q": 20, "checksum": 1}): "line 1: ",
+    spoiled(table={"omega": "0.05", "q": 20}): "line 1: 'checksum' is missing",
+    GOOD + "\n[0,1": "line 2: not JSON",
+    GOOD + "\n\n": "line 2: not JSON",
+    GOOD + "\n[0,1,3]\n{}": "line 3: neither a robot with its events nor a frame",
+    GOOD + "\n[]": "line 2: neither a robot",
+    GOOD + "\n[true]": "line 2: neither a robot",
+    GOOD + "\n[5,1]": "line 2: robot 5 is not in the first line",
+    GOOD + "\n[0,4]": "line 2: 4 is no event",
+    GOOD + "\n[0,-1]": "line 2: -1 is no event",
+    GOOD + "\n[0,true]": "line 2: True is no event",
+    GOOD + "\n[0,1.0]": "line 2: 1.0 is no event",
+    GOOD + "\n[0,[1]]": "line 2: [1] is no event",
+    GOOD + "\n[0,[1,2,-3]]": "line 2: [1, 2, -3] is no event",
+    GOOD + "\n[0,[1,2,4294967296]]": "line 2: [1, 2, 4294967296] is no event",
+    GOOD + '\n[0,"lost"]': "line 2: 'lost' is no event",
+}
+
+
+@pytest.mark.parametrize("text", BAD, ids=lambda text: BAD[text][:60])
+def test_what_is_no_sidecar(text: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(text)
+    with pytest.raises(UsageError) as error:
+        read(tmp_path / "x")
+    assert f"{tmp_path / 'x'}, {BAD[text]}" in str(error.value)
+
+
+def test_what_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot read .*: No such file"):
+        SidecarReader(tmp_path / "x")
+    (tmp_path / "x").write_bytes(b"\xff\xfe")
+    with pytest.raises(UsageError, match="is no text"):
+        SidecarReader(tmp_path / "x")
+
+
+def test_an_installed_package_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> str:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", absent)
+    assert versions()["mcp-asdf"] == "not installed"

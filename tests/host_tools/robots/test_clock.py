@@ -1,0 +1,107 @@
+"""Time is kept by a clock of the test's own, so nothing here waits."""
+
+from __future__ import annotations
+
+import pytest
+from mcp_asdf_tools.robots.clock import ClockKind, LockstepClock, RealTimeClock, make_clock
+
+
+class Watch:
+    """Time that passes only when somebody sleeps or works."""
+
+    def __init__(self, oversleeps: float = 0.0) -> None:
+        self.now = 1000.0
+        self.slept: list[float] = []
+        self._oversleeps = oversleeps
+
+    def read(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.slept.append(seconds)
+        self.now += seconds + self._oversleeps
+
+
+def run(watch: Watch, work: list[float], rate: float = 8) -> tuple[RealTimeClock, list[float]]:
+    """When each tick began, after the first, where tick k takes work[k] seconds."""
+    clock, began = RealTimeClock(rate, watch.read, watch.sleep), []
+    for tick, seconds in enumerate(work):
+        clock.begin(tick)
+        began.append(watch.now - 1000.0)
+        watch.now += seconds
+    return clock, began
+
+
+def test_ticks_begin_at_multiples_of_the_period() -> None:
+    clock, began = run(Watch(), [0.0625, 0.0, 0.125, 0.03125, 0.0])
+    assert began == [0.0, 0.125, 0.25, 0.375, 0.5]
+    assert clock.figures() == {"mean_lateness": 0.0, "max_lateness": 0.0, "late_ticks": 0, "drift": 0.0}
+
+
+def test_a_long_tick_makes_later_ones_late_until_they_have_caught_up() -> None:
+    watch = Watch()
+    clock, began = run(watch, [0.25, 0.0625, 0.0625, 0.0625, 0.0])
+    assert began == [0.0, 0.25, 0.3125, 0.375, 0.5]
+    assert clock.figures() == {
+        "mean_lateness": (0.125 + 0.0625) / 5,
+        "max_lateness": 0.125,
+        "late_ticks": 1,
+        "drift": 0.0,
+    }
+    assert watch.slept == [0.0625]
+
+
+def test_drift_is_what_is_never_caught_up() -> None:
+    clock, began = run(Watch(), [0.1875] * 9)
+    assert began[-1] == 8 * 0.1875
+    figures = clock.figures()
+    assert figures is not None
+    assert figures["drift"] == figures["max_lateness"] == 8 * 0.0625
+    assert figures["late_ticks"] == 7
+
+
+def test_sleeps_that_take_too_long_show_but_do_not_add_up() -> None:
+    clock, began = run(Watch(oversleeps=0.015625), [0.0] * 10)
+    assert began[1:] == [0.125 * tick + 0.015625 for tick in range(1, 10)]
+    assert clock.figures() == {
+        "mean_lateness": pytest.approx(0.9 * 0.015625),
+        "max_lateness": 0.015625,
+        "late_ticks": 0,
+        "drift": 0.015625,
+    }
+
+
+def test_sleeps_that_end_early_are_gone_on_with() -> None:
+    watch = Watch(oversleeps=-0.03125)
+    clock = RealTimeClock(8, watch.read, lambda seconds: watch.sleep(max(seconds, 0.0625)))
+    clock.begin(0)
+    clock.begin(1)
+    assert watch.now >= 1000.125
+    assert len(watch.slept) > 1
+
+
+def test_patience_ends_in_the_middle_of_the_period() -> None:
+    watch = Watch()
+    clock = RealTimeClock(8, watch.read, watch.sleep)
+    clock.begin(0)
+    clock.begin(1)
+    assert clock.patience(1) == 0.0625
+    watch.now += 0.03125
+    assert clock.patience(1) == 0.03125
+    watch.now += 5
+    assert clock.patience(1) == 0.0
+
+
+def test_lockstep_has_all_the_time_in_the_world() -> None:
+    clock = make_clock(ClockKind.LOCKSTEP, 10)
+    assert isinstance(clock, LockstepClock)
+    clock.begin(0)
+    assert clock.patience(0) is None
+    assert clock.figures() is None
+
+
+def test_a_clock_that_never_ran_has_nothing_to_say() -> None:
+    clock = make_clock(ClockKind.REAL_TIME, 10)
+    assert isinstance(clock, RealTimeClock)
+    assert clock.figures() is None

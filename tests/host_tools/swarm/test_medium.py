@@ -1,0 +1,120 @@
+"""What the air lets a robot hear, in which order, and what a connection makes of what comes."""
+
+from __future__ import annotations
+
+import can
+import pytest
+from can.interfaces import virtual
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.swarm import connection
+from mcp_asdf_tools.swarm.connection import Connection, SwarmError
+from mcp_asdf_tools.swarm.faults import Faults, Sent, parse_fault
+from mcp_asdf_tools.swarm.medium import Air
+from mcp_asdf_tools.world.topology import FullyConnected
+
+
+def estimate(sender: int, tick: int, x_hat: int = 0) -> Sent:
+    return Sent(encode(Message(sender, x_hat, tick, tick % 32), FrameFormat()), sender, tick)
+
+
+def faults_of(*texts: str) -> Faults:
+    return Faults([parse_fault(text) for text in texts], 5)
+
+
+def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
+    """Against a list of all that is under way, sorted anew in every tick."""
+    texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1")
+    air, twin = Air(FullyConnected(6), faults_of(*texts)), faults_of(*texts)
+    under_way: list[tuple[int, float, int, bytes]] = []
+    arrived = 0
+    for tick in range(200):
+        sent = [estimate(sender, tick) for sender in range(1, 6)]
+        for each in sent:
+            for way in twin.deliver(each, 0):
+                content = bytes(way.frame.data) + bytes([each.sender])
+                under_way.append((tick + way.delay, way.place, len(under_way), content))
+        due = sorted(way for way in under_way if way[0] == tick)
+        heard = air.arrivals(0, tick, sent)
+        assert [bytes(f.data) + bytes([f.arbitration_id & 127]) for f in heard] == [way[-1] for way in due]
+        arrived += len(due)
+    assert (air.in_range, air.arrived) == (1000, arrived)
+    in_order_sent = sorted(under_way, key=lambda way: (way[0], way[2]))
+    assert sorted(under_way) != in_order_sent, "nothing was reordered"
+
+
+def test_robots_hear_their_neighbours_only() -> None:
+    class Line:
+        def neighbours(self, robot: int) -> set[int]:
+            return {robot - 1, robot + 1}
+
+    for faults in ((), ("loss=0",)):
+        air = Air(Line(), faults_of(*faults))
+        heard = air.arrivals(2, 0, [estimate(sender, 0) for sender in (0, 1, 3, 4)])
+        assert [frame.arbitration_id & 127 for frame in heard] == [1, 3]
+
+
+# Connections
+
+
+@pytest.fixture
+def strangers() -> list[can.Message]:
+    return []
+
+
+def pair(strangers: list[can.Message], returns: bool = False) -> tuple[can.BusABC, Connection]:
+    """Another connection to a bus, and the one to try; the bus ``returns`` what is sent, or does not."""
+    other = virtual.VirtualBus("pair")
+    own = virtual.VirtualBus("pair", receive_own_messages=returns)
+    return other, Connection(own, "robot 7", "robot {0.sender}", strangers.append)
+
+
+def test_expected_frames_are_told_from_strangers(strangers: list[can.Message]) -> None:
+    other, own = pair(strangers)
+    with other, own.bus:
+        expected = [estimate(1, 0), estimate(2, 0), estimate(2, 0)]
+        for frame in (estimate(3, 0).frame, *(each.frame for each in expected[::-1])):
+            other.send(frame, timeout=1)
+        assert own.take(expected, None) == expected
+        assert [frame.arbitration_id & 127 for frame in strangers] == [3]
+
+
+def test_what_never_comes_is_named(strangers: list[can.Message], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "TIMEOUT", 0.02)
+    other, own = pair(strangers)
+    with other, own.bus:
+        other.send(estimate(1, 0).frame, timeout=1)
+        with pytest.raises(SwarmError, match=r"robot 7 did not hear robot 2, robot 4 within 0\.02 s on"):
+            own.take([estimate(1, 0), estimate(2, 0), estimate(4, 0)], None)
+
+
+def test_what_comes_late_is_had_with_the_next(strangers: list[can.Message]) -> None:
+    other, own = pair(strangers)
+    with other, own.bus:
+        first, second, third = estimate(1, 0), estimate(2, 0), estimate(3, 0)
+        other.send(second.frame, timeout=1)
+        assert own.take([first, second, third], 0.01) == [second]
+        assert own.missed == 2
+        other.send(first.frame, timeout=1)
+        assert own.take([], 0.01) == [first]
+        assert own.missed == 2
+        other.send(third.frame, timeout=1)
+        following = estimate(1, 1)
+        other.send(following.frame, timeout=1)
+        assert own.take([following], 0.01) == [third, following]
+        assert own.missed == 2
+        assert strangers == []
+
+
+@pytest.mark.parametrize("marks", [True, False])
+def test_returned_frames_are_no_strangers(strangers: list[can.Message], marks: bool) -> None:
+    """Whether they are marked as own, or everything is that comes from this computer."""
+    other, own = pair(strangers, returns=True)
+    with other, own.bus:
+        own.send(estimate(7, 0).frame)
+        other.send(estimate(8, 0).frame, timeout=1)
+        if not marks:
+            queue = virtual.channels["pair"]
+            for frame in list(queue[1].queue):
+                frame.is_rx = False
+        own.drain(5)
+        assert [frame.arbitration_id & 127 for frame in strangers] == [8]

@@ -1,0 +1,576 @@
+"""Swarms in which things go wrong: what is injected arrives, is counted, and breaks nothing."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from can.interfaces import virtual
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.robot import FixedPointRobot, Observation
+from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
+from mcp_asdf_tools.bus.interfaces import WithoutEcho
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.recording.replay import verify
+from mcp_asdf_tools.recording.sidecar import SETTLE, Header, SidecarReader, SidecarWriter
+from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
+from mcp_asdf_tools.swarm.faults import parse_fault
+from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
+from mcp_asdf_tools.swarm.run import Run, run_swarm
+from mcp_asdf_tools.swarm.settings import Settings, make_topology, robot_records
+from mcp_asdf_tools.swarm.summary import load_warning, summary
+from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.world.arena import Arena
+from mcp_asdf_tools.world.topology import read_graph
+from multicast import multicast
+from rich.console import Console
+
+UDP_PORT = 10_000 + os.getpid() % 500 * 40
+"""And some more: of this process, for tests in others run at the same time."""
+
+Content = tuple[int, bytes, bool]
+
+
+@pytest.fixture(autouse=True)
+def no_bus_is_left_open() -> Iterator[None]:
+    yield
+    assert not virtual.channels
+
+
+def one_bus(robot: int) -> can.BusABC:
+    return can.Bus(interface="virtual", channel="one", preserve_timestamps=True, ignore_config=True)
+
+
+def own_bus(robot: int) -> can.BusABC:
+    return can.Bus(interface="virtual", channel=f"of {robot}", preserve_timestamps=True, ignore_config=True)
+
+
+@cache
+def need_multicast() -> None:
+    multicast(250)
+
+
+def udp(port: int) -> can.BusABC:
+    """Join a multicast group; skips the test where there are none."""
+    need_multicast()
+    bus = can.Bus(interface="udp_multicast", port=port, hop_limit=0, ignore_config=True)
+    return WithoutEcho(bus)
+
+
+MEDIA: dict[str, tuple[OpenBus, bool]] = {
+    "one bus": (one_bus, True),
+    "a bus for each": (own_bus, False),
+    "one group": (lambda robot: udp(UDP_PORT), True),
+    "a group for each": (lambda robot: udp(UDP_PORT + 1 + robot), False),
+}
+
+
+def make(*faults: str, **changes: Any) -> Settings:
+    """A short run with several filter periods in which these faults strike."""
+    plain = {"robots": 5, "flawed": 0.4, "ticks": 60, "filter_period": 20, "seed": 11}
+    return Settings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
+
+
+def record(settings: Settings, medium: str = "one bus") -> tuple[Run, list[can.Message]]:
+    """A run and the frames it sent."""
+    open_bus, is_shared = MEDIA[medium]
+    frames: list[can.Message] = []
+    with Swarm(settings, Wiring(open_bus, is_shared), frames.append) as swarm:
+        run = run_swarm(swarm)
+    assert run.failure is None
+    return run, frames
+
+
+def content(frames: list[can.Message]) -> list[Content]:
+    return [(frame.arbitration_id, bytes(frame.data), frame.is_error_frame) for frame in frames]
+
+
+def states(run: Run) -> list[dict[str, int]]:
+    return [node.robot.state() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
+
+
+def figures(run: Run) -> Any:
+    return run.results["frames"]
+
+
+def injected(run: Run) -> list[int]:
+    return [fault["injected"] for fault in run.results["faults"]]
+
+
+MIX = (
+    *("loss=0.1", "burst=0.1,length=3", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1"),
+    *("reorder=0.5", "babble=0.1,frames=3", "crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored"),
+    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2", "error=0.05", "busoff=0.01,ticks=3"),
+    "queue=0.5,frames=2",
+)
+
+
+# The same on every medium
+
+
+@pytest.mark.parametrize("medium", list(MEDIA)[1:])
+@pytest.mark.parametrize("faults", [(), MIX], ids=["lossless", "mix"])
+def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...]) -> None:
+    settings = make(*faults)
+    reference, sent = record(settings)
+    run, frames = record(settings, medium)
+    assert content(frames) == content(sent)
+    assert states(run) == states(reference)
+    assert run.results == reference.results
+    if faults:
+        assert all(injected(run))
+
+
+def test_robots_that_move_hear_the_same_on_every_medium() -> None:
+    settings = make("loss=0.2", robots=6, density=2.0)
+    runs = [record(settings, medium) for medium in ("one bus", "a bus for each")]
+    assert states(runs[0][0]) == states(runs[1][0])
+    assert content(runs[0][1]) == content(runs[1][1])
+    assert 0 < figures(runs[0][0])["delivered"] < 60 * 6 * 5
+
+
+def test_a_log_is_the_same_on_every_interface(tmp_path: Path) -> None:
+    """Apart from time stamps and the names of channels, down to the line."""
+    need_multicast()
+    udp, logs = ["--interface", "udp_multicast"], []
+    for number, bus in enumerate(
+        (
+            [],
+            ["--channel", "own{robot}"],
+            [*udp, "--bus-kwargs", f"port={UDP_PORT + 20}"],
+            [*udp, "--channel", "239.74.163.{robot}", "--bus-kwargs", f"port={UDP_PORT + 21}"],
+        )
+    ):
+        log = tmp_path / f"{number}.log"
+        faults = [f"--fault={fault}" for fault in MIX]
+        small = ["--robots=4", "--ticks=30", "--filter-period=10", "--quiet"]
+        assert main(["swarm", *small, *faults, *bus, "--log", str(log)]) == 0
+        logs.append([line.split(maxsplit=2)[2] for line in log.read_text().splitlines()])
+    assert len(logs[0]) > 4 * 25
+    assert logs[1:] == logs[:1] * 3
+
+
+def test_on_its_own_bus_a_robots_traffic_is_what_it_says_and_hears() -> None:
+    """A third connection there sees the robot's frames, and those that are in range and get through."""
+    heard: list[can.Message] = []
+    with Swarm(make("loss,robots=1"), Wiring(own_bus, is_shared=False)) as swarm, own_bus(0) as spy:
+        for _ in range(5):
+            swarm.tick()
+        while (frame := spy.recv(0)) is not None:
+            heard.append(frame)
+    senders = Counter(
+        message.sender
+        for message in (decode(frame, FrameFormat()) for frame in heard)
+        if isinstance(message, Message)
+    )
+    assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
+
+
+# Exact counts of each kind
+
+
+def test_loss() -> None:
+    run, _ = record(make("loss=0.3"))
+    in_range = (60 + 6) * 5 * 4
+    (lost,) = injected(run)
+    assert 0.2 * in_range < lost < 0.4 * in_range
+    assert (figures(run)["in_range"], figures(run)["arrived"]) == (in_range, in_range - lost)
+    assert figures(run)["delivered"] + figures(run)["heartbeats_heard"] == in_range - lost
+
+
+def test_everything_lost_is_as_if_alone() -> None:
+    run, _ = record(make("loss"))
+    assert figures(run)["delivered"] == 0
+    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+
+
+def test_bursts() -> None:
+    run, _ = record(make("burst=0.3,length=4"))
+    assert figures(run)["arrived"] == figures(run)["in_range"] - injected(run)[0]
+    assert injected(run)[0] > 0
+
+
+def test_delay() -> None:
+    """All messages three ticks late: none in the first three rounds, those of the last three never."""
+    run, _ = record(make("delay,ticks=3"))
+    assert injected(run) == [66 * 5 * 4]
+    assert figures(run)["delivered"] == (60 - 3) * 5 * 4
+    assert figures(run)["refused"] == 0
+
+
+def test_duplicates_are_refused_in_the_same_round_and_taken_in_the_next() -> None:
+    same, _ = record(make("duplicate,ticks=0"))
+    assert figures(same)["delivered"] == 2 * 60 * 5 * 4
+    assert figures(same)["refused"] == 60 * 5 * 4
+    plain, _ = record(make())
+    assert [node.robot.x for node in same.nodes] == [node.robot.x for node in plain.nodes]
+    later, _ = record(make("duplicate,ticks=1"))
+    assert figures(later)["delivered"] == (60 + 59) * 5 * 4
+    # The copy of the last round comes first, so it is the new message that is a repetition.
+    assert figures(later)["refused"] == 59 * 5 * 4
+
+
+def test_reordering_changes_no_bit() -> None:
+    """I12: a round's result does not depend on the order of its messages."""
+    run, _ = record(make("reorder"))
+    plain, _ = record(make())
+    assert injected(run) == [66 * 5 * 4]
+    assert states(run) == states(plain)
+
+
+def test_corruption_is_rejected_or_heard_as_something_else() -> None:
+    run, _ = record(make("corrupt=0.5,bits=5"))
+    rejected = figures(run)["rejected"]
+    assert injected(run)[0] > sum(rejected.values()) > 0
+    assert (
+        {"MULTI_FRAME", "X_HAT", "ALPHA"}
+        <= set(rejected)
+        <= {"MULTI_FRAME", "X_HAT", "ALPHA", "SUBJECT", "MODE"}
+    )
+    heard = sum(figures(run)[name] for name in ("delivered", "heartbeats_heard", "telemetry_heard"))
+    assert heard + sum(rejected.values()) == figures(run)["in_range"]
+
+
+def test_babble() -> None:
+    run, frames = record(make("babble,frames=4,robots=3,from=10,to=20"))
+    assert injected(run) == [40]
+    assert len(frames) == 66 * 5 + 40
+    assert figures(run)["on_the_bus"] == len(frames)
+    assert figures(run)["arrived"] == len(frames) * 4
+
+
+@pytest.mark.parametrize("rejoin", ["new", "restored"])
+def test_crash_and_rejoin(rejoin: str) -> None:
+    run, frames = record(make(f"crash,robots=1,from=20,to=35,rejoin={rejoin}"))
+    assert injected(run) == [15]
+    robot = run.nodes[1].robot
+    assert robot.t == (60 - 35 if rejoin == "new" else 60 - 15)
+    assert run.nodes[0].robot.t == 60
+    assert figures(run)["sent"] == 60 * 5 - 15
+    assert figures(run)["delivered"] == 60 * 4 * 3 + 45 * 4 + 45 * 4
+    spoken = [decode(frame, FrameFormat()) for frame in frames]
+    numbers = [m.transfer_id for m in spoken if isinstance(m, Message) and m.sender == 1]
+    again = [k % 32 for k in range(25)] if rejoin == "new" else [k % 32 for k in range(20, 45)]
+    assert numbers == [*range(20), *again]
+
+
+def test_a_crashed_robot_rejoins_with_the_accuracy_it_started_with() -> None:
+    run, _ = record(make("crash,robots=0,from=50,to=51", seed=2, fill_ratio=0.95))
+    assert run.history.values("b_hat")[50, 0] > 0.9
+    assert run.history.values("b_hat")[-1, 0] == pytest.approx(0.55, abs=1e-6)
+
+
+def test_bus_off() -> None:
+    run, _ = record(make("busoff,robots=1,from=20,to=35"))
+    assert injected(run) == [15]
+    assert run.nodes[1].robot.t == 60
+    assert figures(run)["delivered"] == 60 * 4 * 3 + 45 * 4 + 45 * 4
+
+
+def test_frozen_values_and_lies() -> None:
+    run, frames = record(make("freeze,robots=1,from=30", "liar,robots=2,x=1,alpha=1000"))
+    assert injected(run) == [30, 60]
+    spoken = [decode(frame, FrameFormat()) for frame in frames]
+    said = {k: [m for m in spoken if isinstance(m, Message) and m.sender == k] for k in (1, 2)}
+    assert len({(m.x_hat, m.alpha) for m in said[1][29:]}) == 1
+    assert {(m.x_hat, m.alpha) for m in said[2]} == {(ONE, alpha_to_word(1000.0))}
+
+
+def test_a_collision_of_ids_is_reported_and_the_first_message_counts() -> None:
+    run, _ = record(make("collide,robots=3,id=2"))
+    assert injected(run) == [66]
+    assert figures(run)["collisions"] == {"2": 60}
+    # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
+    assert figures(run)["refused"] == 60 + 3 * 60
+    text = io.StringIO()
+    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    assert "another node sent 60 messages as robot 2" in text.getvalue()
+
+
+def test_error_frames() -> None:
+    run, frames = record(make("error=0.2"))
+    (errors,) = injected(run)
+    assert errors == sum(frame.is_error_frame for frame in frames) > 0
+    assert figures(run)["errors_heard"] == errors * 4
+    assert figures(run)["delivered"] == 60 * 5 * 4
+    assert figures(run)["rejected"] == {}
+
+
+def test_a_short_send_queue_keeps_the_first_frames() -> None:
+    run, frames = record(make("queue,frames=1"))
+    # In each of 6 seconds a heartbeat takes the place of the estimate.
+    assert injected(run) == [6 * 5]
+    assert figures(run)["on_the_bus"] == len(frames) == 60 * 5
+    assert figures(run)["delivered"] == 54 * 5 * 4
+
+
+def test_what_each_robot_rejected_is_in_the_summary() -> None:
+    run, _ = record(make("corrupt=0.5,bits=5,receivers=3"))
+    rows = {robot["id"]: robot for robot in run.results["robots"]}
+    assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
+    text = io.StringIO()
+    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    lines = text.getvalue().splitlines()
+    row = next(line for line in lines if line.startswith(" robot 3"))
+    for reason, count in rows[3]["rejected"].items():
+        assert f"{count} {reason}" in row
+    assert re.search(r"fault +corrupt=0.5,receivers=3,bits=5: \d+ injected", text.getvalue())
+
+
+# Any mix
+
+
+ANY_FAULT = st.one_of(
+    st.builds("{}={}".format, st.sampled_from(["loss", "error", "reorder", "freeze"]), st.floats(0, 1)),
+    st.builds("burst={},length={}".format, st.floats(0, 0.5), st.floats(1, 9)),
+    st.builds("corrupt={},bits={}".format, st.floats(0, 1), st.integers(1, 64)),
+    st.builds(
+        "{}={},ticks={}".format, st.sampled_from(["delay", "duplicate"]), st.floats(0, 1), st.integers(1, 9)
+    ),
+    st.builds("babble={},frames={}".format, st.floats(0, 0.3), st.integers(0, 40)),
+    st.builds(
+        "crash={},ticks={},rejoin={}".format,
+        st.floats(0, 0.1),
+        st.integers(1, 20),
+        st.sampled_from(["new", "restored"]),
+    ),
+    st.builds("busoff={},ticks={}".format, st.floats(0, 0.1), st.integers(1, 20)),
+    st.builds("liar={},x={},alpha={}".format, st.floats(0, 1), st.floats(0, 1), st.floats(0, 3e38)),
+    st.builds("collide={},id={}".format, st.floats(0, 1), st.integers(0, 127)),
+    st.builds("queue={},frames={}".format, st.floats(0, 1), st.integers(0, 3)),
+)
+
+
+def watch_invariants(swarm: Swarm) -> None:
+    for node in swarm.nodes:
+        robot = node.robot
+        assert isinstance(robot, FixedPointRobot)
+        assert robot.holds_invariants()
+        assert 0 <= robot.x_raw <= ONE
+
+
+@pytest.mark.parametrize("firmware", ["native", "mirror"])
+@hypothesis_settings(max_examples=15, deadline=None, derandomize=True, database=None)
+@given(
+    faults=st.lists(ANY_FAULT, max_size=6),
+    comms_period=st.sampled_from([1, 1, 2, 5]),
+    memory=st.sampled_from([64, 2**31]),
+)
+def test_invariants_hold_under_any_mix_of_faults(
+    firmware: str, faults: list[str], comms_period: int, memory: int
+) -> None:
+    """docs/invariants.md, I1 to I10 after every tick; and the same again gives the same again."""
+    settings = make(*faults, robots=4, ticks=40, comms_period=comms_period, memory=memory, firmware=firmware)
+    runs = []
+    for _ in range(2):
+        with Swarm(settings, Wiring(one_bus)) as swarm:
+            runs.append(run_swarm(swarm, [watch_invariants]))
+    assert runs[0].failure is None
+    assert runs[0].report({}) == runs[1].report({})
+    assert states(runs[0]) == states(runs[1])
+    found = figures(runs[0])
+    heard = sum(found[name] for name in ("delivered", "heartbeats_heard", "telemetry_heard", "errors_heard"))
+    # Nothing gets lost between what arrives and what is accounted for, but at robots that are dead.
+    accounted = heard + sum(found["rejected"].values())
+    assert accounted <= found["arrived"]
+    if not any(fault.startswith(("crash", "delay", "duplicate")) for fault in faults):
+        assert accounted == found["arrived"]
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 0.9])
+def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
+    """All sensors are as good as they are taken for; the bounds leave room, and the seed is fixed."""
+    run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, ticks=600, filter_period=200, seed=1))
+    results = run.results
+    assert results["mean_error"] < 0.03
+    assert results["spread_x"] <= results["spread_x_hat"]
+    assert (results["spread_x"] == 0) == (rate == 0)
+
+
+# Who is in range
+
+
+def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
+    """Two cliques that hear nothing of each other, and one robot that nobody hears."""
+    (tmp_path / "g").write_text("0 1\n1 2\n0 2\n3 4\n4 > 0\n0 > 5\n")
+    settings = make(robots=6, graph=read_graph(tmp_path / "g"))
+    for medium in ("one bus", "a bus for each"):
+        run, _ = record(settings, medium)
+        assert [node.reception.delivered for node in run.nodes] == [180, 120, 120, 60, 60, 60]
+        assert [node.heard for node in run.nodes] == [3, 2, 2, 1, 1, 1]
+        x = [node.robot.x for node in run.nodes]
+        assert x[1] == x[2] != x[0]
+        assert x[3] == x[4]
+
+
+def test_robots_that_move_hear_who_is_near() -> None:
+    settings = make(robots=8, density=1.5, ticks=80)
+    twin, expected = make_topology(settings), [0] * 8
+    assert isinstance(twin, Arena)
+    for _ in range(80):
+        twin.step()
+        for robot in range(8):
+            expected[robot] += len(twin.neighbours(robot))
+    run, _ = record(settings)
+    assert [node.reception.delivered for node in run.nodes] == expected
+    assert len(set(expected)) > 1
+
+
+def test_a_graph_and_robots_that_move_exclude_each_other(tmp_path: Path) -> None:
+    (tmp_path / "g").write_text("0 1\n")
+    with pytest.raises(ValueError, match="graph and density are both given"):
+        make(graph=read_graph(tmp_path / "g"), density=1.0)
+
+
+# Real time
+
+
+def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
+    """No bound on lateness is tested: that would test the machine."""
+    run, _ = record(make("loss=0.1", clock=ClockKind.REAL_TIME, ticks_per_second=500))
+    assert run.results["ticks"] == 60
+    clock = run.results["clock"]
+    assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
+    text = io.StringIO()
+    Console(file=text, width=250).print(summary(run, "virtual", 1.0))
+    assert re.search(r"ticks began .* ms late on average.*drift", text.getvalue())
+
+
+class Late(virtual.VirtualBus):
+    """Brings nothing while the time is out of joint."""
+
+    is_deaf = False
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return (None, False) if Late.is_deaf else super()._recv_internal(timeout)
+
+
+def test_what_comes_too_late_is_heard_in_the_next_tick_and_counted() -> None:
+    settings = make(robots=3, clock=ClockKind.REAL_TIME, ticks_per_second=1000)
+    with Swarm(settings, Wiring(lambda robot: Late("late"))) as swarm:
+        for tick in range(10):
+            Late.is_deaf = tick == 5
+            swarm.tick()
+        assert swarm.traffic.missed == 3 * 2
+        assert swarm.traffic.total("delivered") == 10 * 3 * 2
+        # Two messages of each neighbour in one round: the second is a repetition.
+        assert swarm.traffic.total("refused") == 3 * 2
+        assert isinstance(swarm.clock, RealTimeClock)
+
+
+# Load
+
+
+def test_the_load_of_a_real_bus() -> None:
+    run, frames = record(make())
+    bits = figures(run)["bits"]
+    assert 131 * len(frames) < bits < 160 * len(frames)
+    for rate, share in run.results["bus_load"].items():
+        assert share["mean"] == pytest.approx(bits / (6.0 * int(rate)))
+        assert share["peak"] == pytest.approx(figures(run)["most_bits"] / (0.1 * int(rate)))
+    # Heartbeats and estimates in one tick are the most.
+    assert 131 * 10 < figures(run)["most_bits"] < 160 * 10
+    assert load_warning(run.results) is None
+
+
+def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    small = ["swarm", "--robots", "10", "--ticks", "20", "--ticks-per-second"]
+    assert main([*small, "300"]) == 0
+    captured = capsys.readouterr()
+    assert "a real bus at 500 kbit/s or less would be busy for more than 70% of the time" in captured.err
+    assert main([*small, "30"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+# As many as there can be
+
+
+@pytest.mark.parametrize("medium", ["one bus", "one group"])
+def test_128_robots(medium: str) -> None:
+    """More frames than a socket keeps, so they have to be read while others are still sent."""
+    settings = make(robots=128, ticks=2, flawed=0.1)
+    run, frames = record(settings, medium)
+    assert len(frames) == (2 + 1) * 128
+    assert figures(run)["delivered"] == 2 * 128 * 127
+    assert run.results["spread_x"] == 0
+
+
+def test_a_flood_is_read_while_it_comes() -> None:
+    run, _ = record(make("babble,frames=300,robots=0+1,from=1,to=2", ticks=3), "a group for each")
+    assert figures(run)["arrived"] == (3 + 1) * 5 * 4 + 600 * 4
+
+
+# What the sidecar tells
+
+
+@pytest.mark.parametrize("faults", [(), MIX], ids=["lossless", "mix"])
+def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tmp_path: Path) -> None:
+    """Robots made from the header and led through their events end in the same bits."""
+    settings = make(*faults, comms_period=2, filter_period=20)
+    path = tmp_path / "run.events"
+    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
+    with (
+        FileSet() as files,
+        SidecarWriter(path, header, files) as sidecar,
+        Swarm(settings, Wiring(one_bus), sidecar=sidecar) as swarm,
+    ):
+        run = run_swarm(swarm)
+    with SidecarReader(path) as reader:
+        records = {each.id: each for each in reader.header.robots}
+        robots: dict[int, Any] = {robot: each.make() for robot, each in records.items()}
+        lines = [line for line in reader.lines() if not isinstance(line, str)]
+    for robot, event in ((robot, event) for robot, events in lines for event in events):
+        if event == "restart":
+            robots[robot] = records[robot].make()
+        elif event == SETTLE:
+            robots[robot].settle()
+        elif isinstance(event, int):
+            robots[robot].observe((Observation.WHITE, Observation.BLACK, None)[event])
+        elif isinstance(event, list) and len(event) == 3:
+            robots[robot].port.receive_raw(*event)
+    assert [robot.robot.state() for robot in robots.values()] == states(run)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reproduced", "falsified", "foreign"),
+    [
+        ("loss=0.5", 300, 0, 0),
+        ("error=0.2", 300, 0, 0),
+        ("crash,robots=1,from=20,to=35", 285, 0, 0),
+        ("busoff,robots=1,from=20,to=35", 285, 0, 0),
+        ("queue,frames=0,robots=2,from=5,to=10", 295, 0, 0),
+        ("liar,robots=1,from=10,to=20,x=0.123", 290, 10, 0),
+        ("liar,robots=1,from=10,to=20,alpha=1e38", 290, 10, 0),
+        ("liar,robots=1,from=10,to=20,alpha=1e-9", 290, 10, 0),
+        ("collide,robots=3,id=2,from=10,to=20", 290, 0, 10),
+    ],
+)
+def test_a_replay_finds_every_fault_that_the_sidecar_tells(
+    fault: str, reproduced: int, falsified: int, foreign: int, tmp_path: Path
+) -> None:
+    settings, path = make(fault), tmp_path / "run.events"
+    header = Header(robot_records(settings), settings.seed, settings.frames)
+    frames: list[can.Message] = []
+    with (
+        FileSet() as files,
+        SidecarWriter(path, header, files) as sidecar,
+        Swarm(settings, Wiring(one_bus), frames.append, sidecar) as swarm,
+    ):
+        run_swarm(swarm)
+    with SidecarReader(path) as reader:
+        verdict = verify(frames, reader)
+    assert verdict.difference is None
+    assert (verdict.reproduced, verdict.falsified, verdict.foreign) == (reproduced, falsified, foreign)
+    assert verdict.not_logged == 0
