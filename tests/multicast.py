@@ -6,6 +6,7 @@ import argparse
 
 import can
 import pytest
+
 from mcp_asdf_tools.bus.interfaces import BusChoice, add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
 

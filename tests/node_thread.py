@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import can
 import pytest
+
 from mcp_asdf_tools.cli.main import main
 
 

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Iterable
 
 import pytest
+
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import ReferenceRobot

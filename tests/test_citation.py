@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+
 from support import ROOT, require, run
 
 TITLE = "Adaptive Self-Calibration for Minimalistic Collective Perception by Imperfect Robot Swarms"

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
 from support import PATH, ROOT, require, run

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from support import ROOT, require, run
 
 PAGE = ROOT / "docs/development.md"

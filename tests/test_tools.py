@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
 from support import ROOT, require, run
 
 C_FILES = sorted(

@@ -6,8 +6,9 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.experiments import simulation
+from mcp_asdf_tools.experiments import by_message
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.simulation import run_trials
@@ -25,8 +26,8 @@ def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:
 
 def images_by_message(experiment: Experiment, trial: int) -> list[bytes]:
     """The robots' states at the end of a trial that is run message by message."""
-    robots = simulation._make_robots(experiment)
-    exchange = simulation._Exchange(robots, experiment.comms_period, late=experiment.latency > 0)
-    for seen, pairs in simulation._steps(experiment, trial):
+    robots = by_message._make_robots(experiment)
+    exchange = by_message._Exchange(robots, experiment.comms_period, late=experiment.latency > 0)
+    for seen, pairs in by_message._steps(experiment, trial):
         exchange.tick(seen, pairs)
     return [cast(FixedPointRobot, robot).save() for robot in robots]

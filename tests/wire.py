@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from copy import copy
 
 import can
+
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.recording.sidecar import RobotRecord
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 

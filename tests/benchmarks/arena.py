@@ -22,6 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 from benchmarks.motion_statistics import motion_statistics
 from mcp_asdf_tools.world.arena import Arena, ArenaSettings, square_side
 

@@ -24,9 +24,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment, Topology
-from mcp_asdf_tools.experiments.simulation import run_by_message, run_trials
+from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.world.arenas import make_arena
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]

@@ -35,12 +35,13 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # products are small, and processes as many as processors
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import ks_2samp  # type: ignore[import-untyped]
+
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode, Topology
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.sweep import default_workers
-from numpy.typing import NDArray
-from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
 REFERENCE, PHYSICS = FOLDER / "fully_connected_trials.csv", FOLDER / "dynamic_trials.csv"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from mcp_asdf_tools.world.arena import Motion
 from numpy.typing import NDArray
+
+from mcp_asdf_tools.world.arena import Motion
 
 LAGS = (1, 10, 50, 100, 500)
 """In ticks."""

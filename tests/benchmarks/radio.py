@@ -18,12 +18,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import can
+from rich.console import Console
+from rich.table import Table
+
 from mcp_asdf_tools.bus.interfaces import WithoutEcho, wrapped
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.settings import Settings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from rich.console import Console
-from rich.table import Table
 
 PORT = 30_000 + os.getpid() % 100 * 130
 """And 128 more: of this process."""

@@ -17,9 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from support import ROOT, require
 
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
+from unicorn import UC_HOOK_CODE
+
 from benchmarks.cost import figures, measurement, report, runs
 from benchmarks.cost.budgets import (
     AVR,
@@ -41,7 +44,6 @@ from benchmarks.cost.stacks import Stacks
 from benchmarks.cost.timing import TIMINGS
 from mcp_asdf import Config, MirrorRobot, Observation
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from unicorn import UC_HOOK_CODE
 
 KEPT = figures.kept()
 TOLERANCE = 0.02

@@ -10,6 +10,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+
 from c_ref.consumer import CONSUMER, answer
 from support import CORE, ROOT, TABLE, require, run
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 import yaml
+
 from c_ref.consumer import CONSUMER, answer, version_of_header
 from support import PATH, ROOT, TABLE, require, run
 

@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+
 from c_ref.consumer import CONSUMER, answer, version_of_header
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from support import CORE, HEADER, ROOT, TABLE, require, run

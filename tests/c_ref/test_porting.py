@@ -15,6 +15,7 @@ from pathlib import Path
 
 import can
 import pytest
+
 from benchmarks.cost import demo, figures
 from benchmarks.cost.budgets import stack_of_tick
 from benchmarks.cost.images import LEVELS

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from support import CORE, ROOT, TABLE, require, run
 
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))

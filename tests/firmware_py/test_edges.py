@@ -14,8 +14,9 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from fractions import Fraction
 
-import exact
 import pytest
+
+import exact
 from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import (

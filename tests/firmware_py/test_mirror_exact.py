@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from fractions import Fraction
 from itertools import chain, product
 
-import exact
 import pytest
+
+import exact
 from mcp_asdf import mirror
 from mcp_asdf.fixed_point import alpha_to_word, sums_add, word_to_alpha
 from mcp_asdf.mirror import Closed, MirrorRobot, accuracy_of, estimate, reestimate

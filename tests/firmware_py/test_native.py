@@ -17,6 +17,7 @@ from enum import IntEnum
 from pathlib import Path
 
 import pytest
+
 from mcp_asdf import fixed_point, robot
 from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS, MirrorRobot
 from mcp_asdf.native import NativeRobot, _SharedConfig, ffi, lib

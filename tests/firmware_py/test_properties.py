@@ -12,6 +12,7 @@ from dataclasses import fields, replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf.fixed_point import sums_add
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot

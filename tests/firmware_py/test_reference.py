@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats  # type: ignore[import-untyped]
+
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import (
     ALGORITHM_1,
@@ -44,7 +46,6 @@ from mcp_asdf.robot import (
 )
 from mcp_asdf.table import Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from scipy import stats  # type: ignore[import-untyped]
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from mcp_asdf.fixed_point import sums_add
 from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Robot, Status, Sums
 from robots import (

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 import can
+
 from socketcan.robots import PATIENCE
 from socketcan.vcan import Vcan
 from support import require

@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
+
 from socketcan.guest import why_not_native
 from socketcan.relay import REPORTS, Reporter, reports_of
 from socketcan.vcan import Vcan, interfaces

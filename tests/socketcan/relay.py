@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+
 from socketcan.guest import NoGuestError, run_in_guest, shell_line, why_not_native
 from support import ROOT
 from targets.c_node import CORTEX_A8, NODES, PLAIN

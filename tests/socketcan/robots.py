@@ -8,6 +8,7 @@ from collections.abc import Collection
 from types import TracebackType
 
 import can
+
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import send_all

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+
 from socketcan import guest, relay
 from socketcan.guest import NoGuestError
 

@@ -12,6 +12,7 @@ from typing import Any
 import can
 import pytest
 from can.typechecking import CanFilters
+
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     Command,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import can
 import pytest
+
 from mcp_asdf.fixed_point import alpha_units
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Filter, Observation, Status

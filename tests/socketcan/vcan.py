@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import can
+
 from mcp_asdf_tools.bus.interfaces import choose_bus
 
 _NUMBERS = itertools.count()

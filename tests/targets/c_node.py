@@ -13,6 +13,7 @@ from typing import Any
 
 import can
 import pytest
+
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects

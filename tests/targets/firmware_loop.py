@@ -23,6 +23,9 @@ from functools import cache
 from pathlib import Path
 
 import can
+from rich.console import Console
+from rich.progress import track
+
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Observation
@@ -34,8 +37,6 @@ from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate
 from mcp_asdf_tools.world.swarm_world import FullyConnected, World
-from rich.console import Console
-from rich.progress import track
 
 SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
 BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}

@@ -28,6 +28,7 @@ from pathlib import Path
 from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
+
 from targets.golden_scenarios import edge_scenarios, run_scenarios
 
 HERE = Path(__file__).resolve().parent

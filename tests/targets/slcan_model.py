@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable
 
 import can
+
 from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
 from mcp_asdf_tools.bus.slcan_server import line_of
 from mcp_asdf_tools.robots.node import RobotNode

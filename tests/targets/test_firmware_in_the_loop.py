@@ -15,6 +15,7 @@ from pathlib import Path
 
 import can
 import pytest
+
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,

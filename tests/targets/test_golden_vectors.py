@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from mcp_asdf import mirror
 from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_FILTER_PERIOD, Status

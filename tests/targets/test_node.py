@@ -16,6 +16,7 @@ from pathlib import Path
 
 import can
 import pytest
+
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (

@@ -11,6 +11,7 @@ import pytest
 from cffi import FFI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf_tools.bus.slcan_server import line_of
 from support import ROOT, require, run
 from targets.slcan_model import LONGEST, frame_in

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from support import CORE, ROOT, require, run
 from targets import matrix
 from targets.golden_scenarios import edge_scenarios, run_scenarios

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 import can
+
 from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
 from mcp_asdf.robot import Observation
 
@@ -420,3 +421,12 @@ def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) ->
     tail = (_SINGLE_FRAME | transfer_id) << 56
     data = (payload | tail).to_bytes(FRAME_BYTES, "little")
     return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)
+
+
+def frame_as_text(frame: can.Message) -> str:
+    """A frame's identifier and data as candump writes them; remote and error frames are told apart."""
+    if frame.is_remote_frame:
+        return f"{frame.arbitration_id:08X}#R"
+    kind = "E" if frame.is_error_frame else ""
+    digits = 8 if frame.is_extended_id or frame.is_error_frame else 3
+    return f"{kind}{frame.arbitration_id:0{digits}X}#{frame.data.hex().upper()}"

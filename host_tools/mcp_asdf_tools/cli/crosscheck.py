@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-from mcp_asdf.robot import Status
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from mcp_asdf.robot import Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.compare import Check, Finding, Firmware, Subject, compare, crosscheck, shrink
 from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations, measure_storage

@@ -21,8 +21,9 @@ from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import has_ended, standard_input, stopping
+from mcp_asdf_tools.common.versions import versions
 from mcp_asdf_tools.recording.frame_logs import logging_to
-from mcp_asdf_tools.recording.sidecar import Header, RobotRecord, versions
+from mcp_asdf_tools.recording.sidecar import Header
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, filters_for
 from mcp_asdf_tools.robots.node_run import Link, NodeRun, Taker, state_of
 from mcp_asdf_tools.robots.observations import LineSource, Source, WorldSource
@@ -34,6 +35,7 @@ from mcp_asdf_tools.robots.options import (
     subject_arguments,
     subjects_of,
 )
+from mcp_asdf_tools.robots.record import RobotRecord
 
 HELP = "run one robot on a CAN bus"
 EPILOG = """\

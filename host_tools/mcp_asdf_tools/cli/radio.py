@@ -10,22 +10,23 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf.robot import B_HAT_MARGIN
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import ONE
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.common.versions import versions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, like
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Bench, Verification
 from mcp_asdf_tools.radio.verification_report import COLUMNS, check_report_path, headline, write_report
 from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
-from mcp_asdf_tools.recording.sidecar import Header, versions
+from mcp_asdf_tools.recording.sidecar import Header
 from mcp_asdf_tools.robots.node import filters_for
 from mcp_asdf_tools.robots.node_run import Link, Taker, state_of
 from mcp_asdf_tools.robots.options import add_robot_options, add_subject_options, robot_of, subjects_of

@@ -17,7 +17,7 @@ from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import MAX_NODE
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.recording.log_reading import read_log
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.replay import Playback, Player, Verdict, verify
 from mcp_asdf_tools.recording.sidecar import SidecarReader, sidecar_path
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.authors_formats import write_authors_json
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import describe, experiments_in, write_authors_json
+from mcp_asdf_tools.experiments.results import describe, experiments_in
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 
 HELP = "run one experiment: a swarm, many trials, the paper's scores"

@@ -6,6 +6,8 @@ import io
 from pathlib import Path
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -34,3 +36,28 @@ def image_of(figure: Figure, path: Path) -> bytes:
     with rc_context({"svg.hashsalt": "mcp-asdf"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
     return image.getvalue()
+
+
+# The first eight stay apart for the colour-blind.
+_MORE = ("#999999", "#f0e442", "#6a3d9a", "#7a5230")
+
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222", *_MORE)
+
+
+FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
+
+
+def empty_figure(width: float, height: float) -> Figure:
+    """A figure of this size in inches, which needs no display."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def clean(axes: Axes) -> None:
+    """Light lines to read values by, and no frame."""
+    axes.grid(axis="y", color="#dddddd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from importlib import metadata
 
+import can
+import numpy as np
+
 PROGRAM = "mcp-asdf"
 """The distribution's name."""
 
@@ -14,3 +17,8 @@ def own_version() -> str:
         return metadata.version(PROGRAM)
     except metadata.PackageNotFoundError:
         return "not installed"
+
+
+def versions() -> dict[str, str]:
+    """What the results of a run may depend on, by name."""
+    return {"mcp-asdf": own_version(), "python-can": can.__version__, "numpy": np.__version__}

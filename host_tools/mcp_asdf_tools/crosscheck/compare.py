@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
-
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from fractions import Fraction
 from functools import lru_cache
 
-from mcp_asdf.table import FRACTION_BITS
 from mpmath import mp  # type: ignore[import-untyped]
 
+from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck.scenario import TableChoice, build_table
 from mcp_asdf_tools.tables.thresholds import parse_omega, true_thresholds, worst_threshold_error
 

@@ -24,7 +24,6 @@ from mcp_asdf.reference import (
 )
 from mcp_asdf.robot import Filter, Sums
 from mcp_asdf.table import FRACTION_BITS
-
 from mcp_asdf_tools.crosscheck.compare import REFUSED, Look, State, Watcher
 from mcp_asdf_tools.crosscheck.exact import (
     EPSILON,

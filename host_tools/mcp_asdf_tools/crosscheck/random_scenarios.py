@@ -28,7 +28,6 @@ from mcp_asdf.fixed_point import (
 from mcp_asdf.mirror import IMAGE_WORDS, accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, Sums
 from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_OMEGA_WORD, Table
-
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, Setup, TableChoice, build_table
 
 TABLES = (("0.05", 30), ("0.05", 127), ("0.9", 2), ("0.25", 5))

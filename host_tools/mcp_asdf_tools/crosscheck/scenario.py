@@ -19,7 +19,6 @@ from typing import cast
 from mcp_asdf.mirror import IMAGE_WORDS
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
 from mcp_asdf.table import EXTRA_WORDS, Table, checksum
-
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 

@@ -11,8 +11,8 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import FLAWED, INK, OTHER, empty_figure
 from mcp_asdf_tools.world.arena import Arena, ArenaSettings, Picture
 from mcp_asdf_tools.world.arenas import make_arena
 

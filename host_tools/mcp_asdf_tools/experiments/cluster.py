@@ -14,11 +14,11 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import versions
-from mcp_asdf_tools.experiments.simulation import Measured
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments.sweep import Job
+    from mcp_asdf_tools.experiments.simulation import Job
 
 _PATIENCE = 30
 """Seconds to wait for the scheduler, and then for a first worker."""

@@ -13,7 +13,6 @@ from enum import Enum
 from typing import Any
 
 from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, Config, Filter
-
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.parameters import Activation, Convention, Drift, Floor, Mode, Topology
 from mcp_asdf_tools.experiments.validation import ExperimentError, check

@@ -8,21 +8,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mcp_asdf.reference import local_confidence
 
+from mcp_asdf.reference import local_confidence
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import _MORE, COLOURS, FLAWED, INK, OTHER, clean, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment, Mode
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits, score
 
-# The first eight stay apart for the colour-blind.
-_MORE = ("#999999", "#f0e442", "#6a3d9a", "#7a5230")
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222", *_MORE)
-FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
 _NO_FILTER = _MORE[0]
 _SHADES = ("#222222", "#56b4e9", "#0072b2", "#e69f00", "#d55e00", "#8a4f7d", "#009e73", "#cc79a7")
 """Of proportions of flawed robots, from none."""
@@ -333,18 +329,3 @@ def confidence() -> Figure:
 
 
 # --- Figures ---------------------------------------------------------------------------------------------
-
-
-def empty_figure(width: float, height: float) -> Figure:
-    """A figure of this size in inches, which needs no display."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def clean(axes: Axes) -> None:
-    """Light lines to read values by, and no frame."""
-    axes.grid(axis="y", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

@@ -11,6 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
 from mcp_asdf.reference import (
     AUTHORS,
     PAPER,
@@ -22,8 +24,6 @@ from mcp_asdf.reference import (
     social_estimate,
 )
 from mcp_asdf.robot import Filter
-from numpy.typing import NDArray
-
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.world.world import Scene, TrialWorld
 

@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.common.versions import own_version
-from mcp_asdf_tools.experiments.experiment import Activation, Experiment, Mode
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
 from mcp_asdf_tools.experiments.scores import DELTA, Limits, score
-from mcp_asdf_tools.experiments.simulation import QUANTITIES, Measured
 
 FORMAT = 3
 _KEY = b"mcp-asdf"
@@ -200,60 +200,3 @@ def _means(trials: Trials, index: int) -> Sequence[float]:
 
 
 # --- The authors' JSON -----------------------------------------------------------------------------------
-
-
-def write_authors_json(folder: Path, trials: Trials) -> list[Path]:
-    """Write a file for each trial as the simulator of the paper's authors does; returns their paths.
-
-    A robot's row of a step is "seed,n,t,x_hat,alpha,x_bar,beta,x,b_hat,w_hat", from step 0 on. Raises
-    UsageError if not every step was recorded or the folder cannot be written.
-    """
-    if not trials.records or trials.records["t"].shape[1] != trials.experiment.steps + 1:
-        raise UsageError("the authors' layout holds every step; record with a thinning of 1")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
-    paths = []
-    for index, number in enumerate(trials.numbers):
-        paths.append(folder / f"f{trials.experiment.flawed}_t{number}.json")
-        content = _authors_parameters(trials.experiment) | {
-            "trial_ind": number,
-            "data_str": _data_rows(trials, index),
-        }
-        write_atomically(paths[-1], json.dumps(content))
-    return paths
-
-
-def _data_rows(trials: Trials, index: int) -> list[list[str]]:
-    """Rows by robot and step."""
-    order = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat")
-    values = np.stack([trials.records[name][index] for name in order], axis=-1).swapaxes(0, 1)
-    seed = trials.experiment.seed
-    return [
-        [",".join([str(seed), *(f"{value:.12g}" for value in row)]) for row in robot]
-        for robot in values.tolist()
-    ]
-
-
-def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
-    adaptive = experiment.activation is Activation.ADAPTIVE
-    return {
-        "sim_type": f"{'dynamic' if experiment.is_dynamic else 'static'}_topo_static_deg",
-        "method": "BRAVO" if adaptive else "ALPHA",
-        "num_robots": experiment.robots,
-        "num_flawed_robots": experiment.flawed,
-        "num_correct_robots": experiment.robots - experiment.flawed,
-        "num_steps": experiment.steps,
-        "num_trials": experiment.trials,
-        "comms_period": experiment.comms_period,
-        "sensor_filter_period": experiment.filter_period,
-        "tfr": experiment.fill_ratio,
-        "flawed_sensor_acc_b": experiment.flawed_accuracy,
-        "flawed_sensor_acc_w": experiment.flawed_accuracy,
-        "correct_sensor_acc_b": experiment.true_accuracy,
-        "correct_sensor_acc_w": experiment.true_accuracy,
-        "correct_robot_filter": experiment.mode is Mode.ASDF_PLUS,
-        "fully_connected": not experiment.is_dynamic,
-        "filter_specific_params": {"type_2_err_prob": float(experiment.omega)} if adaptive else {},
-    }

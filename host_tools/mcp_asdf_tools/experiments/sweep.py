@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby, islice
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -26,8 +26,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import describe, read_table, table_of, versions, write_table
-from mcp_asdf_tools.experiments.simulation import Measured, run_trials
+from mcp_asdf_tools.experiments.simulation import Job
 
 _MOST_TRIALS = 32
 """Of a job: as many as the engine likes side by side, twice."""
@@ -37,20 +38,6 @@ _MOST_ROBOT_STEPS = 20_000_000
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """Trials ``first`` .. ``first + count - 1`` of an experiment; ``thinning`` as in ``run_trials``."""
-
-    experiment: Experiment
-    first: int
-    count: int
-    thinning: int = 0
-
-    def run(self) -> Measured:
-        """The job's results."""
-        return run_trials(self.experiment, self.first, self.count, self.thinning)
 
 
 def identity(experiment: Experiment, thinning: int) -> str:

@@ -8,8 +8,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mcp_asdf.robot import DEFAULT_MEMORY, MIN_MEMORY
 
+from mcp_asdf.robot import DEFAULT_MEMORY, MIN_MEMORY
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.parameters import Convention, Drift, Floor
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
@@ -213,3 +213,6 @@ def _take_picture(experiment: Experiment, image: floor_images.ImageFile) -> None
         )
         raise ExperimentError("fill_ratio", message)
     object.__setattr__(experiment, "picture_sha256", image.sha256)
+
+
+MAX_EXPERIMENTS = 100_000

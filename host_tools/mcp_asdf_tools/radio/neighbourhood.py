@@ -10,14 +10,14 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import can
-from mcp_asdf.robot import Observation
 
+from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import RobotRecord
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.swarm.medium import Air
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, make_world
 from mcp_asdf_tools.world.topology import Topology
 

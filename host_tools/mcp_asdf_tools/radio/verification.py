@@ -27,7 +27,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
-from mcp_asdf_tools.recording.sidecar import Recorder
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError, LockstepSettings
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, send_all
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault

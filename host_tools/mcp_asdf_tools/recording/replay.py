@@ -10,8 +10,19 @@ from typing import Any, NamedTuple
 
 import can
 
-from mcp_asdf_tools.bus.frames import Action, FrameFormat, Message, alpha_bits, binary32_of, decode, float_of
-from mcp_asdf_tools.recording.sidecar import RESTART, SETTLE, Event, RobotRecord, SidecarReader, frame_as_text
+from mcp_asdf_tools.bus.frames import (
+    Action,
+    FrameFormat,
+    Message,
+    alpha_bits,
+    binary32_of,
+    decode,
+    float_of,
+    frame_as_text,
+)
+from mcp_asdf_tools.recording.sidecar import SidecarReader
+from mcp_asdf_tools.robots.events import RESTART, SETTLE, Event
+from mcp_asdf_tools.robots.record import RobotRecord
 
 SEND_TIMEOUT = 2.0
 _TRANSFERS = 32

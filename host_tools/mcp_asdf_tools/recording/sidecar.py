@@ -23,7 +23,7 @@ run (:class:`Header`). Every other line is either
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from decimal import Decimal
 from pathlib import Path
@@ -31,86 +31,26 @@ from types import TracebackType
 from typing import Any
 
 import can
-import numpy as np
-from mcp_asdf.robot import Filter, Observation, check_settings
 
-from mcp_asdf_tools.bus.frames import Action, FrameFormat
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet, explaining, refusal
-from mcp_asdf_tools.common.versions import own_version
-from mcp_asdf_tools.robots.firmwares import load_firmware
-from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
-from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
+from mcp_asdf_tools.common.versions import versions
+from mcp_asdf_tools.robots.events import RESTART, SETTLE, SILENT, Event, Recorder
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.tables.thresholds import generate
 
 FORMAT = "mcp-asdf events"
 VERSION = 2
 """1 had binary32 bits for alpha, and tables of another format."""
-SETTLE = 3
-SILENT, RESTART = "silent", "restart"
 _MAX_WORD = 2**32 - 1
-
-Event = int | str | list[int]
-"""One event as the lines have it."""
 
 
 def sidecar_path(log: Path | str) -> Path:
     """Where the sidecar of a log is."""
     return Path(f"{log}.events")
-
-
-@dataclass(frozen=True)
-class RobotRecord:
-    """How one robot started.
-
-    Attributes:
-        id: Robot id, 0 .. 127.
-        firmware: Name of its firmware, see ``mcp_asdf_tools.robots.firmwares``.
-        b_hat: Accuracy that it assumed.
-        config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
-    """
-
-    id: int
-    firmware: str
-    b_hat: float
-    config: TickConfig
-
-    def make(self) -> TickedRobot:
-        """A robot that starts like this one.
-
-        Raises UsageError if there is no such firmware here, FirmwareError if it refuses the config.
-        """
-        config = self.config.in_rounds()
-        check_settings(config)  # names what is wrong, which the C cannot
-        robot = load_firmware(self.firmware)(config, self.id, self.b_hat)
-        return TickedRobot(robot, self.config.comms_period)
-
-    def plain(self) -> dict[str, Any]:
-        """The record as plain values, for JSON."""
-        return {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat} | config_as_plain(self.config)
-
-
-def config_as_plain(config: TickConfig) -> dict[str, Any]:
-    """A config as plain values: the table as its omega, q and checksum.
-
-    Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
-    """
-    plain: dict[str, Any] = {
-        "filter": config.filter.name.lower(),
-        "comms_period": config.comms_period,
-        "filter_period": config.filter_period,
-        "memory": config.memory,
-    }
-    if config.table is not None:
-        omega = omega_from_word(config.table.omega_word)
-        if omega is None:
-            raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
-        plain["table"] = {"omega": str(omega), "q": config.table.q, "checksum": config.table.words()[-1]}
-    return plain
-
-
-def versions() -> dict[str, str]:
-    """What the results of a run may depend on, by name."""
-    return {"mcp-asdf": own_version(), "python-can": can.__version__, "numpy": np.__version__}
 
 
 @dataclass(frozen=True)
@@ -145,50 +85,6 @@ class Header:
 
 
 # --- Writing ---------------------------------------------------------------------------------------------
-
-
-class Recorder:
-    """Takes one robot's events, each in O(1), and passes them on in lines, one a settle."""
-
-    def __init__(self, robot: int, write: Callable[[str], object]) -> None:
-        self._head = f"[{robot}"
-        self._parts = [self._head]
-        self._write = write
-
-    def observe(self, z: Observation | None) -> None:
-        """It began a tick and observed ``z``, if anything."""
-        self._parts.append(str(Action.observing(z).value))
-
-    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
-        """It was given a message of these raw values."""
-        self._parts.append(f"[{sender},{x_hat},{alpha}]")
-
-    def settle(self) -> None:
-        """It ended the tick."""
-        self._parts.append(str(SETTLE))
-        self.flush()
-
-    def silent(self) -> None:
-        """The broadcast of its last tick does not go out."""
-        self._parts.append(f'"{SILENT}"')
-
-    def falsified(self, x_hat: int, alpha_bits: int) -> None:
-        """The broadcast of its last tick goes out with these values instead of its own."""
-        self._parts.append(f"[{x_hat},{alpha_bits}]")
-
-    def restart(self) -> None:
-        """It starts anew."""
-        self._parts.append(f'"{RESTART}"')
-
-    def foreign(self, frame: can.Message) -> None:
-        """``frame`` went over the bus under its id, and it was another that sent it."""
-        self._write(f'"{frame_as_text(frame)}"\n')
-
-    def flush(self) -> None:
-        """Pass on what was taken so far."""
-        if len(self._parts) > 1:
-            self._write(",".join(self._parts) + "]\n")
-            self._parts = [self._head]
 
 
 class SidecarWriter:
@@ -235,15 +131,6 @@ class SidecarWriter:
         with explaining(self._path), self._file:
             for recorder in self.robots.values():
                 recorder.flush()
-
-
-def frame_as_text(frame: can.Message) -> str:
-    """A frame's identifier and data as candump writes them; remote and error frames are told apart."""
-    if frame.is_remote_frame:
-        return f"{frame.arbitration_id:08X}#R"
-    kind = "E" if frame.is_error_frame else ""
-    digits = 8 if frame.is_extended_id or frame.is_error_frame else 3
-    return f"{kind}{frame.arbitration_id:0{digits}X}#{frame.data.hex().upper()}"
 
 
 # --- Reading ---------------------------------------------------------------------------------------------

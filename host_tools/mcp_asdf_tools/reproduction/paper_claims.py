@@ -11,8 +11,8 @@ from itertools import pairwise
 from math import pi
 
 import numpy as np
-from mcp_asdf.reference import local_confidence, local_estimate
 
+from mcp_asdf.reference import local_confidence, local_estimate
 from mcp_asdf_tools.reproduction.comparisons import (
     ABOVE,
     BELOW,

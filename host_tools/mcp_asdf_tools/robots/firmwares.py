@@ -8,7 +8,6 @@ from typing import Protocol, cast
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Config, FixedPointRobot, Robot, Status
-
 from mcp_asdf_tools.common.errors import UsageError
 
 RobotMaker = Callable[[Config, int, float], Robot]

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 import can
-from mcp_asdf.robot import Observation
 
+from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     Action,
     Command,

@@ -15,8 +15,8 @@ from typing import Any
 
 import can
 from can.typechecking import CanFilters
-from mcp_asdf.robot import Counters, Observation, Robot, Status
 
+from mcp_asdf.robot import Counters, Observation, Robot, Status
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
     EVERY_ROBOT,
@@ -40,7 +40,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import Recorder
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
 ACCEPTANCE_MASK = 0x039F_FF80

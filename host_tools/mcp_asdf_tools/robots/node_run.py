@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import can
-from mcp_asdf.robot import FixedPointRobot, Observation
 
+from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.observations import Source

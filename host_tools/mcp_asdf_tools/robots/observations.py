@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Protocol
 
 from mcp_asdf.robot import Observation
-
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import standard_input
 from mcp_asdf_tools.world.swarm_world import FullyConnected, World

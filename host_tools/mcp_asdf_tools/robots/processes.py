@@ -13,10 +13,10 @@ from typing import Any
 
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import RobotRecord
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.options import robot_arguments, subject_arguments
+from mcp_asdf_tools.robots.record import RobotRecord
 
 _PATIENCE = 10.0
 """Seconds that a process has for ending when it is told to."""

@@ -21,7 +21,6 @@ from mcp_asdf.robot import (
     whole_number,
 )
 from mcp_asdf.table import Table
-
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import port_of
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from mcp_asdf_tools.swarm.fault_injectors import Key
 from mcp_asdf_tools.swarm.faults import Sent
+from mcp_asdf_tools.swarm.transmission import Key
 
 TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""

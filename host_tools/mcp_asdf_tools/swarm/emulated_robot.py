@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import can
-from mcp_asdf.robot import Counters, Observation, Robot, Status
 
+from mcp_asdf.robot import Counters, Observation, Robot, Status
 from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
@@ -15,8 +15,9 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.recording.sidecar import Recorder, RobotRecord
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.node import telemetry_of
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.traffic import Reception
 
 _TRANSFERS = 32

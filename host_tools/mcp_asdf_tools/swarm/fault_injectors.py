@@ -7,8 +7,7 @@ import hashlib
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TypeVar
 
 import can
@@ -24,6 +23,7 @@ from mcp_asdf_tools.bus.frames import (
     encode,
 )
 from mcp_asdf_tools.swarm.fault_spec import Fault, Kind
+from mcp_asdf_tools.swarm.transmission import Delivery, Sent
 
 Words = tuple[int, ...]
 """Eight random words of 64 bits: the first decides whether a fault strikes, the others how."""
@@ -37,48 +37,6 @@ _BUS_ERROR = 0x88
 """As Linux tells it: a protocol violation, a bus error (CAN_ERR_PROT | CAN_ERR_BUSERROR)."""
 
 _Subject = TypeVar("_Subject")
-
-
-Key = tuple[int, bytes, bool]
-"""What a frame is told by: identifier, data, and whether it is an error frame."""
-
-
-@dataclass(frozen=True)
-class Sent:
-    """A frame that has got onto the bus.
-
-    Attributes:
-        frame: As it is there.
-        sender: The node that has sent it, whatever id the frame tells.
-        tick: When.
-        number: How many frames of its identifier the node has sent before in this tick.
-    """
-
-    frame: can.Message
-    sender: int
-    tick: int
-    number: int = 0
-
-    @cached_property
-    def key(self) -> Key:
-        """What the frame is told by. It must not change any more."""
-        return self.frame.arbitration_id, bytes(self.frame.data), self.frame.is_error_frame
-
-
-@dataclass(frozen=True, slots=True)
-class Delivery:
-    """A frame on its way to one receiver.
-
-    Attributes:
-        frame: What the receiver hears.
-        delay: Ticks until it arrives, from 0.
-        place: Where in that tick, from 0 up to 1: frames of one tick arrive by rising ``place``, and those
-            with the same in the order sent.
-    """
-
-    frame: can.Message
-    delay: int = 0
-    place: float = 0.0
 
 
 class Draws:

@@ -35,14 +35,13 @@ from mcp_asdf_tools.swarm.fault_injectors import (
     ON_THE_WAY,
     AtSender,
     Babbler,
-    Delivery,
     Draws,
     Injector,
     OnTheWay,
-    Sent,
     Spells,
 )
 from mcp_asdf_tools.swarm.fault_spec import Fault, Kind, parse_fault
+from mcp_asdf_tools.swarm.transmission import Delivery, Sent
 
 __all__ = ["Delivery", "Fault", "Faults", "Kind", "Sent", "parse_fault"]
 

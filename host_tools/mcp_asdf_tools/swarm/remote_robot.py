@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 import can
+
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation
-
 from mcp_asdf_tools.bus.frames import (
     MAX_NODE,
     ONE,
@@ -23,9 +23,10 @@ from mcp_asdf_tools.bus.frames import (
     decode_telemetry,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import Recorder, RobotRecord
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep, LockstepSettings
 from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import RoundTimer
 from mcp_asdf_tools.swarm.emulated_robot import Decoder
 from mcp_asdf_tools.swarm.fault_spec import Kind

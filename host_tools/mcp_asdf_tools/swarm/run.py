@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.load import BIT_RATES, load
-from mcp_asdf_tools.recording.sidecar import versions
+from mcp_asdf_tools.common.versions import versions
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.emulated_robot import Node

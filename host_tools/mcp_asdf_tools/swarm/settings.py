@@ -14,11 +14,10 @@ from mcp_asdf.robot import (
     MIN_MEMORY,
     Filter,
 )
-
 from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import RobotRecord
 from mcp_asdf_tools.robots.clock import ClockKind
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickConfig
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.tables.thresholds import generate

@@ -8,20 +8,20 @@ the faults have not taken away, so that a run depends on its settings alone, not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import can
-from mcp_asdf.robot import Observation
 
-from mcp_asdf_tools.bus.frames import Message, decode
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
 from mcp_asdf_tools.bus.load import wire_bits
 from mcp_asdf_tools.recording.sidecar import SidecarWriter
 from mcp_asdf_tools.robots.clock import make_clock
+from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Taker
 from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
-from mcp_asdf_tools.swarm.fates import note_fate
 from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.swarm.medium import Air, ChannelPerRobot, Medium, Remote, SharedBus, Wiring
+from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, Remote, SharedBus, Wiring
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
 from mcp_asdf_tools.swarm.settings import Deployment, Settings, make_world, robot_records
 from mcp_asdf_tools.swarm.traffic import Traffic
@@ -167,7 +167,7 @@ class Swarm:
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # What a robot elsewhere sends is on its bus, whatever the faults make of it here.
         if self._sidecar is not None and isinstance(node, Node):
-            note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
+            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
         for sent in leaving:
             self._medium.send(sent)
         return leaving
@@ -199,3 +199,28 @@ def _as_received(log: Taker) -> Taker:
         log(frame)
 
     return take
+
+
+def _note_fate(
+    sidecar: SidecarWriter,
+    robot: int,
+    frame: can.Message | None,
+    leaving: Sequence[Sent],
+    frames: FrameFormat,
+) -> None:
+    """Tell ``sidecar`` what differs between ``frame``, which the robot would send, and what leaves it.
+
+    None is what a babbling node would send.
+    """
+    own = None if frame is None else decode(frame, frames)
+    is_heard = False
+    for sent in leaving:
+        said = decode(sent.frame, frames)
+        if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
+            is_heard = True
+            if frame is not None and sent.frame.data != frame.data:
+                sidecar.robots[robot].falsified(said.x_hat, alpha_bits(sent.frame))
+        elif sent.frame is not frame:
+            sidecar.injected(sent.frame)
+    if isinstance(own, Message) and not is_heard:
+        sidecar.robots[robot].silent()

@@ -14,10 +14,10 @@ from decimal import ROUND_CEILING, Context, Decimal, InvalidOperation
 from functools import lru_cache
 from itertools import zip_longest
 
-from mcp_asdf.robot import MAX_ID
-from mcp_asdf.table import FRACTION_BITS, MAX_Q, MIN_Q, Table
 from mpmath import mp, mpf  # type: ignore[import-untyped]
 
+from mcp_asdf.robot import MAX_ID
+from mcp_asdf.table import FRACTION_BITS, MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.common.errors import UsageError
 
 GENERATOR_VERSION = 2

@@ -16,11 +16,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+from rich.console import Console
+from rich.progress import Progress
+
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import check_plot_path, image_of, save_figure
 from mcp_asdf_tools.common.files import FileSet
-from rich.console import Console
-from rich.progress import Progress
 
 from . import figures, picture, report
 from .images import TARGETS

@@ -13,6 +13,7 @@ import can
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, alpha_units, alpha_word, word_to_alpha
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import (

@@ -16,6 +16,7 @@ import pytest
 from cffi import FFI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
 from mcp_asdf_tools.bus.frames import (
     FrameFormat,

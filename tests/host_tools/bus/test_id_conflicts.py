@@ -6,6 +6,7 @@ import random
 from collections.abc import Iterable
 
 import pytest
+
 from mcp_asdf_tools.bus.frames import Heartbeat, Message
 from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
 

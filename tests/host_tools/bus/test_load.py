@@ -6,6 +6,7 @@ import random
 
 import can
 import pytest
+
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.bus.load import ERROR_BITS, load, wire_bits
 

@@ -16,6 +16,7 @@ import pytest
 from can.interfaces import virtual
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of

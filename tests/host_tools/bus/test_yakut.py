@@ -19,6 +19,7 @@ from typing import Any
 import can
 import pytest
 import yaml
+
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Message

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common import files, versions
 from mcp_asdf_tools.common.errors import UsageError

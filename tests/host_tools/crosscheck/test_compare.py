@@ -22,14 +22,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import cast
 
-import mcp_asdf.fixed_point
-import mcp_asdf.mirror
-import mcp_asdf.robot
-import mcp_asdf.table
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+
+import mcp_asdf.fixed_point
+import mcp_asdf.mirror
+import mcp_asdf.robot
+import mcp_asdf.table
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE, alpha_units, word_to_alpha
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot

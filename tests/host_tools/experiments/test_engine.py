@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from mcp_asdf.robot import B_HAT_MARGIN, FirmwareError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Activation, Drift, Experiment, Mode
-from mcp_asdf_tools.experiments.simulation import QUANTITIES, run_trials
+from mcp_asdf_tools.experiments.measurement import QUANTITIES
+from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.world import philox
 from mcp_asdf_tools.world.world import TrialWorld
 from support import CORE, ROOT, require, run

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import local_estimate

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode
 from mcp_asdf_tools.world.arenas import make_arena

@@ -9,7 +9,9 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
+
 from mcp_asdf_tools.experiments import reference_arrays
+from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.experiment import (
     Activation,
     Convention,
@@ -19,7 +21,7 @@ from mcp_asdf_tools.experiments.experiment import (
     Mode,
     Topology,
 )
-from mcp_asdf_tools.experiments.simulation import run_by_message, run_trials
+from mcp_asdf_tools.experiments.simulation import run_trials
 
 FULL = Experiment(
     firmware="reference", robots=6, flawed=2, fill_ratio=0.7, steps=420, filter_period=60, seed=5

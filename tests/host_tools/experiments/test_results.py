@@ -11,8 +11,11 @@ import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
+
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.authors_formats import write_authors_json
 from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
     describe,
@@ -20,12 +23,11 @@ from mcp_asdf_tools.experiments.results import (
     read_table,
     table_of,
     versions,
-    write_authors_json,
     write_csv,
     write_table,
 )
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.experiments.simulation import QUANTITIES, run_trials
+from mcp_asdf_tools.experiments.simulation import run_trials
 
 SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
 OTHER = replace(SHORT, mode=Mode.NONE, seed=2**64 - 1)

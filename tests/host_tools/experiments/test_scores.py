@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments import scores
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import Limits, found_limits, score, settling_step
-from numpy.typing import NDArray
 
 
 def settling_step_by_definition(series: NDArray[np.float64], delta: float) -> int:

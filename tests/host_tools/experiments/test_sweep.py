@@ -14,13 +14,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import sweep
 from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.experiments.simulation import Measured
-from mcp_asdf_tools.experiments.sweep import Job, Store, identity, jobs_of, run_sweep
+from mcp_asdf_tools.experiments.simulation import Job
+from mcp_asdf_tools.experiments.sweep import Store, identity, jobs_of, run_sweep
 from support import ROOT
 
 GRID = [

@@ -13,6 +13,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
+
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation, Status
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
@@ -35,12 +36,12 @@ from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, cho
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import PHASES, Bench, Phase, Verdict, Verification
 from mcp_asdf_tools.radio.verification_report import headline, markdown
-from mcp_asdf_tools.recording.log_reading import read_log
-from mcp_asdf_tools.recording.sidecar import RobotRecord
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.node_run import Link
 from mcp_asdf_tools.robots.processes import start_nodes
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import Settings, make_world, robot_records

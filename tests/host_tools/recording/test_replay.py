@@ -13,6 +13,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
+
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode
 from mcp_asdf_tools.bus.slcan_server import SlcanServer
@@ -20,7 +21,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording import replay as module
-from mcp_asdf_tools.recording.log_reading import read_log
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.replay import Player, Verdict, verify
 from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
 from mcp_asdf_tools.swarm.fault_spec import Kind

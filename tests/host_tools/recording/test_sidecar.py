@@ -13,22 +13,16 @@ from typing import Any
 
 import can
 import pytest
+
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.recording.sidecar import (
-    Header,
-    Recorder,
-    RobotRecord,
-    SidecarReader,
-    SidecarWriter,
-    config_as_plain,
-    frame_as_text,
-    sidecar_path,
-    versions,
-)
+from mcp_asdf_tools.common.versions import versions
+from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
+from mcp_asdf_tools.robots.events import Recorder
+from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
 from wire import record

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from mcp_asdf_tools.experiments.experiment import Mode
 from mcp_asdf_tools.reproduction import paper_claims, verdicts
 from mcp_asdf_tools.reproduction.comparisons import Claim

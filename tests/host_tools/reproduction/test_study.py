@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.experiments.simulation import Measured, run_trials
-from mcp_asdf_tools.experiments.sweep import Job
+from mcp_asdf_tools.experiments.simulation import Job, run_trials
 from mcp_asdf_tools.reproduction import study_report, verdicts
 from mcp_asdf_tools.reproduction.paper_claims import CLAIMS
 from mcp_asdf_tools.reproduction.paper_figures import FIGURES

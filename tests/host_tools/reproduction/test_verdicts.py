@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import spearmanr  # type: ignore[import-untyped]
+
 from mcp_asdf_tools.reproduction.verdicts import (
     Comparison,
     Estimate,
@@ -15,7 +17,6 @@ from mcp_asdf_tools.reproduction.verdicts import (
     exactly,
     rank_correlation,
 )
-from scipy.stats import spearmanr  # type: ignore[import-untyped]
 
 ABOVE, BELOW, SAME, NOT_ABOVE, NOT_BELOW = Expectation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from mcp_asdf_tools.robots.clock import ClockKind, LockstepClock, RealTimeClock, make_clock
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import can
 import pytest
+
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.bus.frames import (

@@ -18,6 +18,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
+
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
@@ -34,7 +35,7 @@ from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.recording.log_reading import read_log
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all

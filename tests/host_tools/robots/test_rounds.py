@@ -8,6 +8,7 @@ from typing import Any
 
 import can
 import pytest
+
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, Observation, Status
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode

@@ -13,6 +13,7 @@ import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf.fixed_point import alpha_to_word, alpha_word
 from mcp_asdf_tools.bus.frames import (
     ONE,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import can
 import pytest
 from can.interfaces import virtual
+
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.swarm import connection
+from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Connection, SwarmError
 from mcp_asdf_tools.swarm.faults import Faults, Sent, parse_fault
-from mcp_asdf_tools.swarm.medium import Air
 from mcp_asdf_tools.world.topology import FullyConnected
 
 

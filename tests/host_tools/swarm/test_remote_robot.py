@@ -16,6 +16,7 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
+
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.bus.slcan_server import SlcanServer

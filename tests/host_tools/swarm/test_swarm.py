@@ -22,6 +22,8 @@ import can
 import numpy as np
 import pytest
 from can.interfaces import virtual
+from rich.console import Console
+
 from mcp_asdf.fixed_point import alpha_units, word_to_alpha
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Robot, Status
@@ -54,7 +56,6 @@ from mcp_asdf_tools.swarm.settings import Deployment, Settings
 from mcp_asdf_tools.swarm.summary import parameters, summary
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.tables.thresholds import generate
-from rich.console import Console
 
 SMALL = ("--robots", "4", "--ticks", "30", "--filter-period", "10")
 EXACT = ("native", "mirror")

@@ -17,6 +17,8 @@ from can.interfaces import virtual
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from rich.console import Console
+
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
@@ -24,8 +26,9 @@ from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import SETTLE, Header, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
+from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.run import Run, run_swarm
@@ -35,7 +38,6 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.topology import read_graph
 from multicast import multicast
-from rich.console import Console
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """And some more: of this process, for tests in others run at the same time."""

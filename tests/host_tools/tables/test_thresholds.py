@@ -30,6 +30,8 @@ import scipy.stats  # type: ignore[import-untyped]
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 from intelhex import IntelHex  # type: ignore[import-untyped]
+from mpmath import mp, mpf  # type: ignore[import-untyped]
+
 from mcp_asdf.table import FRACTION_BITS, MAGIC, Table, checksum
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
@@ -43,7 +45,6 @@ from mcp_asdf_tools.tables.thresholds import (
     parse_omega,
     worst_threshold_error,
 )
-from mpmath import mp, mpf  # type: ignore[import-untyped]
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = [("0.05", 127), ("0.1", 127), ("0.15", 127), ("0.2", 127), ("0.25", 127), ("0.05", 30)]

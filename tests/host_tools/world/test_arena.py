@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from benchmarks.motion_statistics import motion_statistics, runs
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, ArenaSettings, Picture, Tiles, square_side
-from numpy.typing import NDArray
 
 RADIUS, REACH, WHEELS_APART, TICK = 0.0704, 0.12, 0.1054, 0.1
 DATA = Path(__file__).parents[2] / "data/motion_statistics.json"

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import (
@@ -22,12 +24,12 @@ from mcp_asdf_tools.experiments.experiment import (
     Topology,
 )
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.experiments.simulation import QUANTITIES, run_trials
+from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 from mcp_asdf_tools.world.arenas import arena_settings, make_arena
 from mcp_asdf_tools.world.floor_images import CODE_MODULES, code
-from PIL import Image
 from trials import check_that_the_engine_is_the_mirror
 
 SHORT = Experiment(

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from mcp_asdf_tools.world.swarm_world import FullyConnected, World
 
 SEED = 20241029

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world.arena import Arena, ArenaSettings, Tiles, square_side
 from mcp_asdf_tools.world.swarm_world import World, arena_seed

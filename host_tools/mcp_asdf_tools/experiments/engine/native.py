@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mcp_asdf.fixed_point import b_hat_to_raw
-from mcp_asdf.robot import Filter, FirmwareError, Status
 from numpy.typing import NDArray
 
+from mcp_asdf.fixed_point import b_hat_to_raw
+from mcp_asdf.robot import Filter, FirmwareError, Status
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.world.arena import config_values

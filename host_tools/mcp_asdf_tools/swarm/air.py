@@ -1,0 +1,61 @@
+"""Topology and faults: the frames that reach each robot, and when."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from itertools import count
+from typing import Protocol
+
+import can
+
+from mcp_asdf_tools.swarm.faults import Faults, Sent
+from mcp_asdf_tools.world.topology import Topology
+
+
+class Hearer(Protocol):
+    """A robot, as a medium knows it."""
+
+    def hear(self, frame: can.Message) -> None:
+        """Take in a frame that a neighbour has sent, whatever has become of it."""
+
+    def hear_stranger(self, frame: can.Message) -> None:
+        """Take in a frame that nobody of the swarm has sent."""
+
+
+class Air:
+    """What each robot hears of what is sent, by the topology and the faults.
+
+    Attributes:
+        in_range: Frames sent so far, counted once for each neighbour in range.
+        arrived: Frames heard so far.
+    """
+
+    def __init__(self, topology: Topology, faults: Faults) -> None:
+        self.in_range = self.arrived = 0
+        self._topology = topology
+        self._faults = faults
+        self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
+        self._order = count()
+
+    def arrivals(self, receiver: int, tick: int, sent: Sequence[Sent]) -> list[can.Message]:
+        """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
+
+        Ask once a tick. O((sent + late) log late).
+        """
+        neighbours = self._topology.neighbours(receiver)
+        in_range = [each for each in sent if each.sender in neighbours]
+        heard = self._heard(receiver, tick, in_range) if self._faults.faults else [s.frame for s in in_range]
+        self.in_range += len(in_range)
+        self.arrived += len(heard)
+        return heard
+
+    def _heard(self, receiver: int, tick: int, in_range: Sequence[Sent]) -> list[can.Message]:
+        late = self._late.setdefault(receiver, [])
+        for each in in_range:
+            for way in self._faults.deliver(each, receiver):
+                heapq.heappush(late, (tick + way.delay, way.place, next(self._order), way.frame))
+        heard = []
+        while late and late[0][0] <= tick:
+            heard.append(heapq.heappop(late)[-1])
+        return heard
