@@ -14,7 +14,8 @@ from rich.table import Table
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.sweep import add_scheduler, run_stores
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Convention, ExperimentError
+from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.experiments.experiment import Convention
 from mcp_asdf_tools.experiments.results import experiments_in
 from mcp_asdf_tools.experiments.sweep import Store
 from mcp_asdf_tools.reproduction.study import (
@@ -116,7 +117,7 @@ def _stores(folder: Path, parts: list[Part], scale: Scale) -> list[Store]:
     """A place for each part's results, where they are by and by."""
     try:
         grids = {part: [experiment_of(cell, scale) for cell in cells_of(part)] for part in parts}
-    except ExperimentError as error:
+    except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     try:
         folder.mkdir(parents=True, exist_ok=True)

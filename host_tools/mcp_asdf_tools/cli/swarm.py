@@ -30,7 +30,7 @@ from mcp_asdf_tools.robots.processes import NodeProcesses, start_nodes
 from mcp_asdf_tools.swarm.live_table import LiveTable
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.run import Hook, Run, run_swarm
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, robot_records
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary
 from mcp_asdf_tools.swarm.swarm import Swarm
 
@@ -40,15 +40,15 @@ HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter off --plot off.png        # the same without the filter, as a picture
+  mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
-  mcp-asdf swarm --density 1 --ticks 10000          # robots that move and hear who is within 0.7 m
+  mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
   mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
-  mcp-asdf swarm --clock real-time --ticks 100
-  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --ticks 100
+  mcp-asdf swarm --clock real-time --steps 100
+  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100
   mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
 With {robot} in the channel each robot has a bus of its own, and a medium carries frames between them. The
 same settings give the same run and, on the bus inside this process, the same log to the byte. More about
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     draw = _drawer(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
-    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
+    header = Header(settings.records(), settings.seed, settings.frames, settings.plain())
     began = time.monotonic()
     try:
         with ExitStack() as ending:
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _emulate(
     args: argparse.Namespace,
-    settings: Settings,
+    settings: SwarmSettings,
     choice: interfaces.BusChoice,
     wiring: Wiring,
     outputs: Outputs,
@@ -115,7 +115,7 @@ def _emulate(
 
 
 def _admit(
-    args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice, stack: ExitStack
+    args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice, stack: ExitStack
 ) -> int | None:
     """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
     if args.slcan is None:
@@ -135,12 +135,12 @@ def _admit(
     return server.port
 
 
-def _start(args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice) -> NodeProcesses:
+def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> NodeProcesses:
     """The robots' processes; none unless asked for."""
     if not args.processes:
         return NodeProcesses()
     subjects = Subjects(estimates=settings.frames)
-    return start_nodes(robot_records(settings), choice.of_robot, subjects, settings.ticks_per_second)
+    return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
 def _drawer(path: Path | None) -> Callable[[Run], bytes]:

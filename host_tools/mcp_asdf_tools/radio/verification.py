@@ -191,7 +191,7 @@ class Verification:
         self._neighbours = Neighbourhood(replace(settings, faults=tuple(faults)))
         self.model = RobotNode(
             settings.controller.make(),
-            NodeSettings(self._id, settings.subjects, settings.swarm.ticks_per_second),
+            NodeSettings(self._id, settings.subjects, settings.swarm.steps_per_second),
             bench.recorder,
         )
         self._lockstep = Lockstep(

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.experiments.experiment import Mode
 from mcp_asdf_tools.experiments.results import versions
 from mcp_asdf_tools.reproduction.comparisons import Claim
 from mcp_asdf_tools.reproduction.paper_claims import CLAIMS
 from mcp_asdf_tools.reproduction.paper_figures import FIGURES
 from mcp_asdf_tools.reproduction.study import E_MAX, PART_NAMES, Part, Scale, Study, cells_of, experiment_of
 from mcp_asdf_tools.reproduction.verdicts import CONFIDENCE, MARGIN, Comparison, Expectation, Finding, Verdict
+from mcp_asdf_tools.robots.population import Filtering
 
 Decided = Sequence[tuple[Claim, Finding]]
 """Claims and what came out of them."""
@@ -103,7 +103,7 @@ def _grid_of(part: Part) -> str:
         values = sorted({getattr(cell, attribute) for cell in cells_of(part)})
         words.append(f"{name} {', '.join(f'{value:g}' for value in values)}")
     modes = {cell.mode for cell in cells_of(part)}
-    return "; ".join([*words, ", ".join(mode.value for mode in Mode if mode in modes)])
+    return "; ".join([*words, ", ".join(mode.value for mode in Filtering if mode in modes)])
 
 
 # --- Tables ----------------------------------------------------------------------------------------------

@@ -128,19 +128,19 @@ class NodeSettings:
     Attributes:
         id: Robot id and node id, 0 .. 127.
         subjects: Where messages are.
-        ticks_per_second: Control ticks between two heartbeats, 1 or more.
+        steps_per_second: Control ticks between two heartbeats, 1 or more.
         telemetry_period: Control ticks between two telemetry frames; 1 in lockstep, 0 for none.
     """
 
     id: int
     subjects: Subjects = field(default_factory=Subjects)
-    ticks_per_second: int = 10
+    steps_per_second: int = 10
     telemetry_period: int = 1
 
     def __post_init__(self) -> None:
         for name, least, most in (
             ("id", 0, MAX_NODE),
-            ("ticks_per_second", 1, 10**6),
+            ("steps_per_second", 1, 10**6),
             ("telemetry_period", 0, MAX_PERIOD),
         ):
             value = getattr(self, name)
@@ -190,7 +190,7 @@ class RobotNode:
         if not self.is_settled:
             self.traffic.unsettled += 1
             self._end()
-        if self.ticks and self.ticks % self.settings.ticks_per_second == 0:
+        if self.ticks and self.ticks % self.settings.steps_per_second == 0:
             frames.append(self._heartbeat())
         if self._recorder is not None:
             self._recorder.observe(z)
@@ -265,7 +265,7 @@ class RobotNode:
         return encode(message, self.settings.subjects.estimates, self._now())
 
     def _heartbeat(self) -> can.Message:
-        uptime = self.ticks // self.settings.ticks_per_second
+        uptime = self.ticks // self.settings.steps_per_second
         transfer = self.traffic.heartbeats_sent % _TRANSFERS
         self.traffic.heartbeats_sent += 1
         return encode_heartbeat(Heartbeat(self.settings.id, uptime, transfer), timestamp=self._now())
@@ -278,7 +278,7 @@ class RobotNode:
 
     def _now(self) -> float:
         """The node's own time, seconds."""
-        return self.ticks / self.settings.ticks_per_second
+        return self.ticks / self.settings.steps_per_second
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:

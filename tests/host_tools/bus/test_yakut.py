@@ -50,7 +50,7 @@ def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
     """A swarm that runs; gives the documented command that joins its bus, without what it is to do."""
     require("yakut")
     command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
-    endless = ["--filter-period", "1000", "--ticks", "100000000", "--slcan", "0", *options]
+    endless = ["--filter-period", "1000", "--steps", "100000000", "--slcan", "0", *options]
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
     with subprocess.Popen(
         command + endless, env=environment, stdout=quiet, stderr=told, text=True
