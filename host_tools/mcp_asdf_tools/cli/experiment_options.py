@@ -13,11 +13,16 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Limits, found_limits, score
-from mcp_asdf_tools.experiments.sweep import Report, default_workers
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments import (
+    Experiment,
+    Limits,
+    Report,
+    Trials,
+    default_workers,
+    found_limits,
+    score,
+)
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:

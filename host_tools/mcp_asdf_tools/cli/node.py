@@ -18,24 +18,36 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
-from mcp_asdf_tools.common.signals import has_ended, standard_input, stopping
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.recording.frame_logs import logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, filters_for
-from mcp_asdf_tools.robots.node_run import Link, NodeRun, Taker, state_of
-from mcp_asdf_tools.robots.observations import LineSource, Source, WorldSource
-from mcp_asdf_tools.robots.options import (
+from mcp_asdf_tools.common import (
+    UsageError,
+    has_ended,
+    results_beside,
+    software_versions,
+    standard_input,
+    stopping,
+    write_atomically,
+)
+from mcp_asdf_tools.recording import Header, logging_to
+from mcp_asdf_tools.robots import (
+    LineSource,
+    Link,
+    NodeRun,
+    NodeSettings,
+    RobotNode,
+    RobotRecord,
+    Source,
+    Subjects,
+    Taker,
+    WorldSource,
     add_robot_options,
     add_subject_options,
+    filters_for,
     robot_arguments,
     robot_of,
+    state_of,
     subject_arguments,
     subjects_of,
 )
-from mcp_asdf_tools.robots.record import RobotRecord
 
 HELP = "run one robot on a CAN bus"
 EPILOG = """\
@@ -241,7 +253,7 @@ def _report(
     return {
         "parameters": _parameters(args) | {"robot": record.plain(), "subjects": subjects},
         "bus": {"interface": choice.interface, "channel": choice.channel},
-        "versions": versions(),
+        "versions": software_versions(),
         "results": {
             "steps": run.node.ticks,
             **vars(run.outcome),

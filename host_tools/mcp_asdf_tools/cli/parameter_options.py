@@ -8,12 +8,9 @@ from dataclasses import Field, fields
 from enum import Enum
 from typing import Any, TypeVar
 
-from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import Meaning, ParameterError, meaning_of, plain_value
-from mcp_asdf_tools.robots.firmwares import firmware_names
-from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.world.settings import Topology, WorldSettings
+from mcp_asdf_tools.common import Meaning, ParameterError, UsageError, extensions, meaning_of, plain_value
+from mcp_asdf_tools.robots import Population, firmware_names
+from mcp_asdf_tools.world import Topology, WorldSettings
 
 Settings = TypeVar("Settings", bound=WorldSettings)
 

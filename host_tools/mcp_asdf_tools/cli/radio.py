@@ -15,24 +15,34 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf.robot import B_HAT_MARGIN
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import ONE
+from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, like
-from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import Bench, Verification
-from mcp_asdf_tools.radio.verification_report import COLUMNS, check_report_path, headline, write_report
-from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.node import filters_for
-from mcp_asdf_tools.robots.node_run import Link, Taker, state_of
-from mcp_asdf_tools.robots.options import add_robot_options, add_subject_options, robot_of, subjects_of
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
+from mcp_asdf_tools.radio import (
+    COLUMNS,
+    Bench,
+    Neighbourhood,
+    RadioRun,
+    RadioSettings,
+    Verification,
+    check_report_path,
+    choose_ids,
+    headline,
+    like,
+    write_report,
+)
+from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.robots import (
+    Link,
+    Taker,
+    add_robot_options,
+    add_subject_options,
+    filters_for,
+    robot_of,
+    state_of,
+    subjects_of,
+)
+from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
 HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
@@ -170,7 +180,7 @@ def _report(
             **{name: getattr(args, name) for name in own},
         },
         "bus": {"interface": choice.interface, "channel": choice.channel},
-        "versions": versions(),
+        "versions": software_versions(),
     }
 
 

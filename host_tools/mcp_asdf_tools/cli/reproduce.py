@@ -13,26 +13,23 @@ from rich.table import Table
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.sweep import add_scheduler, run_stores
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.experiments.experiment import Convention
-from mcp_asdf_tools.experiments.results import experiments_in
-from mcp_asdf_tools.experiments.sweep import Store
-from mcp_asdf_tools.reproduction.study import (
+from mcp_asdf_tools.common import ParameterError, UsageError
+from mcp_asdf_tools.experiments import Convention, Store, experiments_in
+from mcp_asdf_tools.reproduction import (
     PART_NAMES,
     PERIODS,
     QUICK,
     Part,
     Scale,
+    Verdict,
     cells_of,
     experiment_of,
     study_of,
 )
-from mcp_asdf_tools.reproduction.verdicts import Verdict
-from mcp_asdf_tools.robots.firmwares import FIRMWARES
+from mcp_asdf_tools.robots import FIRMWARES
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.reproduction.study_report import Decided
+    from mcp_asdf_tools.reproduction import Decided
 
 HELP = "run the paper's whole study and report which of its claims hold"
 EPILOG = """\

@@ -8,12 +8,16 @@ import tempfile
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.authors_formats import write_authors_json
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import describe, experiments_in
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments import (
+    Experiment,
+    Store,
+    describe,
+    experiments_in,
+    read_experiments,
+    run_sweep,
+    write_authors_json,
+)
 
 HELP = "run one experiment: a swarm, many trials, the paper's scores"
 EPILOG = """\

@@ -16,23 +16,24 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
+from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet, results_beside
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.processes import NodeProcesses, start_nodes
-from mcp_asdf_tools.swarm.live_table import LiveTable
-from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.run import Hook, Run, run_swarm
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, start_nodes
+from mcp_asdf_tools.swarm import (
+    MAX_ROBOTS_AND_TOOLS,
+    Hook,
+    LiveTable,
+    Run,
+    Swarm,
+    SwarmSettings,
+    Wiring,
+    load_warning,
+    one_line,
+    run_swarm,
+    summary_table,
+)
 
 __all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
 
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as ending:
             with logging_to(args.log, header) as outputs:
                 outcome, report = _emulate(args, settings, choice, wiring, outputs)
-                text = summary(outcome, str(choice), time.monotonic() - began)
+                text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             with FileSet() as files:
                 if args.plot is not None:
@@ -148,8 +149,8 @@ def _drawer(path: Path | None) -> Callable[[Run], bytes]:
     if path is None:
         return lambda run: b""
     # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
-    from mcp_asdf_tools.common.figures import check_plot_path, image_of  # noqa: PLC0415
-    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+    from mcp_asdf_tools.common import check_plot_path, image_of  # noqa: PLC0415
+    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
     return lambda run: image_of(draw(run), checked)

@@ -8,15 +8,11 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.bus import FrameFormat, interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.clock import ClockKind
-from mcp_asdf_tools.swarm.fault_spec import Kind
-from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.remote_robot import check_remote
-from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import ClockKind
+from mcp_asdf_tools.swarm import Kind, SwarmSettings, Wiring, check_remote
 
 _DEFAULTS = SwarmSettings()
 

@@ -10,11 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, empty_figure
+from mcp_asdf_tools.common import FLAWED, INK, OTHER, UsageError, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.arena import Arena, ArenaSettings, Picture
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world import Arena, ArenaSettings, Picture, make_arena
 
 BODY_RADIUS = 0.0704
 _RANGE = "#bbbbbb"

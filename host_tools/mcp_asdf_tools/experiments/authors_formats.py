@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.common import ParameterError, UsageError, write_atomically
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.robots.population import Activation, Filtering
+from mcp_asdf_tools.robots import Activation, Filtering
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured, measured_trial
-from mcp_asdf_tools.robots.firmwares import RobotMaker, load_firmware
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.robots import RobotMaker, load_firmware
+from mcp_asdf_tools.world import World
 
 _STEPS_AT_ONCE = 512
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from mcp_asdf_tools.common.parameters import ParameterError, parameter
-from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.common import ParameterError, parameter
+from mcp_asdf_tools.robots import Population
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000

@@ -21,8 +21,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.common import ParameterError, UsageError
 from mcp_asdf_tools.experiments.authors_formats import read_yaml
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment
 

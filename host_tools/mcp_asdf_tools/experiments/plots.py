@@ -13,14 +13,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mcp_asdf.reference import local_confidence
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import _MORE, COLOURS, FLAWED, INK, OTHER, clean, empty_figure
+from mcp_asdf_tools.common import COLOURS, FLAWED, GREY, INK, OTHER, UsageError, clean, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots import Filtering
 
-_NO_FILTER = _MORE[0]
+_NO_FILTER = GREY
 _SHADES = ("#222222", "#56b4e9", "#0072b2", "#e69f00", "#d55e00", "#8a4f7d", "#009e73", "#cc79a7")
 """Of proportions of flawed robots, from none."""
 _MARKERS = "osD^v"

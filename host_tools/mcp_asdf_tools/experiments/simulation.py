@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.experiment import Experiment

@@ -12,14 +12,10 @@ from dataclasses import dataclass, replace
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.swarm.air import Air
-from mcp_asdf_tools.swarm.fault_spec import Fault
-from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import NodeSettings, RobotNode, RobotRecord, Subjects
+from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, Sent, SwarmSettings
+from mcp_asdf_tools.world import World
 
 
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:

@@ -8,11 +8,9 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Message, Telemetry, decode, decode_telemetry
-from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
+from mcp_asdf_tools.bus import Collision, CollisionWatch, Message, Telemetry, decode, decode_telemetry
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
-from mcp_asdf_tools.robots.clock import RealTimeClock
-from mcp_asdf_tools.robots.node_run import Link, Outcome, Stopped
+from mcp_asdf_tools.robots import Link, Outcome, RealTimeClock, Stopped
 
 
 class RadioRun:

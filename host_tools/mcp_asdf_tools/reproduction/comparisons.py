@@ -21,7 +21,7 @@ from mcp_asdf_tools.reproduction.study import (
     cells_of,
 )
 from mcp_asdf_tools.reproduction.verdicts import MARGIN, Comparison, Expectation, Finding, Summary, estimate
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 BOTH = (DYNAMIC, FULLY_CONNECTED)

@@ -7,11 +7,16 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import arena_plots, plots
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import MODE_NAMES
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments import (
+    MODE_NAMES,
+    Experiment,
+    Trials,
+    arena_plots,
+    experiments_in,
+    plots,
+    run_trials,
+    table_of,
+)
 from mcp_asdf_tools.reproduction.comparisons import DYNAMIC, FULLY_CONNECTED, MINUS, NONE, PHYSICAL, PLUS
 from mcp_asdf_tools.reproduction.study import (
     PART_NAMES,
@@ -24,7 +29,7 @@ from mcp_asdf_tools.reproduction.study import (
     experiment_of,
     limits,
 )
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots import Filtering
 
 _TRIAL = 0
 """Which one is drawn over time and space."""

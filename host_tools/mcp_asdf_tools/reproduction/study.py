@@ -17,11 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment
-from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Limits, Scores, score
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.experiments import (
+    STUDIES,
+    Convention,
+    Experiment,
+    Limits,
+    Scores,
+    Trials,
+    read_experiments,
+    score,
+)
+from mcp_asdf_tools.robots import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)

@@ -8,8 +8,7 @@ from typing import Protocol, cast
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Config, FixedPointRobot, Robot, Status
-from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError, extensions
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot of a config, a robot id and the accuracy it assumes at the start."""

@@ -17,7 +17,7 @@ import can
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import Counters, Observation, Robot, Status
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
     MAX_B_HAT,
@@ -26,6 +26,8 @@ from mcp_asdf_tools.bus.frames import (
     ONE,
     TELEMETRY,
     Action,
+    Collision,
+    CollisionWatch,
     Command,
     FrameFormat,
     Heartbeat,
@@ -38,8 +40,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import standard_input
-from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.common import UsageError, standard_input
+from mcp_asdf_tools.world import World, WorldSettings
 
 _OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
 

@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Iterable
 
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, FirmwareError
-from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.bus import FrameFormat
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.population import Activation, Filtering, filter_of
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from mcp_asdf_tools.tables import generate, parse_omega
 
 _DEFAULTS = TickConfig()
 _OMEGA = "0.05"

@@ -10,9 +10,9 @@ from numbers import Integral, Real
 from typing import Any, Self
 
 from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import (
+from mcp_asdf_tools.common import (
     ParameterError,
+    UsageError,
     meaning_of,
     parameter,
     plain_value,
@@ -21,8 +21,8 @@ from mcp_asdf_tools.common.parameters import (
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
+from mcp_asdf_tools.tables import generate, parse_omega
+from mcp_asdf_tools.world import MAX_PERIOD, WorldSettings
 
 
 class Filtering(Enum):

@@ -11,8 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from mcp_asdf_tools.bus.frames import ONE, Telemetry
-from mcp_asdf_tools.bus.load import load
+from mcp_asdf_tools.bus import ONE, Telemetry, bus_load
 from mcp_asdf_tools.swarm.emulated_robot import Node
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -115,4 +114,4 @@ def _headline(swarm: Swarm) -> Text:
 def _load(swarm: Swarm) -> float:
     """Share of its time that the traffic so far would take of a bus of _BIT_RATE."""
     seconds = max(swarm.ticks, 1) / swarm.settings.steps_per_second
-    return load(swarm.traffic.bits, seconds, _BIT_RATE)
+    return bus_load(swarm.traffic.bits, seconds, _BIT_RATE)

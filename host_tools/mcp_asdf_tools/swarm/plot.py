@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.parameters import plain_value
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.common import plain_value
+from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm.run import Run
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.world.topology import Graph
+from mcp_asdf_tools.world import Graph
 
 # Colours that stay apart for the colour-blind.
 _FLAWED, _OTHER, _ALL, _TRUTH = "#d55e00", "#0072b2", "#8a4f7d", "#222222"

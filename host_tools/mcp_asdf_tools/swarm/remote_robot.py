@@ -12,7 +12,7 @@ import can
 
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     MAX_NODE,
     ONE,
     FrameFormat,
@@ -22,18 +22,22 @@ from mcp_asdf_tools.bus.frames import (
     decode,
     decode_telemetry,
 )
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep, LockstepSettings
-from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import RoundTimer
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import (
+    DRIVER_ID,
+    Lockstep,
+    LockstepSettings,
+    Recorder,
+    RobotRecord,
+    RoundTimer,
+    Subjects,
+)
 from mcp_asdf_tools.swarm.emulated_robot import Decoder
 from mcp_asdf_tools.swarm.fault_spec import Kind
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Reception
-from mcp_asdf_tools.world.settings import Topology
+from mcp_asdf_tools.world import Topology
 
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""

@@ -11,9 +11,9 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.load import BIT_RATES, load
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.bus import BIT_RATES, bus_load
+from mcp_asdf_tools.common import software_versions
+from mcp_asdf_tools.robots import LockstepError
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.emulated_robot import Node
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
@@ -87,7 +87,7 @@ class Run:
         return {
             "parameters": self.settings.plain(),
             "bus": bus,
-            "versions": versions(),
+            "versions": software_versions(),
             "interrupted": self.interrupted,
             "failure": self.failure,
             "results": self.results,
@@ -164,8 +164,8 @@ def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, 
     """
     return {
         str(rate): {
-            "mean": load(traffic.bits, seconds, rate) if seconds else 0.0,
-            "peak": load(traffic.most_bits, tick, rate),
+            "mean": bus_load(traffic.bits, seconds, rate) if seconds else 0.0,
+            "peak": bus_load(traffic.most_bits, tick, rate),
         }
         for rate in BIT_RATES
     }

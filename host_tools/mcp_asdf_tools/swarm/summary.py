@@ -8,12 +8,12 @@ from typing import Any
 
 from rich.table import Table
 
-from mcp_asdf_tools.bus.load import LIMIT
+from mcp_asdf_tools.bus import LIMIT
 from mcp_asdf_tools.swarm.run import Run
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
-def summary(run: Run, bus: str, seconds: float) -> Table:
+def summary_table(run: Run, bus: str, seconds: float) -> Table:
     """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
     results, settings = run.results, run.settings
     table = Table(box=None, padding=(0, 1), show_header=False)

@@ -13,11 +13,9 @@ from collections.abc import Callable, Iterator, Sequence
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
-from mcp_asdf_tools.bus.load import wire_bits
-from mcp_asdf_tools.recording.sidecar import SidecarWriter
-from mcp_asdf_tools.robots.clock import make_clock
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.bus import FrameFormat, Message, alpha_bits, decode, wire_bits
+from mcp_asdf_tools.recording import SidecarWriter
+from mcp_asdf_tools.robots import Filtering, make_clock
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Taker
 from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
@@ -26,7 +24,7 @@ from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, Remote, SharedB
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world import World
 
 __all__ = ["Filtering", "Swarm", "SwarmSettings"]
 

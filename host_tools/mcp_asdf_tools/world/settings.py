@@ -10,9 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError, check_parameters, parameter, special_parameter
+from mcp_asdf_tools.common import (
+    ParameterError,
+    UsageError,
+    check_parameters,
+    extensions,
+    parameter,
+    special_parameter,
+)
 from mcp_asdf_tools.world import floor_images
 from mcp_asdf_tools.world.topology import Graph, graph_of
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 
 _EDGES = re.compile(r"[0-9>;\s]*")
 

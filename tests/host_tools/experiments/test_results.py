@@ -13,6 +13,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.authors_formats import write_authors_json
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES
@@ -22,7 +23,6 @@ from mcp_asdf_tools.experiments.results import (
     experiments_in,
     read_table,
     table_of,
-    versions,
     write_csv,
     write_table,
 )
@@ -73,7 +73,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert len(row["k"]) == len(row["e"]) == 4
     assert len(row["b_hat"]) == 3 * 4
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
-    assert said == {"format": FORMAT, "versions": versions(), "delta": 0.01, "thinning": 10}
+    assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "thinning": 10}
     assert said == describe(read_table(path))
 
 

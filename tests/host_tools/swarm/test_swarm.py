@@ -54,7 +54,7 @@ from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.plot import draw
 from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import parameters, summary
+from mcp_asdf_tools.swarm.summary import parameters, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.tables.thresholds import generate
 
@@ -395,7 +395,7 @@ def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
         assert swarm.traffic.collisions == {2: 4}
         run = run_swarm(swarm)
     text = io.StringIO()
-    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
     assert "another node sent 4 messages as robot 2" in text.getvalue()
 
 

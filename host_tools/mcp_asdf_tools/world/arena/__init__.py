@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.world import _arena
 
 MAX_ROBOTS: int = _arena.lib.MCP_ASDF_ARENA_MAX_ROBOTS
