@@ -17,7 +17,7 @@ examples:
   mcp-asdf dbc                                      # to the screen
   mcp-asdf dbc --output mcp_asdf.dbc                # one entry for each kind of frame, for any node
   mcp-asdf dbc --per-node 0-19 --output swarm.dbc   # an entry for each kind and node
-The entries for any node are those of node 0: tell the tool to ignore the lower 8 bits of the identifier,
+The entries for any node are those of node 0: let the tool ignore the lower 8 bits of the identifier,
 `cantools decode -m {ANY_NODE_MASK:#X} mcp_asdf.dbc`. Where a tool cannot, use --per-node.
 exit code: 0 done, 2 bad usage"""
 

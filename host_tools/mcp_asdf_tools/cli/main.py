@@ -1,7 +1,7 @@
 """The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``mcp_asdf_tools.cli``.
 
 Exit codes: 0 done, 1 a check or the bus failed, 2 bad usage, or a file or bus that cannot be opened or
-written, 130 interrupted, 141 the reader of the output left.
+written, 130 interrupted, 141 output pipe closed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ COMMANDS = (
 
 
 class Command(Protocol):
-    """What a command's module offers.
+    """Module of a command.
 
     ``HELP`` is one line for the overview. ``EPILOG`` holds the examples that ``--help`` ends with, one
     a line, indented, starting with the program's name, explained behind a ``#`` if need be. The option
@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _attempt(title: str, work: Callable[[], int]) -> int:
-    """Do ``work``; returns its exit code, or that of what it raised, having told the user."""
+    """Do ``work``; returns its exit code, or prints what it raised and returns the code for that."""
     try:
         return work()
     except SystemExit as stop:  # argparse has printed its help or its error
@@ -116,7 +116,7 @@ def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
 
 def _show_overview(arguments: Sequence[str]) -> int:
     """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
-    from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads longer than all else here)
+    from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads slowly)
 
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False

@@ -67,7 +67,7 @@ _MAX_RATE = 10_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot_options(parser, "native", "robot id and node id, 0 to 127; nobody else's on the bus")
+    add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
     _add_clock(parser)
     _add_observations(parser)
     interfaces.add_arguments(parser)
@@ -135,7 +135,7 @@ def _add_clock(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--lockstep", action="store_true", help="tick by command frames, with the observations they bring"
     )
-    group.add_argument("--steps", type=int, metavar="N", help="end after so many (default: at Ctrl-C)")
+    group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
     group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
     group.add_argument(
         "--telemetry-period",
@@ -160,7 +160,7 @@ def _add_observations(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(args: argparse.Namespace) -> NodeSettings:
-    """Read the node's settings from parsed arguments. Raises UsageError if they will not do."""
+    """Node settings from parsed arguments. Raises UsageError for a value out of range."""
     if not 1 <= args.steps_per_second <= _MAX_RATE:
         raise UsageError(f"steps-per-second is {args.steps_per_second}; it must be 1 to {_MAX_RATE}")
     if args.steps is not None and args.steps < 1:
@@ -170,7 +170,7 @@ def settings_of(args: argparse.Namespace) -> NodeSettings:
 
 
 def _ending(is_told: Callable[[], bool], until_eof: bool) -> Callable[[], bool]:
-    """What tells that the node is to end."""
+    """Condition that ends the node."""
     if not until_eof:
         return is_told
     fd = standard_input()
@@ -281,7 +281,7 @@ def _print(
 
 
 def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
-    """What came out as a table of two columns."""
+    """Results as a table of two columns."""
     robot, frames, lateness = run.node.robot, results["frames"], run.outcome.lateness
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(style="bold")
@@ -316,7 +316,7 @@ def _ms(seconds: float) -> str:
 def _again(
     args: argparse.Namespace, record: RobotRecord, subjects: Subjects, choice: interfaces.BusChoice
 ) -> str:
-    """What to type for the same run."""
+    """Command line for the same run."""
     given = {name: value for name, value in _parameters(args).items() if value is not None}
     flags = ["--lockstep"] if given.pop("lockstep") else []
     own = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]

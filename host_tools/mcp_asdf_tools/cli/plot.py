@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _experiments_of(args: argparse.Namespace) -> list[Trials]:
-    """What is in the file, as far as the picture needs one."""
+    """Contents of the file, if the picture needs one."""
     if (args.file is None) != (args.kind == "alpha"):
         needs = "no results" if args.kind == "alpha" else "results"
         raise UsageError(f"a picture of kind {args.kind} needs {needs}; see --help")

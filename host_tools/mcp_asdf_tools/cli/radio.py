@@ -113,7 +113,7 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=int,
         metavar="N",
-        help=f"end after so many (default: at Ctrl-C); with --verify of each phase (default {_PHASE_TICKS})",
+        help=f"end after N steps (default: at Ctrl-C); with --verify, of each phase (default {_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -146,7 +146,7 @@ def _add_verification(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(args: argparse.Namespace) -> RadioSettings:
-    """Read the settings from parsed arguments. Raises UsageError if they will not do."""
+    """Settings from parsed arguments. Raises UsageError for a value out of range."""
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     for name in ("timeout", "wait", "report"):

@@ -86,8 +86,8 @@ def _play(args: argparse.Namespace) -> int:
     choice = interfaces.choose_bus(args)
     if choice.interface == interfaces.DEFAULT_INTERFACE:
         raise UsageError(
-            f"the bus {choice} is inside this process, where nobody hears {args.log}: choose another with "
-            f"--interface; or, to check the log, provide {sidecar_path(args.log)} or give --events"
+            f"the bus {choice} is inside this process, where no other program hears {args.log}: choose "
+            f"another with --interface; or, to check the log, give {sidecar_path(args.log)} or --events"
         )
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())

@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STEPS",
         type=int,
         default=0,
-        help="keep every robot's values each so many steps, too",
+        help="also keep every robot's values, every STEPS steps",
     )
     output.add_argument(
         "--authors-json", metavar="FOLDER", type=Path, help="write each trial as the authors' simulator does"

@@ -131,7 +131,7 @@ def _admit(
             "the ids 126 and 127"
         )
     server = stack.enter_context(SlcanServer(choice.open(), args.slcan))
-    # Whoever asked for any free port has to learn which, whatever standard output is for.
+    # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
 
@@ -145,10 +145,10 @@ def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces
 
 
 def _drawer(path: Path | None) -> Callable[[Run], bytes]:
-    """What makes the picture ``path`` of a run. Raises UsageError if no picture can be written there."""
+    """Function that draws a run for the picture ``path``. Raises UsageError if it cannot be written."""
     if path is None:
         return lambda run: b""
-    # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
+    # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
     from mcp_asdf_tools.common import check_plot_path, image_of  # noqa: PLC0415
     from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
 

@@ -92,7 +92,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
-    """Read the settings from parsed arguments. Raises UsageError if they will not do."""
+    """Settings from parsed arguments. Raises UsageError for a value out of range."""
     try:
         frames = FrameFormat(args.subject, args.priority)
     except ValueError as error:
