@@ -6,6 +6,7 @@ example of each group.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -19,17 +20,23 @@ SENSORS = "mcp_asdf.sensors"
 """Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.SensorModel``."""
 
 
+@cache
+def _points(group: str) -> dict[str, metadata.EntryPoint]:
+    """Entry points of a group by name. Reading what is installed takes milliseconds, so it is done once."""
+    return {point.name: point for point in metadata.entry_points(group=group)}
+
+
 def names(group: str) -> list[str]:
     """Names of the installed extensions of a group, sorted."""
-    return sorted({point.name for point in metadata.entry_points(group=group)})
+    return sorted(_points(group))
 
 
 def load(group: str, name: str) -> Any:
     """The object of that name. Raises UsageError if none is installed or it cannot be imported."""
-    points = list(metadata.entry_points(group=group, name=name))
-    if not points:
+    point = _points(group).get(name)
+    if point is None:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
     try:
-        return points[0].load()
+        return point.load()
     except Exception as error:  # whatever the extension's import raises
-        raise UsageError(f"the extension {name!r} ({points[0].value}) cannot be loaded: {error}") from error
+        raise UsageError(f"the extension {name!r} ({point.value}) cannot be loaded: {error}") from error
