@@ -13,6 +13,8 @@ from support import CORE, ROOT, TABLE, require, run
 
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 NAMES = [preset["name"] for preset in PRESETS["workflowPresets"]]
+CHOSEN = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_text(encoding="utf-8"))
+"""Choices that the white-box tests are built for."""
 
 
 def compiles(*compiler: str) -> bool:
@@ -36,8 +38,20 @@ def skip_without_tools(preset: str) -> None:
         require("qemu-s390x", "qemu-user")
 
 
+@pytest.mark.parametrize(("preset", "choice"), list(zip(NAMES, CHOSEN, strict=True)))
+def test_c_tests_pass(preset: str, choice: str) -> None:
+    """Under every preset, and for every choice under one of them."""
+    skip_without_tools(preset)
+    folder = ROOT / "build/quick" / preset
+    report = ROOT / f"build/reports/ctest-{preset}.xml"
+    run(require("cmake"), "--preset", preset, "-B", folder, f"-DTEST_VARIANTS={choice}")
+    run("cmake", "--build", folder)
+    run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", NAMES)
-def test_c_tests_pass(preset: str) -> None:
+def test_c_tests_pass_for_every_choice(preset: str) -> None:
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
 
