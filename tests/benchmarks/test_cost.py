@@ -81,8 +81,22 @@ def untrue(kept: measurement.Figures, fresh: measurement.Figures) -> list[str]:
     return list(figures.differences({**kept, "targets": only}, {**kept, **fresh}, TOLERANCE))
 
 
-@every_level
-@every_target
+QUICK = {("Cortex-M4", "-Os"), ("ATmega328P", "-Os")}
+"""Measured in every run of the tests: one target that Unicorn emulates, and the one that simavr does."""
+
+
+@pytest.mark.parametrize(
+    ("target", "level"),
+    [
+        pytest.param(
+            *(target, level),
+            id=f"{target.name}-{level}",
+            marks=() if (target.name, level) in QUICK else pytest.mark.slow,
+        )
+        for target in TARGETS
+        for level in LEVELS
+    ],
+)
 def test_the_kept_figures_are_what_is_measured(target: Target, level: str, tmp_path: Path) -> None:
     usable(target)
     kept_with = KEPT["compilers"][target.name]

@@ -25,7 +25,7 @@ from mcp_asdf.robot import Config, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from support import CORE, ROOT, require, run
+from support import CORE, PATIENCE, ROOT, require, run
 
 PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
@@ -243,7 +243,7 @@ def answers(command: list[str | Path], given: Iterable[bytes], size: int, greeti
     """
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as machine:
         assert machine.stdout
-        deadline = threading.Timer(60, machine.kill)
+        deadline = threading.Timer(PATIENCE, machine.kill)
         deadline.start()
         sent = machine.stdout.read(greeting)
         writer = threading.Thread(target=write, args=(machine, given))

@@ -10,9 +10,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from mcp_asdf_tools.cli import swarm as swarm_command
+from mcp_asdf_tools.swarm import connection, remote_robot
 from socketcan.guest import why_not_native
 from socketcan.relay import REPORTS, Reporter, reports_of
 from socketcan.vcan import Vcan, interfaces
+from support import PATIENCE
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -45,6 +48,17 @@ def one_cpu() -> Iterator[None]:
     os.sched_setaffinity(0, {min(allowed)})
     yield
     os.sched_setaffinity(0, allowed)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give processes the time that they take to start and to answer in an emulator on a busy machine.
+
+    A driver that has waited for half of the time says a command again, which makes another log.
+    """
+    monkeypatch.setattr(swarm_command, "_STARTING_TIMEOUT", PATIENCE)
+    monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", PATIENCE)
+    monkeypatch.setattr(connection, "TIMEOUT", PATIENCE)
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from support import ROOT, require, run
+from support import PATIENCE, ROOT, require, run
 
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""
@@ -98,7 +98,7 @@ class CNode:
 
     def summary(self, status: int = 0) -> dict[str, Any]:
         """Its last line, when it has ended by itself with ``status``."""
-        printed, complaints = self.process.communicate(timeout=60)
+        printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
         assert not complaints or status
         (line,) = printed.splitlines()

@@ -33,7 +33,7 @@ from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from support import ROOT, require, run
+from support import PATIENCE, ROOT, require, run
 from targets import firmware_loop, matrix
 from targets.firmware_loop import (
     BOARDS,
@@ -54,7 +54,6 @@ FILTER_PERIOD = 25
 SEED = 20261121
 TICKS = {"cortex-m3": 150, "cortex-m4": 50, "rv32imc": 150}
 """Of lockstep; `make loop` runs 5000."""
-TIMEOUT = 30.0
 PACE = 400
 SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
 SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
@@ -102,7 +101,7 @@ class Line:
         self._socket = socket.socket()
         if receive_buffer is not None:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
-        self._socket.settimeout(TIMEOUT)
+        self._socket.settimeout(PATIENCE)
         self._socket.connect((host, int(port)))
 
     def __enter__(self) -> Line:
@@ -127,13 +126,13 @@ class Line:
         """All that comes until everything sent has been answered, and the answer to a last request."""
         text = b""
         self._socket.settimeout(1)
-        for _ in range(int(TIMEOUT)):
+        for _ in range(int(PATIENCE)):
             self.send(b"V\r")  # it may find no room either
             with suppress(TimeoutError):
                 while more := self._socket.recv(1 << 16):
                     text += more
             if text.endswith(b"V1001\r"):
-                self._socket.settimeout(TIMEOUT)
+                self._socket.settimeout(PATIENCE)
                 return text
         raise AssertionError(f"the image does not answer; the last it said is {text[-100:]!r}")
 
@@ -517,7 +516,7 @@ class Wires:
 
     def __init__(self, board: Board, adapter: SlcanServer) -> None:
         ports = (int(board.channel.rpartition(":")[2]), adapter.port)
-        self._ends = [socket.create_connection(("127.0.0.1", port), TIMEOUT) for port in ports]
+        self._ends = [socket.create_connection(("127.0.0.1", port), PATIENCE) for port in ports]
         for end in self._ends:
             end.settimeout(None)
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -48,6 +48,7 @@ from mcp_asdf_tools.swarm.settings import Settings, make_world, robot_records
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from node_thread import join, meanwhile, node_in_a_thread
+from support import PATIENCE
 from wire import Wire, record
 
 ID = 3
@@ -584,7 +585,7 @@ def radio(options: str) -> int:
 
 def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     report, log = tmp_path / "report.json", tmp_path / "run.log"
-    options = f"{CONTROLLER} --verify --ticks 20 --timeout 20 --json --report {report} --log {log}"
+    options = f"{CONTROLLER} --verify --ticks 20 --timeout {PATIENCE} --json --report {report} --log {log}"
     with node_in_a_thread(f"{CONTROLLER} --lockstep"):
         assert radio(options) == 0
     content = json.loads(capsys.readouterr().out)
@@ -608,7 +609,7 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
 ) -> None:
     report = tmp_path / "report.md"
     with node_in_a_thread(f"{CONTROLLER} --lockstep --b-hat 0.56"):
-        assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout 20 --report {report}") == 1
+        assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout {PATIENCE} --report {report}") == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert 'FAILED: 0 of 19 phases passed; first in phase "nothing wrong", tick 0: estimate: the co' in shown
     assert "**FAILED: 0 of 19 phases passed" in report.read_text()
@@ -639,8 +640,8 @@ def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[
     choice, own = multicast(9), record(3, "native", 0.55)
     log = tmp_path / "run.log"
     with choice.open() as bus, start_nodes([own], lambda robot: choice, Subjects(), 10) as nodes:
-        Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
-        options = f"{CONTROLLER} --verify --ticks 20 --timeout 30 --log {log}"
+        Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
+        options = f"{CONTROLLER} --verify --ticks 20 --timeout {PATIENCE} --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0
     assert "PASSED: 19 of 19 phases passed" in capsys.readouterr().out
     assert nodes.reports[3]["results"]["ticks"] == 20 * len(PHASES)
@@ -675,7 +676,7 @@ def test_neighbours_in_real_time_hear_and_are_heard(
 def speak_as(*senders: int) -> None:
     """Let other nodes say something once the radio is at work."""
     with join() as bus:
-        while (frame := bus.recv(60)) is not None and frame.arbitration_id & 0x7F != 4:
+        while (frame := bus.recv(PATIENCE)) is not None and frame.arbitration_id & 0x7F != 4:
             pass
         for sender in senders:
             bus.send(encode(Message(sender, 7, 0, 0), FrameFormat()), timeout=1)

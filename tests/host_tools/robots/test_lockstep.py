@@ -37,6 +37,7 @@ from mcp_asdf_tools.robots.node_run import state_of
 from mcp_asdf_tools.robots.processes import start_nodes
 from multicast import multicast
 from robots import ALPHA_ONE
+from support import PATIENCE
 from wire import Wire, node, record
 
 COLOURS = (*Observation, None)
@@ -265,7 +266,7 @@ def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
     assert [frame for frame in seen if not frame.is_rx] == wire.sent
     assert [frame.is_rx for frame in seen] == [False, False, *[True] * 4, False, False, True, True]
     with pytest.raises(ZeroDivisionError):
-        lockstep.wait_until_up({3}, 60)
+        lockstep.wait_until_up({3}, PATIENCE)
 
 
 def decoded(frame: can.Message) -> Command:
@@ -399,8 +400,8 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
     twins = Wire(*(RobotNode(each.make(), NodeSettings(each.id)) for each in records))
     draw, ids = random.Random(3), (0, 7)
     with choice.open() as bus, start_nodes(records, lambda robot: choice, Subjects(), 10) as nodes:
-        lockstep, model = Lockstep(bus, timeout=30, check=nodes.check), Lockstep(twins)
-        lockstep.wait_until_up(ids, 60)
+        lockstep, model = Lockstep(bus, timeout=PATIENCE, check=nodes.check), Lockstep(twins)
+        lockstep.wait_until_up(ids, PATIENCE)
         for tick in range(60):
             z = {robot: draw.choice(COLOURS) for robot in ids}
             due = ids if tick % 2 else (0,)
@@ -424,7 +425,7 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
     ):
         lockstep = Lockstep(bus, check=nodes.check)
         with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: .*memory is 63"):
-            lockstep.wait_until_up({3}, 60)
+            lockstep.wait_until_up({3}, PATIENCE)
     assert nodes.reports == {}
 
 
@@ -432,11 +433,11 @@ def test_processes_end_when_whoever_started_them_dies() -> None:
     """Their standard input ends then; nothing else tells them."""
     choice = multicast(3)
     with choice.open() as bus, start_nodes([record(3)], lambda robot: choice, Subjects(), 10) as nodes:
-        Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
+        Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
         (process,) = nodes._processes.values()
         assert process.stdin is not None
         process.stdin.close()
-        assert process.wait(30) == 0
+        assert process.wait(PATIENCE) == 0
         process.stdin = None
 
 

@@ -56,6 +56,7 @@ from mcp_asdf_tools.swarm.settings import Deployment, Settings
 from mcp_asdf_tools.swarm.summary import parameters, summary
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.tables.thresholds import generate
+from support import interruptible
 
 SMALL = ("--robots", "4", "--ticks", "30", "--filter-period", "10")
 EXACT = ("native", "mirror")
@@ -668,6 +669,7 @@ def raise_interrupt(swarm: Swarm) -> None:
 
 
 @pytest.mark.parametrize("interrupt", [press_ctrl_c, raise_interrupt])
+@interruptible()
 def test_ctrl_c_saves_what_is_done(
     interrupt: Callable[[Swarm], None],
     capsys: pytest.CaptureFixture[str],
