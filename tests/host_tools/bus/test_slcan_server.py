@@ -23,7 +23,7 @@ from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from robots import ALPHA_ONE
-from support import PATIENCE
+from support import PATIENCE, interruptible
 
 CHANNEL = "slcan test"
 
