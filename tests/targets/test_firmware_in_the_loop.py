@@ -33,7 +33,7 @@ from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from support import PATIENCE, ROOT, require, run
+from support import PATIENCE, ROOT, made_once, require, run
 from targets import firmware_loop, matrix
 from targets.firmware_loop import (
     BOARDS,
@@ -52,8 +52,6 @@ from targets.slow_line import SlowLine
 
 FILTER_PERIOD = 25
 SEED = 20261121
-TICKS = {"cortex-m3": 150, "cortex-m4": 50, "rv32imc": 150}
-"""Of lockstep; `make loop` runs 5000."""
 PACE = 400
 SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
 SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
@@ -69,13 +67,13 @@ one_of_each = pytest.mark.parametrize("target", ["cortex-m3", "rv32imc"])
 @pytest.fixture(scope="module")
 def image_of(tmp_path_factory: pytest.TempPathFactory) -> Builder:
     """Builds the image for a target, once; skips the test if that is impossible here."""
-    built: dict[str, Path] = {}
 
     def image(target: str) -> Path:
         require("ninja", "ninja-build")
-        if target not in built:
-            built[target] = build(target, tmp_path_factory.mktemp(target), FILTER_PERIOD)
-        return built[target]
+        folder = made_once(
+            tmp_path_factory, f"loop {target}", lambda folder: build(target, folder, FILTER_PERIOD)
+        )
+        return folder / "slcan_robot"
 
     return image
 
@@ -152,13 +150,14 @@ def model() -> Model:
 
 
 @every_target
-def test_in_lockstep_every_frame_is_the_mirror_s(target: str, board: Board) -> None:
+@pytest.mark.parametrize("ticks", [50, pytest.param(500, marks=pytest.mark.slow)])
+def test_in_lockstep_every_frame_is_the_mirror_s(target: str, ticks: int, board: Board) -> None:
+    """`make loop` runs 5000 ticks."""
     with open_bus(board) as bus:
         loop = Loop(*over(bus), FILTER_PERIOD)
         loop.start()
-        for _ in range(TICKS[target]):
+        for _ in range(ticks):
             loop.tick()
-    ticks = TICKS[target]
     assert loop.compared == 1 + 2 * ticks + (ticks - 1) // 10
     assert loop.mirror.robot.counters.updates > 0, "nothing was tried that the filter does"
     assert loop.mirror.robot.counters.accepted == 9 * ticks
@@ -369,7 +368,10 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The robot for this computer, on standard input and output, built to stop at every undefined act."""
     require("ninja", "ninja-build")
     sanitize = "-fsanitize=address,undefined -fno-sanitize-recover=all"
-    return build("host", tmp_path_factory.mktemp("host"), FILTER_PERIOD, flags=sanitize)
+    folder = made_once(
+        tmp_path_factory, "loop host", lambda folder: build("host", folder, FILTER_PERIOD, flags=sanitize)
+    )
+    return folder / "slcan_robot"
 
 
 @pytest.mark.parametrize("number", range(4))
