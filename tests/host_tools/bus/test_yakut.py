@@ -49,6 +49,7 @@ def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
     require("yakut")
     command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
     endless = ["--filter-period", "1000", "--ticks", "100000000", "--slcan", "0", *options]
+    endless += ["--clock", "real-time", "--ticks-per-second", "200"]
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
     with interruptible():
         started = subprocess.Popen(command + endless, env=environment, stdout=quiet, stderr=told, text=True)

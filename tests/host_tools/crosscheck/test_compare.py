@@ -535,6 +535,7 @@ EQUIVALENT = {
 """Constants whose last bit makes no difference: function, part of the line, and value."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", functions())
 def test_the_last_bit_of_every_constant_of_the_mirror_matters(function: str) -> None:
     module = {module.__name__.rpartition(".")[2]: module for module in SOURCES}[function.partition(".")[0]]
@@ -1003,12 +1004,12 @@ MESSAGES = [None] * 127
     ("robot", "axis", "told"),
     [
         (GrowingRobot, "m", "operations"),
-        (GrowingRobot, "m", "lines executed"),
+        pytest.param(GrowingRobot, "m", "lines executed", marks=pytest.mark.slow),
         (LoopingRobot, "m", "lines executed"),
-        (LoopingRobot, "m", "uses range,"),
-        (BareRobot, "m", "lines executed"),
-        (OneLineRobot, "m", "lines executed"),
-        (HiddenRobot, "m", "uses range, sum,"),
+        pytest.param(LoopingRobot, "m", "uses range,", marks=pytest.mark.slow),
+        pytest.param(BareRobot, "m", "lines executed", marks=pytest.mark.slow),
+        pytest.param(OneLineRobot, "m", "lines executed", marks=pytest.mark.slow),
+        pytest.param(HiddenRobot, "m", "uses range, sum,", marks=pytest.mark.slow),
         (EndlessRobot, "t", "lines executed"),
     ],
 )

@@ -44,9 +44,19 @@ def test_the_reference_is_whole() -> None:
 
 
 def test_the_authors_conventions_have_the_scores_of_their_simulation() -> None:
+    """One configuration of those that have thirty trials there."""
+    compare_with_authors([next(cell for cell in CELLS if len(cell.scores) == 30)])
+
+
+@pytest.mark.slow
+def test_the_authors_conventions_have_all_scores_of_their_simulation() -> None:
     """Half of the configurations that have thirty trials there."""
     cells = [cell for cell in CELLS if len(cell.scores) == 30][::2]
     assert {cell.experiment.mode for cell in cells} == set(Mode)
+    compare_with_authors(cells)
+
+
+def compare_with_authors(cells: list[fidelity.Cell]) -> None:
     authors = [replace(cell, experiment=by_authors(cell.experiment)) for cell in cells]
     corrected = fidelity.holm(np.ravel(fidelity.compare(authors, FEW)).tolist())
     assert min(corrected) >= fidelity.LEVEL, REPLAY
@@ -59,7 +69,7 @@ def test_the_comparison_notices_another_experiment(change: dict[str, float | Mod
     assert min(fidelity.p_values(fidelity.simulate(other, 6), cell.scores)) < 1e-4
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("moving", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_native_has_the_scores_of_float64(moving: bool) -> None:
     cell = cell_of(Mode.ASDF_PLUS, 0.95, 0.55) if moving else fidelity.read_cells()[0]
     native = fidelity.simulate(cell.experiment, 40)
