@@ -49,7 +49,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from node_thread import join, meanwhile, node_in_a_thread
 from support import PATIENCE
-from wire import Wire, record
+from wire import Wire, record, still
 
 ID = 3
 TICKS = 25
@@ -199,7 +199,8 @@ def judge(
     controller: RobotNode, plan: RadioSettings | None = None, phases: Sequence[Phase] = PHASES
 ) -> Verdict:
     """What the judge says of a controller."""
-    return Verification(plan or settings(), Bench(Wire(controller), TICKS, 0.05), phases).run()
+    with still():
+        return Verification(plan or settings(), Bench(Wire(controller), TICKS, 0.05), phases).run()
 
 
 def obedient(firmware: str = "native") -> RobotNode:
@@ -249,6 +250,7 @@ def test_a_phase_in_which_nothing_happens_proves_nothing() -> None:
     assert [phase.name for phase in verdict.phases if phase.outcome == "nothing happened"] == ["loss"]
 
 
+@still()
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     controller, done = obedient(), list[int]()
     bench = Bench(
@@ -261,6 +263,7 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     assert (controller.ticks, controller.is_settled) == (TICKS + 3, True)
 
 
+@still()
 def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     """An observe and a settle of the first phase."""
 
@@ -284,6 +287,7 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     assert "twice" not in headline(judge(obedient()).plain())
 
 
+@still()
 def test_a_bus_that_fails_ends_a_verification() -> None:
     class Failing(Wire):
         def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -585,7 +589,7 @@ def radio(options: str) -> int:
 
 def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     report, log = tmp_path / "report.json", tmp_path / "run.log"
-    options = f"{CONTROLLER} --verify --ticks 20 --timeout {PATIENCE} --json --report {report} --log {log}"
+    options = f"{CONTROLLER} --verify --ticks 20 --timeout 20 --json --report {report} --log {log}"
     with node_in_a_thread(f"{CONTROLLER} --lockstep"):
         assert radio(options) == 0
     content = json.loads(capsys.readouterr().out)
@@ -609,7 +613,7 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
 ) -> None:
     report = tmp_path / "report.md"
     with node_in_a_thread(f"{CONTROLLER} --lockstep --b-hat 0.56"):
-        assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout {PATIENCE} --report {report}") == 1
+        assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout 20 --report {report}") == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert 'FAILED: 0 of 19 phases passed; first in phase "nothing wrong", tick 0: estimate: the co' in shown
     assert "**FAILED: 0 of 19 phases passed" in report.read_text()
@@ -625,6 +629,7 @@ def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
     assert "robot 3 did not say that it is there within 0.05 s" in " ".join(capsys.readouterr().out.split())
 
 
+@still()
 def test_a_controller_may_be_started_afterwards() -> None:
     controller = obedient()
     wire = Wire(controller)  # it says at once that it is there
@@ -641,7 +646,7 @@ def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[
     log = tmp_path / "run.log"
     with choice.open() as bus, start_nodes([own], lambda robot: choice, Subjects(), 10) as nodes:
         Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
-        options = f"{CONTROLLER} --verify --ticks 20 --timeout {PATIENCE} --log {log}"
+        options = f"{CONTROLLER} --verify --ticks 20 --timeout 30 --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0
     assert "PASSED: 19 of 19 phases passed" in capsys.readouterr().out
     assert nodes.reports[3]["results"]["ticks"] == 20 * len(PHASES)
