@@ -8,11 +8,13 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from _pytest.mark import ParameterSet
 
 ROOT = Path(__file__).parents[1]
 HEADER = ROOT / "c_ref/src/mcp_asdf.h"
@@ -43,6 +45,12 @@ def require(tool: str, packages: str | None = None) -> str:
     if shutil.which(tool, path=PATH) is None:
         pytest.skip(f"{tool} is not installed: {f'apt-get install {packages}' if packages else 'make setup'}")
     return tool
+
+
+def slow(values: Iterable[Any]) -> list[ParameterSet]:
+    """Values of a parametrisation, each for ``make verify``."""
+    each = (value if isinstance(value, tuple) else (value,) for value in values)
+    return [pytest.param(*value, marks=pytest.mark.slow) for value in each]
 
 
 @contextmanager

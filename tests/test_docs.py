@@ -89,6 +89,9 @@ SLOW = {
     "mcp-asdf crosscheck --steps 5000 --seed 7",
     "mcp-asdf crosscheck --steps 2000",
     "mcp-asdf crosscheck --steps 1000 --plot operations.png",
+    "mcp-asdf crosscheck --steps 1000 --json",
+    "mcp-asdf plot alpha.svg --kind alpha",
+    "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
 }

@@ -85,7 +85,7 @@ QUICK = {("Cortex-M4", "-Os"), ("ATmega328P", "-Os")}
 """Measured in every run of the tests: one target that Unicorn emulates, and the one that simavr does."""
 
 
-@pytest.mark.parametrize(
+some_cells = pytest.mark.parametrize(
     ("target", "level"),
     [
         pytest.param(
@@ -97,6 +97,9 @@ QUICK = {("Cortex-M4", "-Os"), ("ATmega328P", "-Os")}
         for level in LEVELS
     ],
 )
+
+
+@some_cells
 def test_the_kept_figures_are_what_is_measured(target: Target, level: str, tmp_path: Path) -> None:
     usable(target)
     kept_with = KEPT["compilers"][target.name]
@@ -205,8 +208,7 @@ def off_by(part: measurement.Figures, place: Place, factor: float) -> Iterator[N
     numbers[last] = right
 
 
-@every_level
-@every_target
+@some_cells
 def test_every_figure_that_is_off_is_told(target: Target, level: str) -> None:
     fresh = {**KEPT, "targets": {target.name: KEPT["targets"][target.name]}}
     kept = copy.deepcopy(fresh)

@@ -18,7 +18,7 @@ import pytest
 
 from c_ref.consumer import CONSUMER, answer, version_of_header
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
-from support import CORE, HEADER, ROOT, TABLE, require, run
+from support import CORE, HEADER, ROOT, TABLE, require, run, slow
 
 BUILD = """
 cmake_minimum_required(VERSION 3.21)
@@ -73,7 +73,11 @@ def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return (folder / "first").rename(folder / "second")
 
 
-@pytest.fixture(params=[("LIBDIR",), ("INCLUDEDIR",), ("LIBDIR", "INCLUDEDIR")], ids="-".join)
+@pytest.fixture(
+    params=[pytest.param(name, marks=pytest.mark.slow) for name in [("LIBDIR",), ("INCLUDEDIR",)]]
+    + [("LIBDIR", "INCLUDEDIR")],
+    ids="-".join,
+)
 def absolute(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Where the library was installed to by a distribution that gives some folders as absolute paths."""
     place = tmp_path / "installed"
@@ -220,7 +224,7 @@ LONG_DIVISION = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod")
 FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
 
 
-@pytest.mark.parametrize("optimisation", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("optimisation", ["-Os", *slow(["-O0", "-O2"])])
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("source", [CORE, IMAGE, FRAME], ids=lambda path: path.stem)
 def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from support import PATIENCE, ROOT, made_once, require, run
+from support import PATIENCE, ROOT, made_once, require, run, slow
 from targets import firmware_loop, matrix
 from targets.firmware_loop import (
     BOARDS,
@@ -436,7 +436,7 @@ def test_a_lost_command_costs_its_tick_and_no_other(target: str, board: Board) -
     assert health and set(health[1:]) == {Health.ADVISORY}
 
 
-@one_of_each
+@pytest.mark.parametrize("target", ["cortex-m3", *slow(["rv32imc"])])
 def test_a_flood_with_noise_is_dropped_counted_and_survived(target: str, board: Board) -> None:
     """A hundred lines more a tick are a thousand a second at ten ticks; here they come as fast as they go."""
     told, talk = model(), Talk(SEED)

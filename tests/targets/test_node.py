@@ -44,7 +44,9 @@ CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 
 BOTH = [Observation.WHITE, Observation.BLACK]
 
 
-@pytest.fixture(scope="module", params=[HOST, CORTEX_A8], ids=lambda kind: kind.name)
+@pytest.fixture(
+    scope="module", params=[HOST, pytest.param(CORTEX_A8, marks=pytest.mark.slow)], ids=lambda kind: kind.name
+)
 def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     kind: Kind = request.param
     return built(kind, tmp_path_factory)
@@ -552,6 +554,7 @@ def test_accuracies_are_read_as_python_reads_them(start: Start, bus: UnixBus) ->
 # ---- The sources ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", C_FILES, ids=lambda path: path.name)
 def test_clang_tidy_finds_nothing(path: Path) -> None:
     run(require("clang-tidy"), "--quiet", path, "--", "-std=c99", *DEFINITIONS)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from support import CORE, ROOT, require, run
+from support import CORE, ROOT, require, run, slow
 from targets import matrix
 from targets.golden_scenarios import edge_scenarios, run_scenarios
 from targets.golden_vectors import encode, explain
@@ -29,8 +29,8 @@ PORTS = sorted(
 )
 
 
-ALIKE = {"cortex-m4", "rv32imac"}
-"""Targets that compute by the same choices as another one of their family."""
+ALIKE = {"cortex-m3", "cortex-m4", "rv32imac"}
+"""Targets whose core computes by the same choices as another one's or this computer's."""
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,10 @@ def check_contents(image: Path) -> None:
     assert ours - OUR_SOURCES <= {path.name for path in PORTS}
 
 
-@pytest.mark.parametrize("choice", [choice for choice in CHOICES if choice != "own"])
+@pytest.mark.parametrize(
+    "choice",
+    ["divide by bits", *slow(choice for choice in CHOICES if choice not in ("own", "divide by bits"))],
+)
 def test_this_computer_computes_the_same_by_every_choice(choice: str) -> None:
     require("ninja", "ninja-build")
     verdict, details = matrix.result_of(Cell(HOST, choice=choice))
@@ -274,7 +277,7 @@ FAULTS = [
 
 @pytest.mark.parametrize(
     ("right", "wrong", "first"),
-    [*FAULTS[:2], *(pytest.param(*fault, marks=pytest.mark.slow) for fault in FAULTS[2:])],
+    [*FAULTS[:2], *slow(FAULTS[2:])],
 )
 def test_a_planted_fault_is_found_at_its_first_call(
     right: str, wrong: str, first: str, tmp_path: Path

@@ -1010,7 +1010,7 @@ MESSAGES = [None] * 127
         pytest.param(BareRobot, "m", "lines executed", marks=pytest.mark.slow),
         pytest.param(OneLineRobot, "m", "lines executed", marks=pytest.mark.slow),
         pytest.param(HiddenRobot, "m", "uses range, sum,", marks=pytest.mark.slow),
-        (EndlessRobot, "t", "lines executed"),
+        pytest.param(EndlessRobot, "t", "lines executed", marks=pytest.mark.slow),
     ],
 )
 def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, told: str) -> None:
