@@ -73,16 +73,12 @@ def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return (folder / "first").rename(folder / "second")
 
 
-@pytest.fixture(
-    params=[pytest.param(name, marks=pytest.mark.slow) for name in [("LIBDIR",), ("INCLUDEDIR",)]]
-    + [("LIBDIR", "INCLUDEDIR")],
-    ids="-".join,
-)
+@pytest.fixture(params=["LIBDIR-INCLUDEDIR", *slow(["LIBDIR", "INCLUDEDIR"])])
 def absolute(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Where the library was installed to by a distribution that gives some folders as absolute paths."""
     place = tmp_path / "installed"
     names = {"LIBDIR": "lib/machine", "INCLUDEDIR": "include/here"}
-    folders = [f"-DCMAKE_INSTALL_{name}={place / names[name]}" for name in request.param]
+    folders = [f"-DCMAKE_INSTALL_{name}={place / names[name]}" for name in request.param.split("-")]
     cmake("-S", ROOT / "c_ref", "-B", tmp_path / "made", f"-DCMAKE_INSTALL_PREFIX={place}", *folders)
     cmake("--build", tmp_path / "made")
     cmake("--install", tmp_path / "made")

@@ -34,7 +34,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from support import PATIENCE, ROOT, require, run
+from support import PATIENCE, ROOT, require, run, slow
 from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
 from targets.unix_bus import Peer, UnixBus
 
@@ -44,9 +44,7 @@ CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 
 BOTH = [Observation.WHITE, Observation.BLACK]
 
 
-@pytest.fixture(
-    scope="module", params=[HOST, pytest.param(CORTEX_A8, marks=pytest.mark.slow)], ids=lambda kind: kind.name
-)
+@pytest.fixture(scope="module", params=[HOST, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
 def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     kind: Kind = request.param
     return built(kind, tmp_path_factory)

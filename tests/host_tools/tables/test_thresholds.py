@@ -171,7 +171,7 @@ def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
     assert wrong_entries(table, Decimal(omega)) == []
 
 
-@pytest.mark.parametrize(("omega", "q"), SHIPPED + EDGES + slow(random_cases(40, seed=2)))
+@pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES, *slow(random_cases(40, seed=2))])
 def test_the_firmware_accepts_every_table(omega: str, q: int) -> None:
     table = generate(Decimal(omega), q)
     assert Table.from_words(table.words()) == table
