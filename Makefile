@@ -40,7 +40,7 @@ cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks.cost --write
 
 targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
-	@$(BIN)/python tests/targets/matrix.py
+	@PYTHONPATH=tests $(BIN)/python -m targets.matrix
 
 loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bit compared, and measure its rate
 	@$(BIN)/python tests/targets/firmware_loop.py

@@ -372,8 +372,9 @@ def test_the_cell_passes(cell: Cell) -> None:
 
 def test_a_matrix_without_tools_fails() -> None:
     """Everything is left out, with the reason; that nothing went wrong is not a success."""
-    command = [sys.executable, str(matrix.__file__)]
-    done = subprocess.run(command, env={"PATH": "/nonexistent"}, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "targets.matrix"]
+    nothing = {"PATH": "/nonexistent", "PYTHONPATH": str(ROOT / "tests")}
+    done = subprocess.run(command, env=nothing, capture_output=True, text=True, check=False)
     *cells, summary = done.stdout.splitlines()
     assert (done.returncode, done.stderr, summary) == (1, "", f"{len(cells)} left out")
     assert len(cells) == len(CELLS) >= 2 * (len(TARGETS) + 1) * len(matrix.LEVELS)
