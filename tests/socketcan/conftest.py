@@ -25,6 +25,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before ``-m`` chooses among them: a guest takes minutes, this machine's kernel seconds."""
+    ours = [item for item in items if item.get_closest_marker("socketcan")]
+    if ours and REPORTS not in os.environ and why_not_native():
+        for item in ours:
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     if item.get_closest_marker("socketcan") is None or REPORTS in os.environ or not why_not_native():
         return None

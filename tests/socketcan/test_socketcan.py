@@ -61,9 +61,7 @@ def start(build: Callable[[Kind], list[str]], vcan: Vcan) -> Iterator[Start]:
 # ---- Robots together ----
 
 
-@pytest.mark.parametrize(
-    "kind", [PLAIN, pytest.param(CORTEX_A8, marks=pytest.mark.slow)], ids=lambda kind: kind.name
-)
+@pytest.mark.parametrize("kind", [PLAIN, CORTEX_A8], ids=lambda kind: kind.name)
 def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
     kind: Kind, start: Start, vcan: Vcan, tmp_path: Path
 ) -> None:
@@ -92,7 +90,6 @@ def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
         assert figures["received"] - figures["others"] == len(needed)
 
 
-@pytest.mark.slow
 def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     with vcan.bus() as bus:
@@ -115,7 +112,6 @@ def is_command_to(robot: int, frame: can.Message) -> bool:
     return isinstance(command, Command) and command.target == robot
 
 
-@pytest.mark.slow
 def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
     robots, ticks = range(8), 15
     with vcan.bus() as bus:
@@ -130,7 +126,6 @@ def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
 # ---- What the kernel is asked for ----
 
 
-@pytest.mark.slow
 def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) -> None:
     node = start(0, "--lockstep", "--ticks", 1)
     of_node_0: CanFilters = [{"can_id": 0, "can_mask": NODE_BITS, "extended": True}]
@@ -157,7 +152,6 @@ def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) ->
     assert (figures["received"], figures["heard"], figures["obeyed"]) == (3, 1, 2)
 
 
-@pytest.mark.slow
 def test_frames_that_overflow_the_receive_buffer_are_counted(
     start: Start, vcan: Vcan, tmp_path: Path
 ) -> None:
@@ -188,12 +182,10 @@ def wait_for(bus: can.BusABC, frames: int) -> None:
 # ---- Faults ----
 
 
-@pytest.mark.slow
 def test_an_interface_may_go_down_and_up(start: Start, vcan: Vcan, tmp_path: Path) -> None:
     check_interruption(start, vcan, tmp_path, lambda: vcan.set("down"), lambda: vcan.set("up"))
 
 
-@pytest.mark.slow
 def test_an_interface_may_vanish_and_come_back(start: Start, vcan: Vcan, tmp_path: Path) -> None:
     check_interruption(start, vcan, tmp_path, vcan.delete, vcan.add)
 
@@ -221,7 +213,6 @@ def check_interruption(
     assert figures["t"] == figures["ticks"] >= 20
 
 
-@pytest.mark.slow
 def test_error_frames_of_the_controller_are_heard(start: Start, vcan: Vcan) -> None:
     node = start(0, "--lockstep", "--rate", 1)
     told: list[Health] = []
@@ -242,7 +233,6 @@ def health_in(frame: can.Message) -> list[Health]:
     return [heartbeat.health] if isinstance(heartbeat, Heartbeat) else []
 
 
-@pytest.mark.slow
 def test_a_full_send_queue_costs_frames_but_no_tick(start: Start, vcan: Vcan, tmp_path: Path) -> None:
     text = tmp_path / "observations"
     text.write_text("1" * 60, encoding="ascii")

@@ -56,7 +56,6 @@ def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_h
     assert len(told) == 20 * (5 + 1 + 2)
 
 
-@pytest.mark.slow
 def test_twenty_robots_with_an_interface_each_leave_the_same_log(
     tmp_path: Path, simulated: list[str]
 ) -> None:
@@ -65,7 +64,6 @@ def test_twenty_robots_with_an_interface_each_leave_the_same_log(
         assert logged(tmp_path, "--interface", "socketcan", "--channel", f"{name}{{robot}}") == simulated
 
 
-@pytest.mark.slow
 def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, tmp_path: Path) -> None:
     settings = ("swarm", "--robots", "2", "--ticks", "10", "--filter-period", "4", "--quiet", "--log")
     many, one = tmp_path / "many.log", tmp_path / "one.log"
@@ -76,7 +74,6 @@ def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, t
     assert len(estimates(many)) == 20
 
 
-@pytest.mark.slow
 def test_the_c_node_is_a_robot_of_an_emulated_swarm(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -114,7 +111,6 @@ def lines(log: Path) -> list[str]:
         return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in reader]
 
 
-@pytest.mark.slow
 def test_127_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan: Vcan) -> None:
     rounds, draw = 20, random.Random(9)
     robots = [NativeRobot(Config(filter=Filter.OFF), robot, draw.uniform(0.6, 0.99)) for robot in range(127)]
