@@ -81,8 +81,8 @@ def untrue(kept: measurement.Figures, fresh: measurement.Figures) -> list[str]:
     return list(figures.differences({**kept, "targets": only}, {**kept, **fresh}, TOLERANCE))
 
 
-QUICK = {("Cortex-M4", "-Os"), ("ATmega328P", "-Os")}
-"""Measured in every run of the tests: one target that Unicorn emulates, and the one that simavr does."""
+QUICK = {("ATmega328P", "-Os")}
+"""Measured in every run of the tests."""
 
 
 some_cells = pytest.mark.parametrize(

@@ -244,8 +244,11 @@ def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str
 # --- Added, fetched, found -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("folder", [ROOT, ROOT / "c_ref"], ids=["root", "c_ref"])
-@pytest.mark.parametrize("get", [ADD, FETCH], ids=["add_subdirectory", "FetchContent"])
+@pytest.mark.parametrize(
+    ("get", "folder"),
+    [(ADD, ROOT), (FETCH, ROOT / "c_ref"), *slow([(ADD, ROOT / "c_ref"), (FETCH, ROOT)])],
+    ids=["added root", "fetched c_ref", "added c_ref", "fetched root"],
+)
 def test_cmake_builds_it_from_source(get: str, folder: Path, project: Path, expected: str) -> None:
     built = build(project, get.format(folder))
     assert run(built / "consumer") == expected

@@ -374,7 +374,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "slcan_robot"
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", [0, 1, *slow([2, 3])])
 def test_whatever_comes_in_the_robot_says_what_its_model_says(program: Path, number: int) -> None:
     seed = SEED + number
     talk, chance = Talk(seed), random.Random(seed)
@@ -562,6 +562,7 @@ def cortex_m3(image_of: Builder) -> Path:
     return image_of("cortex-m3")
 
 
+@pytest.mark.slow
 def test_no_byte_is_lost_at_230400_baud(cortex_m3: Path) -> None:
     """At 25 MHz a byte takes 1085 cycles then: more than two an instruction, the interrupt's included."""
     line, told, talk = slow_line(cortex_m3), model(), Talk(SEED)

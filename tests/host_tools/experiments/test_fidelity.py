@@ -14,6 +14,7 @@ import pytest
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode
 from mcp_asdf_tools.world.arenas import make_arena
+from support import slow
 
 CELLS = fidelity.read_cells(seed=1, path=fidelity.PHYSICS)
 FEW = 10
@@ -62,7 +63,7 @@ def compare_with_authors(cells: list[fidelity.Cell]) -> None:
     assert min(corrected) >= fidelity.LEVEL, REPLAY
 
 
-@pytest.mark.parametrize("change", [{"mode": Mode.NONE}, {"true_accuracy": 0.65}, {"flawed": 20}])
+@pytest.mark.parametrize("change", [{"mode": Mode.NONE}, *slow([{"true_accuracy": 0.65}, {"flawed": 20}])])
 def test_the_comparison_notices_another_experiment(change: dict[str, float | Mode]) -> None:
     cell = cell_of(Mode.ASDF_PLUS, 0.95, 0.55)
     other = by_authors(replace(cell.experiment, **change))  # type: ignore[arg-type]

@@ -38,6 +38,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.topology import read_graph
 from multicast import multicast
+from support import slow
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """And some more: of this process, for tests in others run at the same time."""
@@ -391,7 +392,7 @@ def test_invariants_hold_under_any_mix_of_faults(
         assert accounted == found["arrived"]
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("rate", [0.5, *slow([0.0, 0.9])])
 def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
     """All sensors are as good as they are taken for; the bounds leave room, and the seed is fixed."""
     run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, ticks=600, filter_period=200, seed=1))
@@ -499,7 +500,7 @@ def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
 # As many as there can be
 
 
-@pytest.mark.parametrize("medium", ["one bus", "one group"])
+@pytest.mark.parametrize("medium", ["one bus", *slow(["one group"])])
 def test_128_robots(medium: str) -> None:
     """More frames than a socket keeps, so they have to be read while others are still sent."""
     settings = make(robots=128, ticks=2, flawed=0.1)
