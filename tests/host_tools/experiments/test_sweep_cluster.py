@@ -69,7 +69,6 @@ def worker_processes(address: str) -> list[int]:
         return list(client.run(os.getpid).values())
 
 
-@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(cluster: str, tmp_path: Path) -> None:
     here, there = Store(tmp_path / "here.parquet", [SLOW]), Store(tmp_path / "there.parquet", [SLOW])
     victim, other = worker_processes(cluster)
@@ -124,7 +123,6 @@ def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
 
 
-@pytest.mark.slow
 def test_a_lost_cluster_is_told(tmp_path: Path) -> None:
     long = replace(SLOW, trials=500)
     store, message = Store(tmp_path / "x.parquet", [long]), "what was finished is kept"
