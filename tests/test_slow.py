@@ -1,4 +1,4 @@
-"""What is slow is run, too: ``make test`` and ``make verify`` share all tests; ``.ci/run`` counts those of both."""
+"""Slow tests are run, too: ``make test`` and ``make verify`` share all tests; ``.ci/run`` counts both."""
 
 from __future__ import annotations
 
