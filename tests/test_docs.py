@@ -41,7 +41,7 @@ RUN_ELSEWHERE = {
 """Tests that run commands of a page: the page, and what is in these commands."""
 
 HERE_WITH_MULTICAST = (
-    "mcp-asdf swarm --interface udp_multicast --processes --robots 4 --ticks 100",
+    "mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100",
     "mcp-asdf radio --id 3 --interface udp_multicast --verify --wait 60",
     "mcp-asdf node --id 3 --interface udp_multicast --lockstep",
 )
@@ -58,7 +58,7 @@ NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
 )
 NOT_RUN = {
-    f"mcp-asdf radio --id 3 --robots 10 {CAN0}": NO_CAN,
+    f"mcp-asdf radio --id 3 --robots 11 {CAN0}": NO_CAN,
     f"mcp-asdf radio --id 3 {CAN0} --verify --wait 60 --report controller.md": NO_CAN,
     f"mcp-asdf replay run.log --onto-bus {CAN0} --leave-out 3 --speed 2": NO_CAN,
     "mcp-asdf swarm --interface socketcan --channel vcan0": NO_CAN,
@@ -240,7 +240,7 @@ def test_a_node_on_one_machine_passes_the_verification() -> None:
     bus = {"CAN_CHANNEL": "239.74.163.98", "CAN_CONFIG": '{"port": 43298}'}
     radio, node = (command.split() for command in HERE_WITH_MULTICAST[1:])
     environment = {**os.environ, "PATH": PATH, **bus}
-    with subprocess.Popen([*radio, "--ticks", "3"], env=environment, stdout=subprocess.PIPE) as judge:
+    with subprocess.Popen([*radio, "--steps", "3"], env=environment, stdout=subprocess.PIPE) as judge:
         joined = "62A34AEF"  # 239.74.163.98 as the kernel writes it
         while judge.poll() is None and joined not in Path("/proc/net/igmp").read_text():
             time.sleep(0.05)

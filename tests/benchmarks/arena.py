@@ -1,6 +1,6 @@
 """How the moving world compares with the simulation it is modelled on: statistics of the motion, and speed.
 
-    python tests/benchmarks/arena.py [--trials N] [--ticks T] [--seed S] [--json] [--write docs/arena.md]
+    python tests/benchmarks/arena.py [--trials N] [--steps T] [--seed S] [--json] [--write docs/arena.md]
 
 Runs trials of the paper's dynamic setup (N = 20, D = 1) and prints every statistic beside the reference's, in
 tests/data/motion_statistics.json, with the standard error of the trials. Then it measures how many
@@ -84,7 +84,7 @@ def markdown(rows: Sequence[dict[str, object]], trials: int, ticks: int) -> str:
     return "\n".join(lines)
 
 
-def robot_ticks_per_second() -> float:
+def robot_steps_per_second() -> float:
     """The best of a few repeats, by the processor's time."""
     rates = []
     for repeat in range(SPEED_REPEATS):
@@ -108,18 +108,18 @@ def main() -> int:
     """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Compare the moving world with its model.")
     parser.add_argument("--trials", type=int, default=24, help="at least 2; default %(default)s")
-    parser.add_argument("--ticks", type=int, default=40000, help="above 500; default %(default)s")
+    parser.add_argument("--steps", type=int, default=40000, help="above 500; default %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of the first trial; default %(default)s")
     parser.add_argument("--json", action="store_true", help="print everything measured as JSON")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table between its markers")
     args = parser.parse_args()
     if args.trials < 2 or args.ticks <= 500 or args.seed < 0:
-        parser.error(f"--trials {args.trials} --ticks {args.ticks} --seed {args.seed}: at least 2, 501 and 0")
-    rate, baseline = robot_ticks_per_second(), float(REFERENCE["robot_ticks_per_second"])
+        parser.error(f"--trials {args.trials} --steps {args.ticks} --seed {args.seed}: at least 2, 501 and 0")
+    rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_steps_per_second"])
     rows = compare(args.trials, args.ticks, args.seed)
     table = markdown(rows, args.trials, args.ticks)
     if args.json:
-        everything = {"statistics": rows, "robot_ticks_per_second": rate, "baseline": baseline}
+        everything = {"statistics": rows, "robot_steps_per_second": rate, "baseline": baseline}
         print(json.dumps(everything, indent=2))
     else:
         ratio = f"{rate / baseline:.0f} times the physics simulator's {baseline:.3g}"

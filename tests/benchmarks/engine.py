@@ -26,17 +26,18 @@ from types import ModuleType
 
 from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.engine import native
-from mcp_asdf_tools.experiments.experiment import Experiment, Topology
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.settings import Topology
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 TOOLS, CORE = ROOT / "host_tools/mcp_asdf_tools", ROOT / "c_ref/src"
 ARENA, ENGINE = TOOLS / "world/arena", TOOLS / "experiments/engine"
 MODULE = "mcp_asdf_tools.experiments._engine"
 MOTION = ROOT / "tests/data/motion_statistics.json"
-FULL = Experiment(trials=1)
-MOVING = Experiment(topology=Topology.DYNAMIC, robots=20, flawed=6, latency=1, trials=1)
+FULL = Experiment(robots=10, flawed=3, steps=40_000, trials=1)
+MOVING = Experiment(topology=Topology.DYNAMIC, latency=1, steps=40_000, trials=1)
 TRIALS, FEW_TRIALS = 96, 4
 REPEATS = 10
 ARCHITECTURES = ("x86-64-v3", "x86-64-v4")
@@ -130,7 +131,7 @@ def moving(folder: Path) -> dict[str, float]:
     """The same in the moving world."""
     short = replace(MOVING, steps=400, filter_period=100, firmware="reference")
     trials = FEW_TRIALS
-    simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"])
+    simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_steps_per_second"])
     return best_of(
         {
             PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0)),

@@ -38,10 +38,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode, Topology
+from mcp_asdf_tools.common.parameters import plain_value
+from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.sweep import default_workers
+from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.world.settings import Topology
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
 REFERENCE, PHYSICS = FOLDER / "fully_connected_trials.csv", FOLDER / "dynamic_trials.csv"
@@ -90,13 +93,13 @@ def read_cells(seed: int = 1, path: Path = REFERENCE) -> list[Cell]:
                 row[name] for name in ("fill_ratio", "true_b", "flawed_b", "flawed_count", "mode", "tau")
             )
             rows.setdefault(key, []).append([float(row[name]) for name in SCORES])
-    base = Experiment(seed=seed) if path == REFERENCE else physics(seed)
+    base = Experiment(robots=10, flawed=0, steps=40_000, seed=seed) if path == REFERENCE else physics(seed)
     return [Cell(_experiment(key, base), np.array(scores)) for key, scores in rows.items()]
 
 
 def physics(seed: int) -> Experiment:
     """The setup of the authors' batch scripts, natively."""
-    return Experiment(topology=Topology.DYNAMIC, robots=20, density=1.0, latency=1, seed=seed)
+    return Experiment(topology=Topology.DYNAMIC, robots=20, steps=40_000, latency=1, seed=seed)
 
 
 def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
@@ -107,7 +110,7 @@ def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
         true_accuracy=float(true_accuracy),
         flawed_accuracy=float(flawed_accuracy),
         flawed=int(flawed),
-        mode=Mode(mode),
+        filter=Filtering(mode.replace("_", "-")),
         filter_period=int(tau) or 1000,  # 0 where nobody filters
     )
 
@@ -178,7 +181,7 @@ class Parts:
 
     def conventions(self) -> list[Row]:
         """The paper's conventions against the authors', trial by trial, where they could matter."""
-        natives = [each for each in self._natives() if each.mode is not Mode.NONE]
+        natives = [each for each in self._natives() if each.filter is not Filtering.NONE]
         return self._rows(
             "conventions",
             [by_reference(each) for each in natives],
@@ -210,8 +213,8 @@ class Parts:
 
 def _place(experiment: Experiment) -> str:
     e = experiment
-    accuracies = f"{e.fill_ratio:4g} {e.true_accuracy:4g} {e.flawed_accuracy:5g} {e.flawed:6}"
-    return f"{e.topology.value:>15} {accuracies} {e.mode.value:>10} {e.filter_period:4}"
+    accuracies = f"{e.fill_ratio:4g} {e.true_accuracy:4g} {e.flawed_accuracy:5g} {e.flawed_robots:6}"
+    return f"{plain_value(e.topology):>15} {accuracies} {e.filter.value:>10} {e.filter_period:4}"
 
 
 def show(part: str, rows: Sequence[Row]) -> None:
@@ -238,13 +241,10 @@ def conventions_table(rows: Sequence[Row]) -> str:
         if (differing := int((apart > _SAME_SCORE).sum())) == 0:
             continue
         medians = f"{np.median(row.ours[:, 2]):.2f} | {np.median(row.others[:, 2]):.2f}"
-        place = (
-            f"{e.topology.value.replace('_', ' ')} | {e.fill_ratio} | {e.true_accuracy} | {e.flawed_accuracy}"
-        )
-        lines.append(
-            f"| {place} | {e.flawed} | {e.mode.value} | {e.filter_period} | {medians} | {differing} | "
-            f"{apart.max():.2f} |"
-        )
+        topology = str(plain_value(e.topology)).replace("-", " ")
+        place = f"{topology} | {e.fill_ratio} | {e.true_accuracy} | {e.flawed_accuracy} | {e.flawed_robots}"
+        outcome = f"{medians} | {differing} | {apart.max():.2f}"
+        lines.append(f"| {place} | {e.filter.value} | {e.filter_period} | {outcome} |")
     trials, others = len(rows[0].ours), len(rows) - len(lines) + 2
     lines += ["", f"Of {trials} trials each; in the other {others} configurations none differ."]
     return "\n".join(lines)

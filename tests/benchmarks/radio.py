@@ -23,7 +23,7 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus.interfaces import WithoutEcho, wrapped
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
-from mcp_asdf_tools.swarm.settings import Settings
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 
 PORT = 30_000 + os.getpid() % 100 * 130
@@ -68,7 +68,7 @@ class Timed(can.BusABC):
         self._bus.shutdown()
 
 
-def measure(settings: Settings, open_bus: OpenBus, is_shared: bool, seconds: float) -> dict[str, Any]:
+def measure(settings: SwarmSettings, open_bus: OpenBus, is_shared: bool, seconds: float) -> dict[str, Any]:
     """The figures of one swarm, by the names of COLUMNS."""
     spent = {"send": 0.0, "receive": 0.0}
     with Swarm(settings, Wiring(lambda robot: Timed(open_bus(robot), spent), is_shared)) as swarm:
@@ -142,7 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--socketcan", metavar="CHANNEL", help="measure this one, too")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     args = parser.parse_args(arguments)
-    settings = Settings(robots=args.robots)
+    settings = SwarmSettings(robots=args.robots)
     rows = {
         name: measure(settings, open_bus, is_shared, args.seconds)
         for name, (open_bus, is_shared) in swarms(args.socketcan).items()

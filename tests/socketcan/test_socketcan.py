@@ -68,7 +68,7 @@ def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
     ticks = 25
     others = (PythonNode(vcan, 1, 0.95, filter_period=5), PythonNode(vcan, 2, 0.75, filter_period=5))
     with Candump(vcan, tmp_path) as candump, vcan.bus() as bus, others[0], others[1]:
-        node = start(0, "--lockstep", "--b-hat", 0.55, "--filter-period", 5, "--ticks", ticks, kind=kind)
+        node = start(0, "--lockstep", "--b-hat", 0.55, "--filter-period", 5, "--steps", ticks, kind=kind)
         seen = drive(bus, range(3), ticks, seed=5)
         figures = node.summary()
         log = candump.frames()
@@ -96,7 +96,7 @@ def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: P
         start(3, "--lockstep", "--b-hat", 0.75, "--filter-period", 4)
         Lockstep(bus).wait_until_up([3], PATIENCE)
     robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4")
-    run = ("--robots", "3", "--ticks", "11", "--timeout", str(PATIENCE), "--report", str(report))
+    run = ("--robots", "3", "--steps", "11", "--timeout", str(PATIENCE), "--report", str(report))
     assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan.name]) == 0
     assert report.exists()
 
@@ -115,7 +115,7 @@ def is_command_to(robot: int, frame: can.Message) -> bool:
 def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
     robots, ticks = range(8), 15
     with vcan.bus() as bus:
-        nodes = [start(robot, "--lockstep", "--ticks", ticks, "--filter-period", 5) for robot in robots]
+        nodes = [start(robot, "--lockstep", "--steps", ticks, "--filter-period", 5) for robot in robots]
         drive(bus, robots, ticks, seed=6)
         summaries = [node.summary() for node in nodes]
     assert {each["heard"] for each in summaries} == {7 * ticks}
@@ -127,7 +127,7 @@ def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
 
 
 def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) -> None:
-    node = start(0, "--lockstep", "--ticks", 1)
+    node = start(0, "--lockstep", "--steps", 1)
     of_node_0: CanFilters = [{"can_id": 0, "can_mask": NODE_BITS, "extended": True}]
     with vcan.bus() as bus, vcan.socket() as own:
         bus.set_filters(of_node_0)
@@ -196,7 +196,7 @@ def check_interruption(
     """The node ticks on meanwhile, and afterwards sends and hears again."""
     sensor = folder / "value"
     sensor.write_text("1", encoding="ascii")
-    node = start(0, "--sensor", sensor, "--rate", 50)
+    node = start(0, "--sensor", sensor, "--steps-per-second", 50)
     with vcan.bus() as bus:
         wait_for(bus, 5)
     begin()
@@ -214,7 +214,7 @@ def check_interruption(
 
 
 def test_error_frames_of_the_controller_are_heard(start: Start, vcan: Vcan) -> None:
-    node = start(0, "--lockstep", "--rate", 1)
+    node = start(0, "--lockstep", "--steps-per-second", 1)
     told: list[Health] = []
     with vcan.bus() as bus, vcan.socket() as own:
         lockstep = Lockstep(bus, timeout=PATIENCE, watch=lambda frame: told.extend(health_in(frame)))
@@ -245,7 +245,7 @@ def test_a_full_send_queue_costs_frames_but_no_tick(start: Start, vcan: Vcan, tm
     if done.returncode:
         pytest.skip(f"the kernel has no queue that delays: {done.stderr.strip()}")
     with vcan.socket(1) as own:
-        figures = start(0, "--observations", text, "--rate", 100).summary()
+        figures = start(0, "--observations", text, "--steps-per-second", 100).summary()
         arrived = 0
         while True:
             try:

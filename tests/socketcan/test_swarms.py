@@ -31,7 +31,7 @@ pytestmark = pytest.mark.socketcan
 
 
 PERIODS = ("--filter-period", "4", "--telemetry-period", "4")
-SWARM = ("swarm", "--robots", "20", "--ticks", "5", *PERIODS, "--quiet")
+SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, "--quiet")
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_twenty_robots_with_an_interface_each_leave_the_same_log(
 
 
 def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, tmp_path: Path) -> None:
-    settings = ("swarm", "--robots", "2", "--ticks", "10", "--filter-period", "4", "--quiet", "--log")
+    settings = ("swarm", "--robots", "2", "--steps", "10", "--filter-period", "4", "--quiet", "--log")
     many, one = tmp_path / "many.log", tmp_path / "one.log"
     bus = ("--interface", "socketcan", "--channel", vcan.name)
     assert main([*settings, str(many), *bus, "--processes"]) == 0
@@ -77,7 +77,7 @@ def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, t
 def test_the_c_node_is_a_robot_of_an_emulated_swarm(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    settings = ("swarm", "--robots", "4", "--ticks", "12", "--filter-period", "4", "--quiet", "--log")
+    settings = ("swarm", "--robots", "4", "--steps", "12", "--filter-period", "4", "--quiet", "--log")
     real, one, name = tmp_path / "real.log", tmp_path / "one.log", f"v{os.getpid()}d"
     bus = ("--interface", "socketcan", "--channel", f"{name}{{robot}}", "--device", f"0=socketcan:{name}0")
     with interfaces(*(f"{name}{robot}" for robot in range(4))):

@@ -122,13 +122,13 @@ def twin(
     robot_id: int,
     b_hat: float = 0.95,
     subjects: Subjects | None = None,
-    ticks_per_second: int = 10,
+    steps_per_second: int = 10,
     **config: Any,
 ) -> RobotNode:
     """The Python node of the same options, on plain integers."""
     settings = TickConfig(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config})
     robot = TickedRobot(MirrorRobot(settings.in_rounds(), robot_id, b_hat), settings.comms_period)
-    return RobotNode(robot, NodeSettings(robot_id, subjects or Subjects(), ticks_per_second))
+    return RobotNode(robot, NodeSettings(robot_id, subjects or Subjects(), steps_per_second))
 
 
 def content(frames: Iterable[can.Message]) -> list[str]:

@@ -1,6 +1,6 @@
 """A robot's firmware image under QEMU in a swarm of ten, its mirror beside it: every frame is compared.
 
-    python tests/targets/firmware_loop.py [--target NAME] [--ticks N] [--seconds S]
+    python tests/targets/firmware_loop.py [--target NAME] [--steps N] [--seconds S]
 
 Builds the image of c_ref/ports/slcan for a target, lets it run in lockstep with nine emulated neighbours
 for N ticks as fast as it answers, then for S seconds at ten ticks a second, and prints what was compared and
@@ -28,7 +28,7 @@ from rich.progress import track
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import Config, Observation
+from mcp_asdf.robot import Config
 from mcp_asdf_tools.bus.frames import Action, Command, encode_command
 from mcp_asdf_tools.bus.qemu import Board
 from mcp_asdf_tools.common.errors import UsageError
@@ -36,7 +36,8 @@ from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate
-from mcp_asdf_tools.world.swarm_world import FullyConnected, World
+from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.world import World
 
 SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
 BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}
@@ -112,7 +113,9 @@ class Loop:
             for i in range(ROBOTS)
             if i != IMAGE_ID
         }
-        self._world = World(FILL_RATIO, [ACCURACY] * ROBOTS, FullyConnected(ROBOTS), seed)
+        self._world = World(
+            WorldSettings(robots=ROBOTS, fill_ratio=FILL_RATIO, true_accuracy=ACCURACY, seed=seed)
+        )
         self._send, self._receive = send, receive
         self._commands = self._tick = 0
 
@@ -122,11 +125,9 @@ class Loop:
 
     def tick(self) -> None:
         """One control tick of all robots. Raises DifferenceError if the image and its mirror do not agree."""
-        black = self._world.observe()[0].tolist()
-        self._order(Action(black[IMAGE_ID]))
-        spoken = [
-            frame for i, node in self._neighbours.items() for frame in node.observe(Observation(black[i]))
-        ]
+        seen = self._world.step()
+        self._order(Action.observing(seen[IMAGE_ID]))
+        spoken = [frame for i, node in self._neighbours.items() for frame in node.observe(seen[i])]
         self.deliver(spoken)
         spoken += self._answers
         for i, node in self._neighbours.items():
@@ -230,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Run a firmware image in a swarm of ten and compare every frame."
     )
     parser.add_argument("--target", choices=list(BOARDS), default="cortex-m3", help="default: %(default)s")
-    parser.add_argument("--ticks", type=int, default=5000, help="of lockstep (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=5000, help="of lockstep (default: %(default)s)")
     parser.add_argument("--seconds", type=float, default=10.0, help="of real time (default: %(default)s)")
     parser.add_argument("--filter-period", type=int, default=1000, help="tau in ticks (default: %(default)s)")
     args = parser.parse_args(arguments)

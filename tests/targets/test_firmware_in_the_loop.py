@@ -219,7 +219,7 @@ def test_the_demonstration_tells_what_it_compared(
 ) -> None:
     """And fails who does not keep up, but for one tick in ten."""
     clock = slow_tick(lambda tick: 0.125 if 20 <= tick < 20 + late else 0.0625)
-    assert main(["--ticks", "20", "--seconds", "2", "--filter-period", str(FILTER_PERIOD)]) == code
+    assert main(["--steps", "20", "--seconds", "2", "--filter-period", str(FILTER_PERIOD)]) == code
     told = capsys.readouterr().out
     assert "\n84 frames in 40 ticks are its mirror's, bit for bit\n" in told
     slowest = 125 if late else 62
@@ -234,8 +234,8 @@ def test_the_demonstration_tells_what_it_compared(
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ("--ticks -5 --seconds 0", "ticks is -5; it must be 1 or more"),
-        ("--ticks 0", "ticks is 0;"),
+        ("--steps -5 --seconds 0", "ticks is -5; it must be 1 or more"),
+        ("--steps 0", "ticks is 0;"),
         ("--seconds 0", "seconds is 0.0; it must be 0.1, one tick, to 86400, a day"),
         ("--seconds=-3", "seconds is -3.0;"),
         ("--seconds nan", "seconds is nan;"),
@@ -258,7 +258,7 @@ def test_tools_that_are_missing_are_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "/nonexistent")
-    assert main(["--ticks", "1"]) == 2
+    assert main(["--steps", "1"]) == 2
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err == "cmake is not installed; apt-get install cmake ninja-build\n"
@@ -636,10 +636,10 @@ def test_a_program_that_ends_is_reported(tmp_path: Path) -> None:
 
 NO_IMAGE = "mps2-an385:/etc/passwd"
 COMMANDS = (
-    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --verify --ticks 3",
-    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --rate 100 --ticks 30",
-    f"node --interface qemu --channel {NO_IMAGE} --id 0 --rate 100 --ticks 30",
-    f"swarm --robots 3 --ticks 3 --channel v{{robot}} --device 0=qemu:{NO_IMAGE}",
+    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --verify --steps 3",
+    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --steps-per-second 100 --steps 30",
+    f"node --interface qemu --channel {NO_IMAGE} --id 0 --steps-per-second 100 --steps 30",
+    f"swarm --robots 3 --steps 3 --channel v{{robot}} --device 0=qemu:{NO_IMAGE}",
 )
 
 

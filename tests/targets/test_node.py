@@ -82,7 +82,7 @@ def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
 
 
 def test_nodes_in_lockstep_say_what_python_nodes_say(start: Start, bus: UnixBus) -> None:
-    options = ("--lockstep", "--filter-period", 10, "--rate", 7, "--ticks", 60)
+    options = ("--lockstep", "--filter-period", 10, "--steps-per-second", 7, "--steps", 60)
     accuracies = (0.95, 0.55, 0.75)
     nodes, peers = [], []
     for robot, b_hat in enumerate(accuracies):
@@ -91,7 +91,7 @@ def test_nodes_in_lockstep_say_what_python_nodes_say(start: Start, bus: UnixBus)
     drive(bus, range(3), 60, seed=1)
     tests = updates = 0
     for robot, b_hat in enumerate(accuracies):
-        expected = twin(robot, b_hat, ticks_per_second=7, filter_period=10)
+        expected = twin(robot, b_hat, steps_per_second=7, filter_period=10)
         assert content(replay(expected, peers[robot].told)) == content(peers[robot].said)
         figures = nodes[robot].summary()
         assert_same_robot(figures, expected)
@@ -119,7 +119,7 @@ ODD_SUBJECTS = ("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: int) -> None:
     firmware = ("--comms-period", 2, "--filter-period", 4, "--filter", "always", "--memory", 64)
-    node = start(5, "--lockstep", "--rate", 3, *ODD_SUBJECTS, *firmware)
+    node = start(5, "--lockstep", "--steps-per-second", 3, *ODD_SUBJECTS, *firmware)
     peer = bus.accept()
     expected = twin(5, 0.95, SUBJECTS, 3, comms_period=2, filter_period=4, filter=Filter.ALWAYS, memory=64)
     draw = random.Random(seed)
@@ -194,7 +194,7 @@ def test_a_tick_that_is_not_due_leaves_the_round_open(
     start: Start, bus: UnixBus, ticks: int, rounds: int
 ) -> None:
     """The command to settle ends each tick, and every third one is the end of a round."""
-    node = start(5, "--lockstep", "--comms-period", 3, "--filter-period", 6, "--ticks", ticks)
+    node = start(5, "--lockstep", "--comms-period", 3, "--filter-period", 6, "--steps", ticks)
     peer = bus.accept()
     lockstep = Lockstep(bus, timeout=PATIENCE)
     lockstep.wait_until_up([5], PATIENCE)
@@ -221,7 +221,7 @@ def test_observations_come_from_a_file_or_the_standard_input(
     symbols = [draw.choice("01-") for _ in range(300)]
     text = tmp_path / "observations"
     text.write_text("\n".join(symbols) + " \t\n", encoding="ascii")
-    options = ("--rate", 1000, "--telemetry-period", 100, "--filter-period", 30, "--observations")
+    options = ("--steps-per-second", 1000, "--telemetry-period", 100, "--filter-period", 30, "--observations")
     expected = twin(5, filter_period=30)
     for symbol in symbols:
         expected.observe(None if symbol == "-" else Observation(int(symbol)))
@@ -249,7 +249,7 @@ def hear_out(bus: UnixBus, peer: Peer) -> None:
 
 
 def test_an_input_without_observations_is_missed_but_not_waited_for(start: Start, bus: UnixBus) -> None:
-    node = start(5, "--rate", 200, "--ticks", 40, "--observations", "-", stdin=subprocess.PIPE)
+    node = start(5, "--steps-per-second", 200, "--steps", 40, "--observations", "-", stdin=subprocess.PIPE)
     bus.accept()
     assert node.process.stdin is not None
     node.process.stdin.write("1\n1 0")
@@ -268,7 +268,7 @@ def waited(node: CNode) -> dict[str, object]:
 def test_a_sensor_s_file_is_read_anew_in_every_tick(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     sensor = tmp_path / "value"
     sensor.write_text("1\n", encoding="ascii")
-    node = start(5, "--rate", 100, "--sensor", sensor)
+    node = start(5, "--steps-per-second", 100, "--sensor", sensor)
     peer = bus.accept()
     seen = []
     for content_now in ("1\n", "0\n", "what?\n", None, "1"):
@@ -302,7 +302,7 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
 ) -> None:
     text = tmp_path / "observations"
     text.write_text("01" * 1000, encoding="ascii")
-    node = start(5, "--rate", 100, "--observations", text)
+    node = start(5, "--steps-per-second", 100, "--observations", text)
     peer = bus.accept()
     begin = time.monotonic()
     wait_for_more(bus, peer, 10)
@@ -321,7 +321,7 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
 
 
 def test_error_frames_show_in_the_node_s_health(start: Start, bus: UnixBus) -> None:
-    node = start(5, "--lockstep", "--rate", 1)
+    node = start(5, "--lockstep", "--steps-per-second", 1)
     peer = bus.accept()
     told: list[Health] = []
     reports = (
@@ -353,7 +353,7 @@ def health_in(frame: can.Message) -> list[Health]:
 
 
 def test_packets_that_are_no_frames_are_counted(start: Start, bus: UnixBus) -> None:
-    node = start(5, "--lockstep", "--ticks", 1)
+    node = start(5, "--lockstep", "--steps", 1)
     peer = bus.accept()
     for packet in (b"x", bytes(15), bytes(17), bytes(71)):
         peer.connection.send(packet)
@@ -370,7 +370,7 @@ def test_a_bus_that_closes_ends_the_run_with_a_failure(start: Start, bus: UnixBu
 def test_a_full_queue_costs_frames_but_no_tick(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     text = tmp_path / "observations"
     text.write_text("1" * 400, encoding="ascii")
-    node = start(5, "--rate", 1000, "--observations", text)
+    node = start(5, "--steps-per-second", 1000, "--observations", text)
     peer = bus.accept()
     figures = node.summary()  # meanwhile no one reads
     assert figures["t"] == 400
@@ -398,7 +398,7 @@ def drive_one(bus: UnixBus, peer: Peer) -> None:
 def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     text, state = tmp_path / "observations", tmp_path / "state"
     text.write_text("110", encoding="ascii")
-    options = ("--filter-period", 10, "--state", state, "--rate", 1000, "--observations", text)
+    options = ("--filter-period", 10, "--state", state, "--steps-per-second", 1000, "--observations", text)
     expected = twin(5, filter_period=10)
     for _ in range(4):
         node = start(5, *options)
@@ -417,7 +417,7 @@ def test_a_restart_begins_a_period_of_broadcasts_anew(start: Start, bus: UnixBus
     """The firmware's rounds go on: with three ticks a run, of which the second is due, one round a run."""
     text, state = tmp_path / "observations", tmp_path / "state"
     text.write_text("101", encoding="ascii")
-    options = ("--comms-period", 2, "--filter-period", 20, "--state", state, "--rate", 1000)
+    options = ("--comms-period", 2, "--filter-period", 20, "--state", state, "--steps-per-second", 1000)
     for run_number in range(1, 4):
         node = start(5, *options, "--observations", text)
         peer = bus.accept()
@@ -496,8 +496,11 @@ def complaint(node: CNode) -> str:
         ),
         ("--id 1 --lockstep --memory 66", "--memory is 66; choose a multiple of 4"),
         ("--id 1 --lockstep --memory 2147483652", "--memory is 2147483652; choose a whole number, 64 to "),
-        ("--id 1 --lockstep --rate 0", "--rate is 0; choose a whole number, 1 to 1000"),
-        ("--id 1 --lockstep --ticks 4294967296", "--ticks is 4294967296; "),
+        (
+            "--id 1 --lockstep --steps-per-second 0",
+            "--steps-per-second is 0; choose a whole number, 1 to 1000",
+        ),
+        ("--id 1 --lockstep --steps 4294967296", "--steps is 4294967296; "),
         ("--id 1 --lockstep --subject 6144", "--subject is 6144; "),
         ("--id 1 --lockstep --subject 3002", "choose three different subjects"),
         ("--id 1 --lockstep --priority 8", "--priority is 8; "),
@@ -505,7 +508,7 @@ def complaint(node: CNode) -> str:
         ("--id 1 --sensor /no/such/file", "/no/such/file"),
         ("--id 1 --lockstep surplus", "surplus belongs to no option"),
         ("--id 1 --lockstep --unknown", "unknown"),
-        ("--id 1 --lockstep --ticks", "ticks"),
+        ("--id 1 --lockstep --steps", "ticks"),
     ],
 )
 def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> None:

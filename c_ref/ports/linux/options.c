@@ -18,26 +18,27 @@ static const char usage[] =
     "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
     "  --id N                 of robot and node, 0 to 127\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
-    "  --filter WHEN          re-estimate that: adaptive (if the test rejects), always, off (adaptive)\n"
-    "  --comms-period TICKS   between broadcasts (1)\n"
-    "  --filter-period TICKS  between tests, a multiple of the former (1000)\n"
+    "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
+    "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
+    "  --comms-period STEPS   between broadcasts (1)\n"
+    "  --filter-period STEPS  between tests, a multiple of the former (1000)\n"
     "  --memory N             observations at which counts are halved, a multiple of 4, 64 to 2^31 (2^31)\n"
     "\n"
     "Clock and observations, one of:\n"
     "  --lockstep             do what command frames say\n"
     "  --observations FILE    in real time: 0 white, 1 black, - nothing seen; - is the standard input\n"
-    "  --sensor FILE          in real time, read anew in every tick: 0 white, 1 black\n"
+    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black\n"
     "\n"
-    "  --rate N               ticks a second, 1 to 1000 (10); in lockstep of simulated time\n"
-    "  --ticks N              end after so many (0: no limit)\n"
-    "  --telemetry-period TICKS  between telemetry frames (0: none; in lockstep every tick)\n"
+    "  --steps-per-second N   1 to 1000 (10); in lockstep of simulated time\n"
+    "  --steps N              end after so many (0: no limit)\n"
+    "  --telemetry-period STEPS  between telemetry frames (0: none; in lockstep every step)\n"
     "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
     "  --priority N           of estimates, 0 to 7 (4)\n"
     "  --receive-buffer BYTES of the kernel (0: its default)\n"
     "  --state FILE           go on from there, and save there at the end\n"
-    "  --save-period TICKS    save there in between, too (0: no)\n"
+    "  --save-period STEPS    save there in between, too (0: no)\n"
     "\n"
-    "Ends with a line of JSON. Status 0: by --ticks, the end of observations, SIGINT or SIGTERM;\n"
+    "Ends with a line of JSON. Status 0: by --steps, the end of observations, SIGINT or SIGTERM;\n"
     "1: the bus or the observations failed; 2: it could not start.\n";
 
 /* Numbers first, then texts, then what takes no argument. */
@@ -58,6 +59,7 @@ enum option_index {
     INTERFACE,
     B_HAT,
     FILTER,
+    ACTIVATION,
     OBSERVATIONS,
     SENSOR,
     STATE,
@@ -77,8 +79,8 @@ static const struct {
                 [COMMS_PERIOD] = {"comms-period", 1, LARGEST, 1},
                 [FILTER_PERIOD] = {"filter-period", 1, LARGEST, 1000},
                 [MEMORY] = {"memory", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX, MCP_ASDF_MEMORY_MAX},
-                [RATE] = {"rate", 1, 1000, 10},
-                [TICKS] = {"ticks", 0, LARGEST, 0},
+                [RATE] = {"steps-per-second", 1, 1000, 10},
+                [TICKS] = {"steps", 0, LARGEST, 0},
                 [TELEMETRY_PERIOD] = {"telemetry-period", 0, LARGEST, 0},
                 [SUBJECT] = {"subject", 0, MCP_ASDF_SUBJECT_MAX, 3000},
                 [TELEMETRY_SUBJECT] = {"telemetry-subject", 0, MCP_ASDF_SUBJECT_MAX, 3001},
@@ -89,6 +91,7 @@ static const struct {
                 [INTERFACE] = {.name = "interface"},
                 [B_HAT] = {.name = "b-hat"},
                 [FILTER] = {.name = "filter"},
+                [ACTIVATION] = {.name = "activation"},
                 [OBSERVATIONS] = {.name = "observations"},
                 [SENSOR] = {.name = "sensor"},
                 [STATE] = {.name = "state"},
@@ -134,17 +137,26 @@ static uint32_t b_hat(const char *text)
     return (uint32_t)llrint(value);
 }
 
-static uint8_t filter(const char *text)
+/* Which of two words is given. */
+static bool is_second(const char *const given[ALL], enum option_index which, const char *const words[2])
 {
-    static const char *const filters[] = {"adaptive", "always",
-                                          "off"}; /* at the places of mcp_asdf_filter_t */
-    for (unsigned i = MCP_ASDF_ADAPTIVE; i <= MCP_ASDF_OFF; ++i) {
-        if (strcmp(text, filters[i]) == 0) {
-            return (uint8_t)i;
-        }
+    const bool second = strcmp(given[which], words[1]) == 0;
+    if (!second && strcmp(given[which], words[0]) != 0) {
+        char fix[64];
+        (void)snprintf(fix, sizeof fix, "choose %s or %s", words[0], words[1]);
+        fail(which, given[which], fix);
     }
-    fail(FILTER, text, "choose adaptive, always or off");
-    return MCP_ASDF_OFF;
+    return second;
+}
+
+static uint8_t filter(const char *const given[ALL])
+{
+    static const char *const filters[] = {"none", "asdf-plus"}, *const activations[] = {"adaptive", "always"};
+    const bool always = is_second(given, ACTIVATION, activations);
+    if (!is_second(given, FILTER, filters)) {
+        return MCP_ASDF_OFF;
+    }
+    return always ? MCP_ASDF_ALWAYS : MCP_ASDF_ADAPTIVE;
 }
 
 /* ---- The whole -------------------------------------------------------------------------------------- */
@@ -217,7 +229,7 @@ static node_settings_t node_settings(const char *const given[ALL])
         .comms_period = number(given, COMMS_PERIOD),
         .filter_period = number(given, FILTER_PERIOD),
         .memory = number(given, MEMORY),
-        .filter = filter(given[FILTER]),
+        .filter = filter(given),
         .estimate = {(uint16_t)number(given, SUBJECT), (uint8_t)number(given, PRIORITY)},
         .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
         .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
@@ -231,7 +243,7 @@ static node_settings_t node_settings(const char *const given[ALL])
 
 void options_read(options_t *options, int count, char *const arguments[])
 {
-    const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "adaptive"};
+    const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "asdf-plus", [ACTIVATION] = "adaptive"};
     collect(given, count, arguments);
     answer_questions(given);
     const options_t read = {.node = node_settings(given),

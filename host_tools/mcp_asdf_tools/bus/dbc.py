@@ -136,7 +136,7 @@ def _kinds(estimates: FrameFormat, node: int, suffix: str, sender: str) -> list[
     return [Entry(name + suffix, number, sender, what, body + _TAIL) for name, number, what, body in kinds]
 
 
-def dbc(messages: Sequence[Entry]) -> str:
+def dbc_text(messages: Sequence[Entry]) -> str:
     """The text of a DBC file. O(len(messages))."""
     senders = " ".join(dict.fromkeys(entry.sender for entry in messages))
     parts = [

@@ -35,7 +35,7 @@ def wire_bits(frame: can.Message) -> int:
     return length + _stuffed(protected, length) + _TRAILER
 
 
-def load(bits: float, seconds: float, bit_rate: float) -> float:
+def bus_load(bits: float, seconds: float, bit_rate: float) -> float:
     """Share of a bus's time that ``bits`` take in ``seconds``; above 1 they do not fit."""
     return bits / (seconds * bit_rate)
 

@@ -19,7 +19,7 @@ from typing import Any
 import can
 from can.interfaces.slcan import slcanBus
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 
 HOST = "127.0.0.1"
 

@@ -1,1 +1,1 @@
-"""The subcommands of ``mcp-asdf``, one module each (see ``mcp_asdf_tools.cli.main.Command``)."""
+"""The command line: one module a command, no logic of its own."""

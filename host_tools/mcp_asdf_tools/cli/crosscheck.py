@@ -13,13 +13,25 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mcp_asdf.robot import Status
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.crosscheck.compare import Check, Finding, Firmware, Subject, compare, crosscheck, shrink
-from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations, measure_storage
-from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.report import Failure, Result
-from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
-from mcp_asdf_tools.robots.firmwares import load_firmware
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.crosscheck import (
+    Audit,
+    CallCount,
+    Check,
+    Failure,
+    Finding,
+    Firmware,
+    Result,
+    Scenario,
+    Subject,
+    compare_firmwares,
+    count_operations,
+    crosscheck,
+    measure_storage,
+    parse_scenario,
+    shrink,
+)
+from mcp_asdf_tools.robots import load_firmware
 
 HELP = "check the C against its mirror, exact arithmetic and its own claims"
 EPILOG = """\
@@ -67,7 +79,7 @@ def _firmware(name: str) -> Firmware:
 def _check_with(audit: Audit) -> Check:
     """Compare native and mirror, and let ``audit`` judge what they do."""
     native, mirror = _firmware("native"), _firmware("mirror")
-    return lambda scenario: compare(scenario, native, mirror, audit.follow(scenario.setup))
+    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.follow(scenario.setup))
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
@@ -137,8 +149,8 @@ def _plotter(path: Path | None) -> Callable[[dict[str, CallCount]], None]:
     if path is None:
         return lambda counts: None
     # matplotlib takes a second to load, and is needed for a picture only.
-    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
-    from mcp_asdf_tools.crosscheck.operation_plot import draw  # noqa: PLC0415
+    from mcp_asdf_tools.common import check_plot_path, save_figure  # noqa: PLC0415
+    from mcp_asdf_tools.crosscheck import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
     return lambda counts: save_figure(draw(counts), checked)

@@ -8,10 +8,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc, entries
-from mcp_asdf_tools.bus.frames import MAX_NODE, FrameFormat
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.bus import ANY_NODE_MASK, MAX_NODE, FrameFormat, dbc_text, entries
+from mcp_asdf_tools.common import UsageError, write_atomically
 
 HELP = "write a DBC file, so that CAN tools show the frames' content"
 EPILOG = f"""\
@@ -58,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         messages = entries(FrameFormat(args.subject, args.priority), nodes)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    text = dbc(messages)
+    text = dbc_text(messages)
     if args.output is not None:
         write_atomically(args.output, text)
     if args.json:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -14,91 +12,27 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Experiment, ExperimentError
-from mcp_asdf_tools.experiments.experiment_files import flawed_count
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Limits, found_limits, score
-from mcp_asdf_tools.experiments.sweep import Report, default_workers
-from mcp_asdf_tools.robots.firmwares import FIRMWARES
-from mcp_asdf_tools.tables.thresholds import parse_omega
-
-_HELP = {
-    "topology": "topology",
-    "robots": "N",
-    "flawed": "how many robots have a flawed assumed accuracy",
-    "fill_ratio": "f, the share of black tiles",
-    "true_accuracy": "b of every sensor, which robots that are not flawed assume",
-    "flawed_accuracy": "b_hat of flawed robots at the start",
-    "mode": "which robots recalibrate",
-    "activation": "when they do: if the test rejects, or without a test",
-    "filter_period": "nominal filtering period tau, steps",
-    "comms_period": "steps between broadcasts",
-    "omega": "type II error probability of the test",
-    "memory": "forgetting: halve t and n at this many observations, a multiple of 4",
-    "drift": "how the true accuracy changes",
-    "drift_rate": "change of the true accuracy per step",
-    "drift_period": "steps between the changes of a stepped drift",
-    "drift_diffusion": "standard deviation of a Wiener process's change per step",
-    "lowest_accuracy": "below which no drift takes the true accuracy",
-    "density": "swarm density D of a square arena",
-    "width": "side of a rectangular arena along x in place of a density, metres",
-    "height": "its side along y",
-    "speed": "limit of a wheel, m/s",
-    "radio_range": "distance below which two robots hear each other, metres",
-    "floor": "what moving robots observe",
-    "tile": "side of a tile, metres",
-    "picture": "path of the picture of a floor",
-    "picture_sha256": "of that file, checked if given",
-    "ticks_per_second": "steps per second",
-    "observation_period": "steps between observations",
-    "latency": "steps that a message takes, 0 or 1",
-    "steps": "length of a trial",
-    "trials": "how many",
-    "seed": "of everything random",
-    "firmware": "the C itself, the same in Python integers, or the paper's equations",
-    "conventions": "whose reading of the equations the reference firmware follows",
-}
+from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments import (
+    Experiment,
+    Limits,
+    Report,
+    Trials,
+    default_workers,
+    found_limits,
+    score,
+)
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:
     """An option for every parameter of an experiment; those not given are None."""
-    group = parser.add_argument_group("experiment (values replace those of FILE)")
-    for field in fields(Experiment):
-        default, kind = field.default, type(field.default)
-        choices = [member.value for member in kind] if issubclass(kind, Enum) else None
-        group.add_argument(
-            f"--{field.name.replace('_', '-')}",
-            type=str if choices or field.name == "omega" else kind,
-            choices=choices or (list(FIRMWARES) if field.name == "firmware" else None),
-            metavar=None if choices or field.name == "firmware" else field.name.split("_")[-1].upper(),
-            help=f"{_HELP[field.name]} (default {default.value if isinstance(default, Enum) else default})",
-        )
-    group.add_argument("--flawed-proportion", type=float, metavar="P", help="in place of --flawed, 0 to 1")
-
-
-def given_parameters(args: argparse.Namespace) -> dict[str, Any]:
-    """The parameters that were given. Raises UsageError for two that say the same."""
-    given = {field.name: getattr(args, field.name) for field in fields(Experiment)}
-    given = {name: value for name, value in given.items() if value is not None}
-    if "picture" in given:
-        given.setdefault("picture_sha256", "")  # not that of the picture in FILE
-    if "omega" in given:
-        given["omega"] = parse_omega(given["omega"])
-    if args.flawed_proportion is not None and "flawed" in given:
-        raise UsageError("--flawed and --flawed-proportion say the same; give one of them")
-    return given
+    parameter_options.add_parameters(parser, Experiment, "experiment (values replace those of FILE)")
 
 
 def with_parameters(experiment: Experiment, args: argparse.Namespace) -> Experiment:
     """``experiment`` with the parameters that were given. Raises UsageError for a value out of range."""
-    given = {**experiment.parameters(), **given_parameters(args)}
-    if args.flawed_proportion is not None:
-        given["flawed"] = flawed_count(args.flawed_proportion, given["robots"])
-    try:
-        return Experiment.from_parameters(given)
-    except ExperimentError as error:
-        raise UsageError(f"--{error.key.replace('_', '-')}: {error}") from error
+    return parameter_options.settings_from(args, Experiment, experiment.parameters())
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:

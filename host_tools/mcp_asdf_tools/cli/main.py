@@ -13,9 +13,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol, cast
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.common.terminal import ReaderLeft, screen
+from mcp_asdf_tools.common import ReaderLeft, UsageError, screen, stopping
 
 PROGRAM = "mcp-asdf"
 COMMANDS = (
@@ -118,7 +116,7 @@ def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
 
 def _show_overview(arguments: Sequence[str]) -> int:
     """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
-    from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415 (loads longer than all else here)
+    from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads longer than all else here)
 
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False

@@ -18,35 +18,47 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
-from mcp_asdf_tools.common.signals import has_ended, standard_input, stopping
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.recording.frame_logs import logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, filters_for
-from mcp_asdf_tools.robots.node_run import Link, NodeRun, Taker, state_of
-from mcp_asdf_tools.robots.observations import LineSource, Source, WorldSource
-from mcp_asdf_tools.robots.options import (
+from mcp_asdf_tools.common import (
+    UsageError,
+    has_ended,
+    results_beside,
+    software_versions,
+    standard_input,
+    stopping,
+    write_atomically,
+)
+from mcp_asdf_tools.recording import Header, logging_to
+from mcp_asdf_tools.robots import (
+    LineSource,
+    Link,
+    NodeRun,
+    NodeSettings,
+    RobotNode,
+    RobotRecord,
+    Source,
+    Subjects,
+    Taker,
+    WorldSource,
     add_robot_options,
     add_subject_options,
+    filters_for,
     robot_arguments,
     robot_of,
+    state_of,
     subject_arguments,
     subjects_of,
 )
-from mcp_asdf_tools.robots.record import RobotRecord
 
 HELP = "run one robot on a CAN bus"
 EPILOG = """\
 examples:
-  mcp-asdf node --id 3 --interface udp_multicast --rate 10   # with others on this machine, until Ctrl-C
+  mcp-asdf node --id 3 --interface udp_multicast   # with others on this machine, until Ctrl-C
   mcp-asdf node --id 3 --interface socketcan --channel can0 --b-hat 0.8 --log run.log
   tile_sensor | mcp-asdf node --id 3 --interface socketcan --channel can0 --observations -
   mcp-asdf node --id 3 --interface socketcan --channel vcan0 --lockstep   # obeys command frames
 Observations come from the emulated world (robot ID of seed N sees what it sees in "swarm --seed N"), or are
 lines 0 (white), 1 (black), - (nothing). In real time a tick lasts until the next one begins.
-exit code: 0 done, 1 the bus failed, 2 bad usage, 130 told to stop before --ticks were done"""
+exit code: 0 done, 1 the bus failed, 2 bad usage, 130 told to stop before --steps were done"""
 
 _INTERRUPTED = 130
 _SECONDS_BETWEEN_PICTURES = 0.15
@@ -102,7 +114,7 @@ def _go(
         bus.set_filters(_filters(node.settings, args.lockstep))
         is_told_to_stop = _ending(stack.enter_context(stopping()), args.until_eof)
         link = Link(bus, is_told_to_stop, endures=not args.lockstep, log=log)
-        run = NodeRun(node, link, args.ticks, stack.enter_context(_Watch(console, node, link)))
+        run = NodeRun(node, link, args.steps, stack.enter_context(_Watch(console, node, link)))
         if source is None:
             run.in_lockstep()
         else:
@@ -113,24 +125,24 @@ def _go(
 def _add_clock(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("clock")
     group.add_argument(
-        "--rate",
+        "--steps-per-second",
         type=int,
         metavar="HZ",
         default=10,
-        help="ticks per second, in lockstep of simulated time; a heartbeat is sent once a second "
+        help="steps per second, in lockstep of simulated time; a heartbeat is sent once a second "
         "(default %(default)s)",
     )
     group.add_argument(
         "--lockstep", action="store_true", help="tick by command frames, with the observations they bring"
     )
-    group.add_argument("--ticks", type=int, metavar="N", help="end after so many (default: at Ctrl-C)")
-    group.add_argument("--until-eof", action="store_true", help="end when standard input ends, too")
+    group.add_argument("--steps", type=int, metavar="N", help="end after so many (default: at Ctrl-C)")
+    group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
     group.add_argument(
         "--telemetry-period",
         type=int,
-        metavar="TICKS",
+        metavar="STEPS",
         default=0,
-        help="ticks between two telemetry frames, 0 for none; in lockstep it is 1 (default %(default)s)",
+        help="steps between telemetry frames, 0 for none; in lockstep it is 1 (default %(default)s)",
     )
 
 
@@ -149,12 +161,12 @@ def _add_observations(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(args: argparse.Namespace) -> NodeSettings:
     """Read the node's settings from parsed arguments. Raises UsageError if they will not do."""
-    if not 1 <= args.rate <= _MAX_RATE:
-        raise UsageError(f"rate is {args.rate}; it must be 1 to {_MAX_RATE} ticks per second")
-    if args.ticks is not None and args.ticks < 1:
-        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    if not 1 <= args.steps_per_second <= _MAX_RATE:
+        raise UsageError(f"steps-per-second is {args.steps_per_second}; it must be 1 to {_MAX_RATE}")
+    if args.steps is not None and args.steps < 1:
+        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     period = 1 if args.lockstep else args.telemetry_period
-    return NodeSettings(args.id, subjects_of(args), args.rate, period)
+    return NodeSettings(args.id, subjects_of(args), args.steps_per_second, period)
 
 
 def _ending(is_told: Callable[[], bool], until_eof: bool) -> Callable[[], bool]:
@@ -221,7 +233,15 @@ def _line(node: RobotNode) -> str:
 
 
 def _parameters(args: argparse.Namespace) -> dict[str, Any]:
-    own = ("rate", "lockstep", "ticks", "telemetry_period", "observations", "fill_ratio", "true_accuracy")
+    own = (
+        "steps_per_second",
+        "lockstep",
+        "steps",
+        "telemetry_period",
+        "observations",
+        "fill_ratio",
+        "true_accuracy",
+    )
     return {name: getattr(args, name) for name in (*own, "seed")}
 
 
@@ -233,9 +253,9 @@ def _report(
     return {
         "parameters": _parameters(args) | {"robot": record.plain(), "subjects": subjects},
         "bus": {"interface": choice.interface, "channel": choice.channel},
-        "versions": versions(),
+        "versions": software_versions(),
         "results": {
-            "ticks": run.node.ticks,
+            "steps": run.node.ticks,
             **vars(run.outcome),
             "robot": state_of(run.node),
             "frames": run.node.traffic.figures(),

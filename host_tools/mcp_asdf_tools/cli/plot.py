@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments import Trials, experiments_in, read_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw."""
-    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.common import check_plot_path, save_figure  # noqa: PLC0415 (matplotlib loads slowly)
 
     check_plot_path(args.picture)
     experiments = _experiments_of(args)

@@ -15,38 +15,61 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf.robot import B_HAT_MARGIN
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import ONE
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, like
-from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import Bench, Verification
-from mcp_asdf_tools.radio.verification_report import COLUMNS, check_report_path, headline, write_report
-from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.node import filters_for
-from mcp_asdf_tools.robots.node_run import Link, Taker, state_of
-from mcp_asdf_tools.robots.options import add_robot_options, add_subject_options, robot_of, subjects_of
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.swarm.settings import Settings
+from mcp_asdf_tools.bus import ONE, interfaces
+from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
+from mcp_asdf_tools.radio import (
+    COLUMNS,
+    Bench,
+    Neighbourhood,
+    RadioRun,
+    RadioSettings,
+    Verification,
+    check_report_path,
+    choose_ids,
+    headline,
+    like,
+    write_report,
+)
+from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.robots import (
+    Link,
+    Taker,
+    add_robot_options,
+    add_subject_options,
+    filters_for,
+    robot_of,
+    state_of,
+    subjects_of,
+)
+from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
 HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
 examples:
-  mcp-asdf radio --id 3 --robots 10 --interface socketcan --channel can0             # until Ctrl-C
-  mcp-asdf radio --id 3 --robots 10 --interface socketcan --channel can0 --fault loss=0.3
+  mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
+  mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0 --fault loss=0.3
   mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report controller.md
---id and the other options under "robot" say what the controller is. Without --verify the neighbours tick at
---rate, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
+--id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
+real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
 through one phase for each class of fault, and must do, bit for bit, what its model does.
 exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 130 interrupted"""
 
 _INTERRUPTED = 130
-_WORLD = Settings()
+_OF_WORLD = (
+    "robots",
+    "topology",
+    "graph",
+    "fill_ratio",
+    "true_accuracy",
+    "density",
+    "radio_range",
+    "steps_per_second",
+    "latency",
+    "seed",
+)
+"""Parameters of a swarm, for the controller and its neighbours together."""
 _PHASE_TICKS = 250
 _TIMEOUT = 2.0
 
@@ -77,40 +100,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _add_neighbours(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("neighbours and world")
-    group.add_argument(
-        "--robots", type=int, metavar="N", default=5, help="neighbours to emulate (default %(default)s)"
-    )
+    parameter_options.add_parameters(parser, SwarmSettings, "controller, neighbours and world", _OF_WORLD)
+    group = parser.add_argument_group("neighbours")
     group.add_argument(
         "--first-id",
         type=int,
         metavar="ID",
         default=0,
-        help="they get the ids from here on, without the controller's (default %(default)s)",
-    )
-    for name, kind, text in (
-        ("fill-ratio", float, "share of black tiles"),
-        ("true-accuracy", float, "of every sensor; the neighbours assume it"),
-        ("seed", int, "of everything random"),
-        ("radio-range", float, "of robots that move, in metres"),
-    ):
-        default = getattr(_WORLD, name.replace("-", "_"))
-        group.add_argument(f"--{name}", type=kind, default=default, help=f"{text} (default {default})")
-    group.add_argument(
-        "--density",
-        metavar="D",
-        type=float,
-        help="robots move through a square of this swarm density D and hear those in range",
+        help="emulated robots get the ids from here on, without the controller's (default %(default)s)",
     )
     group.add_argument(
-        "--rate",
-        type=int,
-        metavar="HZ",
-        default=_WORLD.ticks_per_second,
-        help="ticks of the neighbours per second, with --verify of simulated time (default %(default)s)",
-    )
-    group.add_argument(
-        "--ticks",
+        "--steps",
         type=int,
         metavar="N",
         help=f"end after so many (default: at Ctrl-C); with --verify of each phase (default {_PHASE_TICKS})",
@@ -121,7 +121,7 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="faults",
-        help="as for swarm, again and again; with --verify each is a phase more",
+        help="as for swarm, repeatable; with --verify each adds a phase",
     )
 
 
@@ -147,8 +147,8 @@ def _add_verification(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(args: argparse.Namespace) -> RadioSettings:
     """Read the settings from parsed arguments. Raises UsageError if they will not do."""
-    if args.ticks is not None and args.ticks < 1:
-        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    if args.steps is not None and args.steps < 1:
+        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     for name in ("timeout", "wait", "report"):
         value = getattr(args, name)
         if value is not None and not args.verify:
@@ -156,17 +156,9 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
         if isinstance(value, float) and not 0 < value < float("inf"):
             raise UsageError(f"{name} is {value}; it must be above 0 seconds")
     controller = robot_of(args)
-    ids = choose_ids(controller.id, args.robots, args.first_id)
-    world = Settings(
-        robots=len(ids) + 1,
-        fill_ratio=args.fill_ratio,
-        true_accuracy=args.true_accuracy,
-        seed=args.seed,
-        ticks_per_second=args.rate,
-        density=args.density,
-        radio_range=args.radio_range,
-    )
-    b_hat = min(max(args.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
+    world = parameter_options.settings_from(args, SwarmSettings, steps=_PHASE_TICKS)
+    ids = choose_ids(controller.id, world.robots - 1, args.first_id)
+    b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
     neighbours = tuple(like(controller, robot, b_hat) for robot in ids)
     faults = tuple(parse_fault(text) for text in args.faults)
     return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
@@ -176,20 +168,19 @@ def _report(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice
 ) -> dict[str, Any]:
     """Everything needed to repeat the run, as plain values."""
-    own = ("verify", "rate", "ticks", "timeout", "fill_ratio", "true_accuracy", "density")
+    own = ("verify", "steps", "timeout")
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "parameters": {
             "controller": settings.controller.plain(),
             "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
             "subjects": {name: asdict(each) for name, each in vars(settings.subjects).items()},
-            "seed": args.seed,
-            "radio_range": args.radio_range,
+            **{name: settings.swarm.parameters()[name] for name in _OF_WORLD},
             "faults": [str(fault) for fault in settings.faults],
             **{name: getattr(args, name) for name in own},
         },
         "bus": {"interface": choice.interface, "channel": choice.channel},
-        "versions": versions(),
+        "versions": software_versions(),
     }
 
 
@@ -200,7 +191,9 @@ def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
     report = _report(args, settings, choice)
-    header = Header([settings.controller], args.seed, settings.subjects.estimates, report["parameters"])
+    header = Header(
+        [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
+    )
     with ExitStack() as ending:
         with logging_to(args.log, header) as outputs:
             verification = _judge(args, settings, choice, console, outputs)
@@ -222,7 +215,7 @@ def _judge(
     """Take the controller through all phases; returns the verification that is over."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
-        bench = Bench(bus, args.ticks or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+        bench = Bench(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
         log, events = outputs
         bench.log = bench.log if log is None else log
         bench.recorder = None if events is None else events.robots[settings.controller.id]
@@ -281,7 +274,7 @@ def _go(
         bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
         link = Link(bus, stack.enter_context(stopping()), endures=True, log=log)
         status = stack.enter_context(console.status("")) if console.is_terminal else None
-        run = RadioRun(Neighbourhood(settings), link, args.ticks)
+        run = RadioRun(Neighbourhood(settings), link, args.steps)
         if status is not None:
             run.watch = lambda: status.update(_line(run))
         run.run()
@@ -303,7 +296,7 @@ def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(style="bold")
     table.add_column()
-    table.add_row("run", f"{results['ticks']} ticks; {results['ending']}")
+    table.add_row("run", f"{results['steps']} steps; {results['ending']}")
     table.add_row(
         "frames",
         f"{results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard of it, "

@@ -13,13 +13,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import MAX_NODE
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.replay import Playback, Player, Verdict, verify
-from mcp_asdf_tools.recording.sidecar import SidecarReader, sidecar_path
+from mcp_asdf_tools.bus import MAX_NODE, interfaces
+from mcp_asdf_tools.common import UsageError, stopping
+from mcp_asdf_tools.recording import Playback, Player, SidecarReader, Verdict, read_log, sidecar_path, verify
 
 HELP = "check a log by running its robots again, or play it onto a bus"
 EPILOG = """\

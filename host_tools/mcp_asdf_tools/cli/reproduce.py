@@ -13,25 +13,23 @@ from rich.table import Table
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.sweep import add_scheduler, run_stores
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Convention, ExperimentError
-from mcp_asdf_tools.experiments.results import experiments_in
-from mcp_asdf_tools.experiments.sweep import Store
-from mcp_asdf_tools.reproduction.study import (
+from mcp_asdf_tools.common import ParameterError, UsageError
+from mcp_asdf_tools.experiments import Convention, Store, experiments_in
+from mcp_asdf_tools.reproduction import (
     PART_NAMES,
     PERIODS,
     QUICK,
     Part,
     Scale,
+    Verdict,
     cells_of,
     experiment_of,
     study_of,
 )
-from mcp_asdf_tools.reproduction.verdicts import Verdict
-from mcp_asdf_tools.robots.firmwares import FIRMWARES
+from mcp_asdf_tools.robots import FIRMWARES
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.reproduction.study_report import Decided
+    from mcp_asdf_tools.reproduction import Decided
 
 HELP = "run the paper's whole study and report which of its claims hold"
 EPILOG = """\
@@ -116,7 +114,7 @@ def _stores(folder: Path, parts: list[Part], scale: Scale) -> list[Store]:
     """A place for each part's results, where they are by and by."""
     try:
         grids = {part: [experiment_of(cell, scale) for cell in cells_of(part)] for part in parts}
-    except ExperimentError as error:
+    except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments.results import describe, experiments_in, read_table, write_csv
+from mcp_asdf_tools.experiments import describe, experiments_in, read_table, write_csv
 
 HELP = "score results: K, e, h_K, h_e and H"
 EPILOG = """\

@@ -8,18 +8,22 @@ import tempfile
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.authors_formats import write_authors_json
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import describe, experiments_in
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments import (
+    Experiment,
+    Store,
+    describe,
+    experiments_in,
+    read_experiments,
+    run_sweep,
+    write_authors_json,
+)
 
 HELP = "run one experiment: a swarm, many trials, the paper's scores"
 EPILOG = """\
 examples:
   mcp-asdf simulate                                 # the paper's fully connected swarm, 3 of 10 robots flawed
-  mcp-asdf simulate --mode none --flawed 5 --output none.parquet
+  mcp-asdf simulate --filter none --flawed 5 --output none.parquet
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
   mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000

@@ -16,23 +16,24 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
+from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet, results_beside
-from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.recording.frame_logs import Outputs, logging_to
-from mcp_asdf_tools.recording.sidecar import Header
-from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.processes import NodeProcesses, start_nodes
-from mcp_asdf_tools.swarm.live_table import LiveTable
-from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.run import Hook, Run, run_swarm
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, robot_records
-from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, start_nodes
+from mcp_asdf_tools.swarm import (
+    MAX_ROBOTS_AND_TOOLS,
+    Hook,
+    LiveTable,
+    Run,
+    Swarm,
+    SwarmSettings,
+    Wiring,
+    load_warning,
+    one_line,
+    run_swarm,
+    summary_table,
+)
 
 __all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
 
@@ -40,15 +41,15 @@ HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter off --plot off.png        # the same without the filter, as a picture
+  mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
-  mcp-asdf swarm --density 1 --ticks 10000          # robots that move and hear who is within 0.7 m
+  mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
   mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
-  mcp-asdf swarm --clock real-time --ticks 100
-  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --ticks 100
+  mcp-asdf swarm --clock real-time --steps 100
+  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100
   mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
 With {robot} in the channel each robot has a bus of its own, and a medium carries frames between them. The
 same settings give the same run and, on the bus inside this process, the same log to the byte. More about
@@ -70,13 +71,13 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     draw = _drawer(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
-    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
+    header = Header(settings.records(), settings.seed, settings.frames, settings.plain())
     began = time.monotonic()
     try:
         with ExitStack() as ending:
             with logging_to(args.log, header) as outputs:
                 outcome, report = _emulate(args, settings, choice, wiring, outputs)
-                text = summary(outcome, str(choice), time.monotonic() - began)
+                text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             with FileSet() as files:
                 if args.plot is not None:
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _emulate(
     args: argparse.Namespace,
-    settings: Settings,
+    settings: SwarmSettings,
     choice: interfaces.BusChoice,
     wiring: Wiring,
     outputs: Outputs,
@@ -115,7 +116,7 @@ def _emulate(
 
 
 def _admit(
-    args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice, stack: ExitStack
+    args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice, stack: ExitStack
 ) -> int | None:
     """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
     if args.slcan is None:
@@ -135,12 +136,12 @@ def _admit(
     return server.port
 
 
-def _start(args: argparse.Namespace, settings: Settings, choice: interfaces.BusChoice) -> NodeProcesses:
+def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> NodeProcesses:
     """The robots' processes; none unless asked for."""
     if not args.processes:
         return NodeProcesses()
     subjects = Subjects(estimates=settings.frames)
-    return start_nodes(robot_records(settings), choice.of_robot, subjects, settings.ticks_per_second)
+    return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
 def _drawer(path: Path | None) -> Callable[[Run], bytes]:
@@ -148,8 +149,8 @@ def _drawer(path: Path | None) -> Callable[[Run], bytes]:
     if path is None:
         return lambda run: b""
     # Loading matplotlib takes longer than a short run; only who wants a picture shall wait for it.
-    from mcp_asdf_tools.common.figures import check_plot_path, image_of  # noqa: PLC0415
-    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+    from mcp_asdf_tools.common import check_plot_path, image_of  # noqa: PLC0415
+    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
     return lambda run: image_of(draw(run), checked)

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import describe, experiments_in
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments import Store, describe, experiments_in, read_experiments, run_sweep
 
 HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
 EPILOG = """\

@@ -9,10 +9,17 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.tables.image_scan import verify_image
-from mcp_asdf_tools.tables.table_files import Finding, check_file, describe, write
-from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES, OMEGA_PLACES, parse_omega
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.tables import (
+    MAX_MESSAGES,
+    OMEGA_PLACES,
+    Finding,
+    check_file,
+    describe,
+    parse_omega,
+    verify_image,
+    write,
+)
 
 HELP = "make t-tables, and check them in files and built images"
 EPILOG = """\

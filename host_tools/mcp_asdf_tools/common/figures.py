@@ -39,10 +39,13 @@ def image_of(figure: Figure, path: Path) -> bytes:
 
 
 # The first eight stay apart for the colour-blind.
-_MORE = ("#999999", "#f0e442", "#6a3d9a", "#7a5230")
+GREY = "#999999"
 
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222", *_MORE)
+COLOURS = (
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222"),
+    *(GREY, "#f0e442", "#6a3d9a", "#7a5230"),
+)
 
 
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]

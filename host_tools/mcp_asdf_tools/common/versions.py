@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from importlib import metadata
 
 import can
@@ -19,6 +20,11 @@ def own_version() -> str:
         return "not installed"
 
 
-def versions() -> dict[str, str]:
-    """What the results of a run may depend on, by name."""
-    return {"mcp-asdf": own_version(), "python-can": can.__version__, "numpy": np.__version__}
+def software_versions() -> dict[str, str]:
+    """Versions of the software that results may depend on, by name."""
+    return {
+        "mcp-asdf": own_version(),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "python-can": can.__version__,
+    }

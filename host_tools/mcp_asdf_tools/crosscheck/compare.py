@@ -134,7 +134,7 @@ Watcher = Callable[[Call, Look, Look], list[str]]
 Check = Callable[[Scenario], Finding | None]
 
 
-def compare(
+def compare_firmwares(
     scenario: Scenario, left: Firmware, right: Firmware, watch: Watcher | None = None
 ) -> Finding | None:
     """Take both firmwares through the scenario and stop at the first difference or complaint of ``watch``."""

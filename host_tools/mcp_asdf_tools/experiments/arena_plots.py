@@ -10,11 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, empty_figure
+from mcp_asdf_tools.common import FLAWED, INK, OTHER, UsageError, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.arena import Arena, ArenaSettings, Picture
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world import Arena, ArenaSettings, Picture, make_arena
 
 BODY_RADIUS = 0.0704
 _RANGE = "#bbbbbb"
@@ -112,7 +110,7 @@ def _draw_robots(axes: Axes, experiment: Experiment, arena: Arena) -> None:
 
 
 def _colour(experiment: Experiment, robot: int) -> str:
-    return FLAWED if robot < experiment.flawed else OTHER
+    return FLAWED if robot < experiment.flawed_robots else OTHER
 
 
 def _finish(figure: Figure, axes: Axes, title: str, marks: list[Line2D]) -> None:

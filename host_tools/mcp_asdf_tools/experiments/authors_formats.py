@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.experiments.experiment import Activation, Experiment, ExperimentError, Mode
+from mcp_asdf_tools.common import ParameterError, UsageError, write_atomically
+from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.validation import MAX_EXPERIMENTS
+from mcp_asdf_tools.robots import Activation, Filtering
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ _KEYS = {
     "fullyConnected": "topology",
     "method": "activation",
     _OMEGA: "omega",
-    "correctFilter": "mode",
+    "correctFilter": "filter",
 }
 """Their keys, a dot for a level, and what the plain numbers among them are here."""
 
@@ -142,17 +141,17 @@ def read_yaml(path: Path, text: str) -> list[Experiment]:
     parameters: dict[str, Any] = {
         ours: given.number(theirs)
         for theirs, ours in _KEYS.items()
-        if ours not in ("", "activation", "mode", "flawed", "topology") and given.has(theirs)
+        if ours not in ("", "activation", "filter", "flawed", "topology") and given.has(theirs)
     }
     parameters["activation"] = given.method()
     if not given.switch("fullyConnected"):
         parameters |= {"topology": "dynamic", "latency": 1}
-    parameters["mode"] = "asdf_plus" if given.switch("correctFilter") else "asdf_minus"
+    parameters["filter"] = "asdf-plus" if given.switch("correctFilter") else "asdf-minus"
     experiments = []
     for flawed in _flawed_counts(given):
         try:
             experiments.append(Experiment.from_parameters({**parameters, "flawed": flawed}))
-        except ExperimentError as error:
+        except ParameterError as error:
             # What is not theirs has our default, which fullyConnected chose.
             theirs = {ours: theirs for theirs, ours in _KEYS.items()}.get(error.key, "fullyConnected")
             raise given.error(theirs, f"{theirs}: {error}") from error
@@ -198,7 +197,7 @@ def write_authors_json(folder: Path, trials: Trials) -> list[Path]:
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
     paths = []
     for index, number in enumerate(trials.numbers):
-        paths.append(folder / f"f{trials.experiment.flawed}_t{number}.json")
+        paths.append(folder / f"f{trials.experiment.flawed_robots}_t{number}.json")
         content = _authors_parameters(trials.experiment) | {
             "trial_ind": number,
             "data_str": _data_rows(trials, index),
@@ -224,8 +223,8 @@ def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
         "sim_type": f"{'dynamic' if experiment.is_dynamic else 'static'}_topo_static_deg",
         "method": "BRAVO" if adaptive else "ALPHA",
         "num_robots": experiment.robots,
-        "num_flawed_robots": experiment.flawed,
-        "num_correct_robots": experiment.robots - experiment.flawed,
+        "num_flawed_robots": experiment.flawed_robots,
+        "num_correct_robots": experiment.robots - experiment.flawed_robots,
         "num_steps": experiment.steps,
         "num_trials": experiment.trials,
         "comms_period": experiment.comms_period,
@@ -235,7 +234,7 @@ def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
         "flawed_sensor_acc_w": experiment.flawed_accuracy,
         "correct_sensor_acc_b": experiment.true_accuracy,
         "correct_sensor_acc_w": experiment.true_accuracy,
-        "correct_robot_filter": experiment.mode is Mode.ASDF_PLUS,
+        "correct_robot_filter": experiment.filter is Filtering.ASDF_PLUS,
         "fully_connected": not experiment.is_dynamic,
         "filter_specific_params": {"type_2_err_prob": float(experiment.omega)} if adaptive else {},
     }

@@ -14,8 +14,8 @@ from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured, measured_trial
-from mcp_asdf_tools.robots.firmwares import RobotMaker, load_firmware
-from mcp_asdf_tools.world.world import TrialWorld
+from mcp_asdf_tools.robots import RobotMaker, load_firmware
+from mcp_asdf_tools.world import World
 
 _STEPS_AT_ONCE = 512
 
@@ -48,7 +48,7 @@ Pairs = Sequence[Sequence[int]]
 
 def _steps(experiment: Experiment, trial: int) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
     """The observation of each robot in every step, None where it makes none, and the pairs in range."""
-    world, none = TrialWorld(experiment, trial), [None] * experiment.robots
+    world, none = World(experiment, trial), [None] * experiment.robots
     for first in range(0, experiment.steps, _STEPS_AT_ONCE):
         scene = world.advance(min(_STEPS_AT_ONCE, experiment.steps - first))
         for black, observes, hears in zip(scene.black.tolist(), scene.observes, scene.hears, strict=True):
@@ -61,7 +61,8 @@ def _make_robots(experiment: Experiment) -> list[Robot]:
         conventions = reference_arrays.conventions_of(experiment)
         make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
-        make(experiment.config(robot), robot, experiment.b_hat(robot)) for robot in range(experiment.robots)
+        make(experiment.config(robot).in_rounds(), robot, experiment.b_hat(robot))
+        for robot in range(experiment.robots)
     ]
 
 

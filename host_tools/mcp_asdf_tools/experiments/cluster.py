@@ -13,9 +13,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError, software_versions
 from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import versions
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.simulation import Job
@@ -51,11 +50,11 @@ def run_on_cluster(jobs: Iterator[Job], address: str) -> Iterator[tuple[Job, Mea
 
 def _run(job: Job) -> tuple[str, Measured]:
     """What a worker does: the version that ran, and the results."""
-    return versions()["mcp-asdf"], job.run()
+    return software_versions()["mcp-asdf"], job.run()
 
 
 def _check_version(version: str) -> None:
-    own = versions()["mcp-asdf"]
+    own = software_versions()["mcp-asdf"]
     if version != own:
         raise UsageError(
             f"a worker of the cluster has mcp-asdf {version}, this is {own}; install the same on all"

@@ -2,8 +2,7 @@
 
 TOML: a line ``key = value`` for every attribute of Experiment that is not the default. A list in place of a
 value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own, each on
-top of the keys above them. ``flawed_proportion`` may stand for ``flawed``. The path of a picture is relative
-to the file's folder.
+top of the keys above them. Paths of pictures and graphs are relative to the file's folder.
 
 YAML: the parameter file of github.com/NESTLab/sensor-degradation-filter for its fully connected simulator, as
 it is. That does not look at ``fullyConnected``; here, false stands for the paper's dynamic topology, with the
@@ -22,14 +21,12 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import ParameterError, UsageError
 from mcp_asdf_tools.experiments.authors_formats import read_yaml
-from mcp_asdf_tools.experiments.experiment import Experiment, ExperimentError
-from mcp_asdf_tools.experiments.validation import MAX_EXPERIMENTS
+from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment
 
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
-PROPORTION = "flawed_proportion"
 
 _HEADER = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 _KEY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
@@ -71,15 +68,9 @@ def _read_toml(path: Path, text: str) -> list[Experiment]:
     lines = _TomlLines(path, text)
     experiments: list[Experiment] = []
     for number, grid in enumerate(grids, start=1):
-        for choice in _combinations({**_without_rival(content, grid), **grid}, lines, number):
+        for choice in _combinations({**content, **grid}, lines, number):
             experiments.append(_experiment(choice, lines, number))
     return experiments
-
-
-def _without_rival(common: dict[str, Any], grid: dict[str, Any]) -> dict[str, Any]:
-    """The keys above the grids, less the one that a grid's other way to say ``flawed`` replaces."""
-    rivals = {"flawed": PROPORTION, PROPORTION: "flawed"}
-    return {key: value for key, value in common.items() if rivals.get(key) not in grid}
 
 
 class _TomlLines:
@@ -113,37 +104,10 @@ def _combinations(grid: dict[str, Any], lines: _TomlLines, number: int) -> Itera
 
 def _experiment(parameters: dict[str, Any], lines: _TomlLines, number: int) -> Experiment:
     given = dict(parameters)
-    if isinstance(given.get("picture"), str) and given["picture"]:
-        given["picture"] = str(lines.path.parent / given["picture"])
+    for key in ("picture", "graph"):
+        if isinstance(given.get(key), str) and (lines.path.parent / given[key]).is_file():
+            given[key] = str(lines.path.parent / given[key])
     try:
-        if PROPORTION in given:
-            given = _with_count(given)
         return Experiment.from_parameters(given)
-    except ExperimentError as error:
-        key = PROPORTION if error.key == "flawed" and PROPORTION in parameters else error.key
-        raise lines.error(number, key, str(error)) from error
-
-
-def _with_count(given: dict[str, Any]) -> dict[str, Any]:
-    """``given`` with the count in place of the proportion of flawed robots."""
-    if "flawed" in given:
-        raise ExperimentError("flawed", f"flawed and {PROPORTION} say the same; give one of them")
-    rest = {key: value for key, value in given.items() if key != PROPORTION}
-    robots = Experiment.from_parameters({**rest, "flawed": 0}).robots
-    return {**rest, "flawed": flawed_count(given[PROPORTION], robots)}
-
-
-def flawed_count(proportion: Any, robots: int) -> int:
-    """P N as a whole number of robots. Raises ExperimentError if it is none or P is outside 0 .. 1."""
-    is_number = isinstance(proportion, int | float) and not isinstance(proportion, bool)
-    if not (is_number and 0 <= proportion <= 1):
-        raise ExperimentError("flawed", f"{PROPORTION} is {proportion!r}; it must be 0 to 1")
-    count: int = round(proportion * robots)
-    if abs(count - proportion * robots) > 1e-9:
-        share = f"{proportion} of {robots} robots is {proportion * robots:g}"
-        message = f"{PROPORTION} {share}; choose one that makes whole robots"
-        raise ExperimentError("flawed", message)
-    return count
-
-
-# --- The authors' YAML -----------------------------------------------------------------------------------
+    except ParameterError as error:
+        raise lines.error(number, error.key, str(error)) from error

@@ -13,18 +13,22 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mcp_asdf.reference import local_confidence
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import _MORE, COLOURS, FLAWED, INK, OTHER, clean, empty_figure
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.common import COLOURS, FLAWED, GREY, INK, OTHER, UsageError, clean, empty_figure
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.robots import Filtering
 
-_NO_FILTER = _MORE[0]
+_NO_FILTER = GREY
 _SHADES = ("#222222", "#56b4e9", "#0072b2", "#e69f00", "#d55e00", "#8a4f7d", "#009e73", "#cc79a7")
 """Of proportions of flawed robots, from none."""
 _MARKERS = "osD^v"
 
-MODE_NAMES = {Mode.NONE: "no filter", Mode.ASDF_MINUS: "ASDF\N{MINUS SIGN}", Mode.ASDF_PLUS: "ASDF+"}
+MODE_NAMES = {
+    Filtering.NONE: "no filter",
+    Filtering.ASDF_MINUS: "ASDF\N{MINUS SIGN}",
+    Filtering.ASDF_PLUS: "ASDF+",
+}
 _SERIES = (
     ("b_hat", r"assumed accuracy $\hat{b}$"),
     ("x_hat", r"local estimate $\hat{x}$"),
@@ -117,7 +121,7 @@ Slot = tuple[float, float]
 
 def _slot(trials: Trials) -> Slot:
     experiment = trials.experiment
-    if not experiment.flawed:
+    if not experiment.flawed_robots:
         return 0.0, 0.0
     return _share(trials), round(experiment.flawed_accuracy - experiment.true_accuracy, 9)
 
@@ -192,7 +196,7 @@ def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, li
     """Swarms without filter first, then those that filter less."""
     name = name or _name_of(experiments)
     series: dict[str, list[Trials]] = {}
-    for trials in sorted(experiments, key=lambda trials: list(Mode).index(trials.experiment.mode)):
+    for trials in sorted(experiments, key=lambda trials: list(Filtering).index(trials.experiment.filter)):
         series.setdefault(name(trials.experiment), []).append(trials)
     return series
 
@@ -200,19 +204,19 @@ def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, li
 def _name_of(experiments: Sequence[Trials]) -> Name:
     """Names made of what varies; what only filters have says nothing of swarms without."""
     parameters = [trials.experiment.parameters() for trials in experiments]
-    filtering = [each for each in parameters if each["mode"] != Mode.NONE.value] or parameters
+    filtering = [each for each in parameters if each["filter"] != Filtering.NONE.value] or parameters
     varying = [
         key
         for key in parameters[0]
-        if key not in (*_NOT_A_SERIES, "mode")
+        if key not in (*_NOT_A_SERIES, "filter")
         and len({each[key] for each in (filtering if key in _OF_FILTERS else parameters)}) > 1
     ]
 
     def name(experiment: Experiment) -> str:
-        has_filter = experiment.mode is not Mode.NONE
+        has_filter = experiment.filter is not Filtering.NONE
         own = [key for key in varying if has_filter or key not in _OF_FILTERS]
         return ", ".join(
-            [MODE_NAMES[experiment.mode], *(_words(key, experiment.parameters()[key]) for key in own)]
+            [MODE_NAMES[experiment.filter], *(_words(key, experiment.parameters()[key]) for key in own)]
         )
 
     return name
@@ -228,7 +232,7 @@ def _colours(series: Sequence[str] | dict[str, list[Trials]]) -> dict[str, str]:
     """Swarms without a filter are grey if there are others."""
     rest = iter(COLOURS)
     return {
-        name: _NO_FILTER if name == MODE_NAMES[Mode.NONE] and len(series) > 1 else next(rest)
+        name: _NO_FILTER if name == MODE_NAMES[Filtering.NONE] and len(series) > 1 else next(rest)
         for name in series
     }
 
@@ -242,7 +246,7 @@ def _in_panel(experiments: Sequence[Trials], f: float, b: float) -> list[Trials]
 
 
 def _share(trials: Trials) -> float:
-    return trials.experiment.flawed / trials.experiment.robots
+    return trials.experiment.flawed_robots / trials.experiment.robots
 
 
 def _check_size(panels: int, series: int) -> None:
@@ -271,7 +275,7 @@ def series_beside(runs: Sequence[Trials], number: int) -> Figure:
     for column, trials in zip(grid.T, runs, strict=True):
         _draw_series(column, trials, _index_of(trials, number))
         if len(runs) > 1:
-            column[0].set_title(MODE_NAMES[trials.experiment.mode], fontsize=10)
+            column[0].set_title(MODE_NAMES[trials.experiment.filter], fontsize=10)
         column[-1].set_xlabel("step")
     for axes, (_, label) in zip(grid[:, 0], _SERIES, strict=True):
         axes.set_ylabel(label)
@@ -297,7 +301,7 @@ def _draw_series(column: Sequence[Axes], trials: Trials, index: int) -> None:
         values = trials.records[quantity][index]
         steps = np.linspace(0, experiment.steps // (len(values) - 1) * (len(values) - 1), len(values))
         for robot in range(experiment.robots - 1, -1, -1):  # flawed ones on top
-            colour = FLAWED if robot < experiment.flawed else OTHER
+            colour = FLAWED if robot < experiment.flawed_robots else OTHER
             # b_hat jumps at updates and stands still between them.
             style = "steps-post" if quantity == "b_hat" else "default"
             axes.plot(steps, values[:, robot], color=colour, linewidth=1.2, alpha=0.75, drawstyle=style)

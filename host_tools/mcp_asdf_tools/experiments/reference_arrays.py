@@ -25,7 +25,7 @@ from mcp_asdf.reference import (
 )
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
-from mcp_asdf_tools.world.world import Scene, TrialWorld
+from mcp_asdf_tools.world import Scene, World
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -63,7 +63,7 @@ def can_run(experiment: Experiment) -> bool:
 
 def run(experiment: Experiment, trial: int) -> Outcome:
     """One trial. Raises UsageError if the experiment's arena cannot be. O(steps N^2)."""
-    world, swarm = TrialWorld(experiment, trial), _Swarm(experiment)
+    world, swarm = World(experiment, trial), _Swarm(experiment)
     x, b_hat = np.full((experiment.robots, experiment.steps + 1), 0.5), []
     step, period = 0, experiment.filter_period
     while step < experiment.steps:

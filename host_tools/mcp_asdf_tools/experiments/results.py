@@ -18,7 +18,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +28,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.common.versions import own_version
+from mcp_asdf_tools.common import UsageError, software_versions, write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
 from mcp_asdf_tools.experiments.scores import DELTA, Limits, score
@@ -49,11 +46,6 @@ _RECORDS = tuple(f"record_{quantity}" for quantity in QUANTITIES)
 _PARAMETERS = tuple(Experiment().parameters())
 
 
-def versions() -> dict[str, str]:
-    """Of everything that results could depend on."""
-    return {"mcp-asdf": own_version(), "numpy": np.__version__, "python": platform.python_version()}
-
-
 def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> pa.Table:
     """Trials of an experiment as rows."""
     count = len(measured.settled)
@@ -66,7 +58,7 @@ def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> p
         columns[name] = _rows(array, kind)
     for name, array in zip(_RECORDS, measured.records, strict=True):
         columns[name] = _rows(array, pa.float64())
-    description = {"format": FORMAT, "versions": versions(), "delta": DELTA, "thinning": thinning}
+    description = {"format": FORMAT, "versions": software_versions(), "delta": DELTA, "thinning": thinning}
     return pa.table(columns).replace_schema_metadata({_KEY: json.dumps(description)})
 
 

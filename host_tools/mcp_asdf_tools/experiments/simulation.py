@@ -8,13 +8,14 @@ estimates of a trial is dropped as soon as K and e are known.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -29,7 +30,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, thinning: int = 
 
     Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
     """
-    if experiment.firmware == "native" and not experiment.is_dynamic:
+    if not experiment.is_dynamic and _is_for_engine(experiment):
         return _run_native(experiment, first, trials, thinning)
     each = [_run_one(experiment, first + index, thinning) for index in range(trials)]
     return Measured(
@@ -38,7 +39,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, thinning: int = 
 
 
 def _run_one(experiment: Experiment, trial: int, thinning: int) -> Measured:
-    if experiment.firmware == "native":
+    if _is_for_engine(experiment):
         return _run_native(experiment, trial, 1, thinning)
     if experiment.firmware == "reference" and thinning == 0 and reference_arrays.can_run(experiment):
         return _run_float64(experiment, trial)
@@ -48,15 +49,23 @@ def _run_one(experiment: Experiment, trial: int, thinning: int) -> Measured:
 _AXES = (("settled", 0), ("errors", 0), ("b_hat", 0), ("tests", 0), ("updates", 0), ("records", 1))
 
 
-def _run_native(experiment: Experiment, first: int, trials: int, thinning: int) -> Measured:
+def _is_for_engine(experiment: Experiment) -> bool:
+    return experiment.firmware == "native" and _engine().can_run(experiment)
+
+
+def _engine() -> ModuleType:
+    """The engine, loaded when first needed: other firmwares run where nothing has been built."""
     try:
-        # Imported here, so that other firmwares run where nothing has been built.
         from mcp_asdf_tools.experiments.engine import native  # noqa: PLC0415
     except ImportError as error:
         raise UsageError(
             f"the engine cannot be loaded ({error}); build it with 'pip install .' or choose firmware mirror"
         ) from error
-    raw = native.run(experiment, first, trials, thinning)
+    return native
+
+
+def _run_native(experiment: Experiment, first: int, trials: int, thinning: int) -> Measured:
+    raw = _engine().run(experiment, first, trials, thinning)
     pairs = np.array(
         [[measure(series, 1 / ONE, experiment.fill_ratio) for series in trial] for trial in raw.x]
     )

@@ -22,12 +22,10 @@ from pathlib import Path
 
 import pyarrow as pa  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target
-from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.common import UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import describe, read_table, table_of, versions, write_table
+from mcp_asdf_tools.experiments.results import describe, read_table, table_of, write_table
 from mcp_asdf_tools.experiments.simulation import Job
 
 _MOST_TRIALS = 32
@@ -45,7 +43,7 @@ def identity(experiment: Experiment, thinning: int) -> str:
     parameters = {
         **replace(experiment, trials=1).parameters(),
         "thinning": thinning,
-        "version": versions()["mcp-asdf"],
+        "version": software_versions()["mcp-asdf"],
     }
     return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:20]
 
@@ -120,7 +118,8 @@ class Store:
         }
         found = zip([own[row] for row in rows], table["trial"].to_pylist(), strict=True)
         is_same = (
-            said["thinning"] == self._thinning and said["versions"]["mcp-asdf"] == versions()["mcp-asdf"]
+            said["thinning"] == self._thinning
+            and said["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
         )
         if not is_same or not wanted.issuperset(found):
             raise UsageError(

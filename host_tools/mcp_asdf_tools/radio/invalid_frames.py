@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     EVERY_ROBOT,
     ONE,
     Action,
@@ -21,7 +21,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots import Subjects
 
 Draw = random.Random
 Breaker = Callable[[can.Message, Draw], None]

@@ -12,16 +12,10 @@ from dataclasses import dataclass, replace
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.swarm.air import Air
-from mcp_asdf_tools.swarm.fault_spec import Fault
-from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings, make_world
-from mcp_asdf_tools.world.topology import Topology
-
-_COLOURS = (Observation.WHITE, Observation.BLACK)
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import NodeSettings, RobotNode, RobotRecord, Subjects
+from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, Sent, SwarmSettings
+from mcp_asdf_tools.world import World
 
 
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
@@ -34,8 +28,8 @@ def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
         raise UsageError(f"first-id is {first}; it must be 0 to {MAX_ROBOTS_AND_TOOLS - 1}")
     if not 1 <= count <= len(ids):
         raise UsageError(
-            f"robots is {count}; from id {first} on there is room for 1 to {len(ids)}, without the "
-            f"controller's, {controller}, and those that Cyphal keeps for tools"
+            f"robots is {count + 1}; from id {first} on there is room for 2 to {len(ids) + 1}, with the "
+            f"controller, {controller}, and without the ids that Cyphal keeps for tools"
         )
     return ids[:count]
 
@@ -55,7 +49,7 @@ class RadioSettings:
 
     controller: RobotRecord
     neighbours: tuple[RobotRecord, ...]
-    swarm: Settings
+    swarm: SwarmSettings
     subjects: Subjects
     faults: tuple[Fault, ...] = ()
 
@@ -71,16 +65,16 @@ def like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
 
 
 class _Renumbered:
-    """A topology of robots whose ids are not 0, 1, 2 ..."""
+    """A world of robots whose ids are not 0, 1, 2 ..."""
 
-    def __init__(self, topology: Topology, ids: Sequence[int]) -> None:
-        self._topology = topology
+    def __init__(self, world: World, ids: Sequence[int]) -> None:
+        self._world = world
         self._ids = ids
         self._places = {robot: place for place, robot in enumerate(ids)}
 
     def neighbours(self, robot: int) -> Collection[int]:
         """Ids of the robots that ``robot`` hears."""
-        return frozenset(self._ids[place] for place in self._topology.neighbours(self._places[robot]))
+        return frozenset(self._ids[place] for place in self._world.neighbours(self._places[robot]))
 
 
 class Neighbourhood:
@@ -100,24 +94,20 @@ class Neighbourhood:
         self.tick = 0
         self._records = {record.id: record for record in settings.neighbours}
         self._ids = sorted([settings.controller.id, *self.nodes])
-        self._world = make_world(settings.swarm)
-        self._air = Air(_Renumbered(self._world.topology, self._ids), self.faults)
+        self._world = World(settings.swarm)
+        self._air = Air(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
         self._forgetful: dict[int, bool] = {}
         self._sent: list[Sent] = []
 
-    def begin(self) -> Observation:
+    def begin(self) -> Observation | None:
         """Let all neighbours observe; returns what the controller's sensor would say. O(neighbours)."""
-        colours = dict(zip(self._ids, self._world.observe()[0].tolist(), strict=True))
-        frames = [
-            (robot, frame)
-            for robot in self._living()
-            for frame in self._frames_of(robot, _COLOURS[colours[robot]])
-        ]
+        seen = dict(zip(self._ids, self._world.step(), strict=True))
+        frames = [(robot, frame) for robot in self._living() for frame in self._frames_of(robot, seen[robot])]
         self._sent = [each for robot, frame in frames for each in self.faults.leave(frame, robot, self.tick)]
         for robot in self.nodes:
-            for frame in self.faults.babble(robot, self.tick, self.tick / self._ticks_per_second):
+            for frame in self.faults.babble(robot, self.tick, self.tick / self._steps_per_second):
                 self._sent += self.faults.leave(frame, robot, self.tick)
-        return _COLOURS[colours[self.settings.controller.id]]
+        return seen[self.settings.controller.id]
 
     def finish(self, said: Sequence[can.Message]) -> list[can.Message]:
         """Let the controller have ``said`` this, and all neighbours hear and settle.
@@ -137,7 +127,7 @@ class Neighbourhood:
         # Error frames are a driver's report: nobody can send one.
         return [frame for frame in heard if not frame.is_error_frame]
 
-    def _frames_of(self, robot: int, z: Observation) -> list[can.Message]:
+    def _frames_of(self, robot: int, z: Observation | None) -> list[can.Message]:
         node = self.nodes[robot]
         return (node.start() if node.ticks == 0 else []) + node.observe(z)
 
@@ -155,9 +145,9 @@ class Neighbourhood:
         return [robot for robot in self.nodes if robot not in self._forgetful]
 
     def _node(self, record: RobotRecord) -> RobotNode:
-        settings = NodeSettings(record.id, self.settings.subjects, self._ticks_per_second, telemetry_period=0)
+        settings = NodeSettings(record.id, self.settings.subjects, self._steps_per_second, telemetry_period=0)
         return RobotNode(record.make(), settings)
 
     @property
-    def _ticks_per_second(self) -> int:
-        return self.settings.swarm.ticks_per_second
+    def _steps_per_second(self) -> int:
+        return self.settings.swarm.steps_per_second

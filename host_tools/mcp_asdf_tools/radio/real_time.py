@@ -8,11 +8,9 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Message, Telemetry, decode, decode_telemetry
-from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
+from mcp_asdf_tools.bus import Collision, CollisionWatch, Message, Telemetry, decode, decode_telemetry
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
-from mcp_asdf_tools.robots.clock import RealTimeClock
-from mcp_asdf_tools.robots.node_run import Link, Outcome, Stopped
+from mcp_asdf_tools.robots import Link, Outcome, RealTimeClock, Stopped
 
 
 class RadioRun:
@@ -47,7 +45,7 @@ class RadioRun:
 
         What the controller says is heard at the next tick; what it hears it hears at ticks.
         """
-        clock = RealTimeClock(self.neighbours.settings.swarm.ticks_per_second, sleep=self._listen)
+        clock = RealTimeClock(self.neighbours.settings.swarm.steps_per_second, sleep=self._listen)
         try:
             while self._ticks is None or self.neighbours.tick < self._ticks:
                 clock.begin(self.neighbours.tick)
@@ -64,7 +62,7 @@ class RadioRun:
         """What came out as plain values, for JSON."""
         x = [node.robot.x for node in self.neighbours.nodes.values()]
         return {
-            "ticks": self.neighbours.tick,
+            "steps": self.neighbours.tick,
             **vars(self.outcome),
             "frames_sent": self.sent,
             "estimates_heard": self.heard,

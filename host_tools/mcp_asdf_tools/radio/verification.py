@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     MAX_NODE,
     Message,
     Rejection,
@@ -27,10 +27,16 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError, LockstepSettings
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, send_all
-from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
+from mcp_asdf_tools.robots import (
+    Lockstep,
+    LockstepError,
+    LockstepSettings,
+    NodeSettings,
+    Recorder,
+    RobotNode,
+    send_all,
+)
+from mcp_asdf_tools.swarm import Fault, parse_fault
 
 SEND_TIMEOUT = 2.0
 
@@ -191,7 +197,7 @@ class Verification:
         self._neighbours = Neighbourhood(replace(settings, faults=tuple(faults)))
         self.model = RobotNode(
             settings.controller.make(),
-            NodeSettings(self._id, settings.subjects, settings.swarm.ticks_per_second),
+            NodeSettings(self._id, settings.subjects, settings.swarm.steps_per_second),
             bench.recorder,
         )
         self._lockstep = Lockstep(

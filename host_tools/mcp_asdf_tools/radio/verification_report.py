@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, write_atomically
+from mcp_asdf_tools.common import UsageError, check_target, write_atomically
 
 COLUMNS = {
     "name": "phase",

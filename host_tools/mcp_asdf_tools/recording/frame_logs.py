@@ -10,8 +10,7 @@ from types import TracebackType
 import can
 from can.io.generic import FileIOMessageWriter
 
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet, explaining, refusal
+from mcp_asdf_tools.common import FileSet, UsageError, explaining, refusal
 from mcp_asdf_tools.recording.sidecar import Header, SidecarWriter, sidecar_path
 
 _LOSSY = ".db"

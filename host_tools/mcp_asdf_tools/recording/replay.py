@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     Action,
     FrameFormat,
     Message,
@@ -21,8 +21,7 @@ from mcp_asdf_tools.bus.frames import (
     frame_as_text,
 )
 from mcp_asdf_tools.recording.sidecar import SidecarReader
-from mcp_asdf_tools.robots.events import RESTART, SETTLE, Event
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots import RESTART, SETTLE, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
 _TRANSFERS = 32

@@ -33,14 +33,10 @@ from typing import Any
 import can
 
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet, explaining, refusal
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.robots.events import RESTART, SETTLE, SILENT, Event, Recorder
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.tables.thresholds import generate
+from mcp_asdf_tools.bus import FrameFormat, frame_as_text
+from mcp_asdf_tools.common import FileSet, UsageError, explaining, refusal, software_versions
+from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord, TickConfig
+from mcp_asdf_tools.tables import generate
 
 FORMAT = "mcp-asdf events"
 VERSION = 2
@@ -69,7 +65,7 @@ class Header:
     seed: int | None
     frames: FrameFormat
     parameters: dict[str, Any] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=versions)
+    versions: dict[str, str] = field(default_factory=software_versions)
 
     def plain(self) -> dict[str, Any]:
         """The header as plain values, for JSON."""

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mcp_asdf_tools.experiments.experiment import Mode
 from mcp_asdf_tools.reproduction.study import (
     FLAWED_ACCURACIES,
     PART_NAMES,
@@ -22,10 +21,11 @@ from mcp_asdf_tools.reproduction.study import (
     cells_of,
 )
 from mcp_asdf_tools.reproduction.verdicts import MARGIN, Comparison, Expectation, Finding, Summary, estimate
+from mcp_asdf_tools.robots import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 BOTH = (DYNAMIC, FULLY_CONNECTED)
-NONE, MINUS, PLUS = Mode
+NONE, MINUS, PLUS = Filtering
 
 Panel = tuple[float, float]
 """f and b of one plot of the paper's figures."""
@@ -120,7 +120,7 @@ def cells(
     part: Part,
     panels: Iterable[Panel] = EVERYWHERE,
     percents: Iterable[int] = PARTLY,
-    mode: Mode = NONE,
+    mode: Filtering = NONE,
     periods: Iterable[int] = (1000,),
 ) -> list[Cell]:
     """The cells of a part in these panels, with every flawed accuracy that is flawed there."""
@@ -135,7 +135,7 @@ def cells(
     ]
 
 
-def physical_cells(mode: Mode = NONE) -> list[Cell]:
+def physical_cells(mode: Filtering = NONE) -> list[Cell]:
     """The cells of the physical experiment with this filter."""
     return [cell for cell in cells_of(PHYSICAL) if cell.mode is mode]
 
@@ -204,7 +204,7 @@ def against(study: Study, expected: Expected, each: Iterable[Cell], level: float
     return comparisons
 
 
-def versus(each: Iterable[Cell], mode: Mode) -> list[Pair]:
+def versus(each: Iterable[Cell], mode: Filtering) -> list[Pair]:
     """Each cell and the same with another filter."""
     return [(cell, cell.but(mode=mode)) for cell in each]
 

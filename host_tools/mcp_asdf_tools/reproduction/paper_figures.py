@@ -7,11 +7,16 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import arena_plots, plots
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode
-from mcp_asdf_tools.experiments.plots import MODE_NAMES
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments import (
+    MODE_NAMES,
+    Experiment,
+    Trials,
+    arena_plots,
+    experiments_in,
+    plots,
+    run_trials,
+    table_of,
+)
 from mcp_asdf_tools.reproduction.comparisons import DYNAMIC, FULLY_CONNECTED, MINUS, NONE, PHYSICAL, PLUS
 from mcp_asdf_tools.reproduction.study import (
     PART_NAMES,
@@ -24,6 +29,7 @@ from mcp_asdf_tools.reproduction.study import (
     experiment_of,
     limits,
 )
+from mcp_asdf_tools.robots import Filtering
 
 _TRIAL = 0
 """Which one is drawn over time and space."""
@@ -42,13 +48,13 @@ class ReportFigure:
     draw: Callable[[Study, Scale], Figure]
 
 
-def _boxes(part: Part, mode: Mode) -> ReportFigure:
+def _boxes(part: Part, mode: Filtering) -> ReportFigure:
     """H without and with a filter, as figure 4; where all are flawed, ASDF- is ASDF+ and not shown twice."""
 
     def draw(study: Study, scale: Scale) -> Figure:
         shown = _of_modes(study, part, (NONE, mode))
         if mode is MINUS:
-            shown = [each for each in shown if each.experiment.flawed < each.experiment.robots]
+            shown = [each for each in shown if each.experiment.flawed_robots < each.experiment.robots]
         return plots.boxes(shown, limits(shown[0]))
 
     caption = f"H of {PART_NAMES[part]} swarms without filter and with {MODE_NAMES[mode]} (paper: figure 4)."
@@ -67,11 +73,11 @@ def _points(part: Part) -> ReportFigure:
     return ReportFigure(f"{part.value}_scatter", caption, frozenset({part}), draw)
 
 
-def _topologies(mode: Mode) -> ReportFigure:
+def _topologies(mode: Filtering) -> ReportFigure:
     """Dynamic beside fully connected, as figure 6."""
 
     def name(experiment: Experiment) -> str:
-        return f"{'dynamic' if experiment.is_dynamic else 'fully connected'}, {MODE_NAMES[experiment.mode]}"
+        return f"{'dynamic' if experiment.is_dynamic else 'fully connected'}, {MODE_NAMES[experiment.filter]}"
 
     def draw(study: Study, scale: Scale) -> Figure:
         shown = [
@@ -87,8 +93,8 @@ def _topologies(mode: Mode) -> ReportFigure:
     return ReportFigure(f"topologies_{mode.value}", caption, frozenset({DYNAMIC, FULLY_CONNECTED}), draw)
 
 
-def _of_modes(study: Study, part: Part, modes: Sequence[Mode]) -> list[Trials]:
-    return [each for mode in modes for each in study.of(part) if each.experiment.mode is mode]
+def _of_modes(study: Study, part: Part, modes: Sequence[Filtering]) -> list[Trials]:
+    return [each for mode in modes for each in study.of(part) if each.experiment.filter is mode]
 
 
 def _series(study: Study, scale: Scale) -> Figure:

@@ -17,10 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment, Mode
-from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Limits, Scores, score
+from mcp_asdf_tools.experiments import (
+    STUDIES,
+    Convention,
+    Experiment,
+    Limits,
+    Scores,
+    Trials,
+    read_experiments,
+    score,
+)
+from mcp_asdf_tools.robots import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)
@@ -59,7 +66,7 @@ class Cell:
     true_accuracy: float
     flawed_accuracy: float
     percent: int
-    mode: Mode = Mode.NONE
+    mode: Filtering = Filtering.NONE
     period: int = PERIODS[0]
 
     def but(self, **changes: Any) -> Cell:
@@ -73,10 +80,10 @@ class Cell:
         mode = self.mode
         if self.percent == 0:
             changes["flawed_accuracy"] = self.true_accuracy
-            mode = Mode.NONE if mode is Mode.ASDF_MINUS else mode
-        elif self.percent == 100 and mode is Mode.ASDF_MINUS:
-            mode = Mode.ASDF_PLUS
-        if mode is Mode.NONE:
+            mode = Filtering.NONE if mode is Filtering.ASDF_MINUS else mode
+        elif self.percent == 100 and mode is Filtering.ASDF_MINUS:
+            mode = Filtering.ASDF_PLUS
+        if mode is Filtering.NONE:
             changes["period"] = PERIODS[0]
         return replace(self, mode=mode, **changes)
 
@@ -95,8 +102,8 @@ def cells_of(part: Part) -> tuple[Cell, ...]:
             each.fill_ratio,
             each.true_accuracy,
             each.flawed_accuracy,
-            round(100 * each.flawed / each.robots),
-            each.mode,
+            round(100 * each.flawed_robots / each.robots),
+            each.filter,
             each.filter_period,
         )
         for each in _experiments_of(part)
@@ -127,7 +134,7 @@ QUICK = Scale(trials=10, steps=10_000)
 
 
 def experiment_of(cell: Cell, scale: Scale) -> Experiment:
-    """The experiment of a cell. Raises ExperimentError if the scale will not do."""
+    """The experiment of a cell. Raises ParameterError if the scale will not do."""
     common = _experiments_of(cell.part)[0]
     return replace(
         common,
@@ -135,7 +142,7 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
         fill_ratio=cell.fill_ratio,
         true_accuracy=cell.true_accuracy,
         flawed_accuracy=cell.flawed_accuracy,
-        mode=cell.mode,
+        filter=cell.mode,
         filter_period=cell.period,
         trials=scale.trials,
         steps=min(common.steps, scale.steps),

@@ -8,15 +8,13 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from mcp_asdf_tools.common.figures import save_figure
-from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.experiments.experiment import Mode
-from mcp_asdf_tools.experiments.results import versions
+from mcp_asdf_tools.common import save_figure, software_versions, write_atomically
 from mcp_asdf_tools.reproduction.comparisons import Claim
 from mcp_asdf_tools.reproduction.paper_claims import CLAIMS
 from mcp_asdf_tools.reproduction.paper_figures import FIGURES
 from mcp_asdf_tools.reproduction.study import E_MAX, PART_NAMES, Part, Scale, Study, cells_of, experiment_of
 from mcp_asdf_tools.reproduction.verdicts import CONFIDENCE, MARGIN, Comparison, Expectation, Finding, Verdict
+from mcp_asdf_tools.robots import Filtering
 
 Decided = Sequence[tuple[Claim, Finding]]
 """Claims and what came out of them."""
@@ -76,7 +74,7 @@ def _introduction(study: Study, scale: Scale) -> str:
         seed=scale.seed,
         firmware=scale.firmware,
         conventions=scale.conventions.value,
-        versions=", ".join(f"{name} {version}" for name, version in versions().items()),
+        versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         rows="\n".join(_row_of(part, scale) for part in parts),
         grids="\n".join(f"- {PART_NAMES[part]}: {_grid_of(part)}" for part in parts),
         e_max=E_MAX,
@@ -103,7 +101,7 @@ def _grid_of(part: Part) -> str:
         values = sorted({getattr(cell, attribute) for cell in cells_of(part)})
         words.append(f"{name} {', '.join(f'{value:g}' for value in values)}")
     modes = {cell.mode for cell in cells_of(part)}
-    return "; ".join([*words, ", ".join(mode.value for mode in Mode if mode in modes)])
+    return "; ".join([*words, ", ".join(mode.value for mode in Filtering if mode in modes)])
 
 
 # --- Tables ----------------------------------------------------------------------------------------------

@@ -53,11 +53,11 @@ class RealTimeClock:
 
     def __init__(
         self,
-        ticks_per_second: float,
+        steps_per_second: float,
         now: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._period = 1 / ticks_per_second
+        self._period = 1 / steps_per_second
         self._now = now
         self._sleep = sleep
         self._start = 0.0
@@ -92,6 +92,6 @@ class RealTimeClock:
         }
 
 
-def make_clock(kind: ClockKind, ticks_per_second: float) -> Clock:
+def make_clock(kind: ClockKind, steps_per_second: float) -> Clock:
     """The clock of a kind; only one in real time heeds the rate."""
-    return LockstepClock() if kind is ClockKind.LOCKSTEP else RealTimeClock(ticks_per_second)
+    return LockstepClock() if kind is ClockKind.LOCKSTEP else RealTimeClock(steps_per_second)

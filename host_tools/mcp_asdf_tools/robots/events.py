@@ -7,7 +7,7 @@ from collections.abc import Callable
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import Action, frame_as_text
+from mcp_asdf_tools.bus import Action, frame_as_text
 
 SETTLE = 3
 

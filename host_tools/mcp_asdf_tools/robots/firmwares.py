@@ -8,7 +8,7 @@ from typing import Protocol, cast
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Config, FixedPointRobot, Robot, Status
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError, extensions
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot of a config, a robot id and the accuracy it assumes at the start."""
@@ -20,13 +20,20 @@ FIRMWARES = {
 }
 
 
-def load_firmware(name: str) -> RobotMaker:
-    """Return the class of the firmware called ``name``, a key of FIRMWARES.
+def firmware_names() -> list[str]:
+    """Names of the firmwares that come with the project, then of installed extensions."""
+    return [*FIRMWARES, *extensions.names(extensions.FIRMWARES)]
 
-    Raises UsageError if there is no such firmware or, for the native one, it has not been built.
+
+def load_firmware(name: str) -> RobotMaker:
+    """The class of the firmware called ``name``.
+
+    Raises UsageError if there is no such firmware, it has not been built, or it cannot be imported.
     """
     if name not in FIRMWARES:
-        raise UsageError(f"firmware is {name!r}; choose one of {', '.join(FIRMWARES)}")
+        if name not in firmware_names():
+            raise UsageError(f"firmware is {name!r}; choose one of {', '.join(firmware_names())}")
+        return cast(RobotMaker, extensions.load(extensions.FIRMWARES, name))
     module, class_name = FIRMWARES[name]
     try:
         return cast(RobotMaker, getattr(import_module(module), class_name))

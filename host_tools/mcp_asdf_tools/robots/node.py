@@ -17,7 +17,7 @@ import can
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import Counters, Observation, Robot, Status
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
     MAX_B_HAT,
@@ -26,6 +26,8 @@ from mcp_asdf_tools.bus.frames import (
     ONE,
     TELEMETRY,
     Action,
+    Collision,
+    CollisionWatch,
     Command,
     FrameFormat,
     Heartbeat,
@@ -38,8 +40,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
@@ -128,19 +129,19 @@ class NodeSettings:
     Attributes:
         id: Robot id and node id, 0 .. 127.
         subjects: Where messages are.
-        ticks_per_second: Control ticks between two heartbeats, 1 or more.
+        steps_per_second: Control ticks between two heartbeats, 1 or more.
         telemetry_period: Control ticks between two telemetry frames; 1 in lockstep, 0 for none.
     """
 
     id: int
     subjects: Subjects = field(default_factory=Subjects)
-    ticks_per_second: int = 10
+    steps_per_second: int = 10
     telemetry_period: int = 1
 
     def __post_init__(self) -> None:
         for name, least, most in (
             ("id", 0, MAX_NODE),
-            ("ticks_per_second", 1, 10**6),
+            ("steps_per_second", 1, 10**6),
             ("telemetry_period", 0, MAX_PERIOD),
         ):
             value = getattr(self, name)
@@ -190,7 +191,7 @@ class RobotNode:
         if not self.is_settled:
             self.traffic.unsettled += 1
             self._end()
-        if self.ticks and self.ticks % self.settings.ticks_per_second == 0:
+        if self.ticks and self.ticks % self.settings.steps_per_second == 0:
             frames.append(self._heartbeat())
         if self._recorder is not None:
             self._recorder.observe(z)
@@ -265,7 +266,7 @@ class RobotNode:
         return encode(message, self.settings.subjects.estimates, self._now())
 
     def _heartbeat(self) -> can.Message:
-        uptime = self.ticks // self.settings.ticks_per_second
+        uptime = self.ticks // self.settings.steps_per_second
         transfer = self.traffic.heartbeats_sent % _TRANSFERS
         self.traffic.heartbeats_sent += 1
         return encode_heartbeat(Heartbeat(self.settings.id, uptime, transfer), timestamp=self._now())
@@ -278,7 +279,7 @@ class RobotNode:
 
     def _now(self) -> float:
         """The node's own time, seconds."""
-        return self.ticks / self.settings.ticks_per_second
+        return self.ticks / self.settings.steps_per_second
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:

@@ -149,7 +149,7 @@ class NodeRun:
         A tick lasts until the next one begins: what comes in meanwhile belongs to its round. A tick whose
         observation is not there yet waits for it. Raises UsageError for an observation that is none.
         """
-        clock = RealTimeClock(self.node.settings.ticks_per_second, sleep=self._listen)
+        clock = RealTimeClock(self.node.settings.steps_per_second, sleep=self._listen)
         try:
             self._run(lambda: self._tick_by(clock, source))
         finally:

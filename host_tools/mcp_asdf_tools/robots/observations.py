@@ -9,12 +9,9 @@ from pathlib import Path
 from typing import Protocol
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import standard_input
-from mcp_asdf_tools.world.swarm_world import FullyConnected, World
+from mcp_asdf_tools.common import UsageError, standard_input
+from mcp_asdf_tools.world import World, WorldSettings
 
-_BATCH = 1024
-_COLOURS = (Observation.WHITE, Observation.BLACK)
 _OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
 
 
@@ -36,21 +33,15 @@ class WorldSource:
 
     def __init__(self, robot: int, fill_ratio: float, true_accuracy: float, seed: int) -> None:
         """Put a robot into the world. Raises UsageError if a number is out of range."""
-        for name, value in (("fill-ratio", fill_ratio), ("true-accuracy", true_accuracy)):
-            if not 0 <= value <= 1:
-                raise UsageError(f"{name} is {value}; it must be 0 to 1")
-        if seed < 0:
-            raise UsageError(f"seed is {seed}; it must be 0 or more")
-        robots = robot + 1
-        self._world = World(fill_ratio, [true_accuracy] * robots, FullyConnected(robots), seed)
+        settings = WorldSettings(
+            robots=robot + 1, fill_ratio=fill_ratio, true_accuracy=true_accuracy, seed=seed
+        )
+        self._world = World(settings)
         self._robot = robot
-        self._drawn: deque[int] = deque()
 
-    def next(self, seconds: float) -> Observation:
-        """The next observation. O(1) on average."""
-        if not self._drawn:
-            self._drawn.extend(self._world.observe(_BATCH)[:, self._robot].tolist())
-        return _COLOURS[self._drawn.popleft()]
+    def next(self, seconds: float) -> Observation | None:
+        """The next observation."""
+        return self._world.step()[self._robot]
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""

@@ -6,17 +6,24 @@ import argparse
 from collections.abc import Iterable
 
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, FirmwareError
-from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.firmwares import FIRMWARES
+from mcp_asdf_tools.bus import FrameFormat
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.population import Activation, Filtering, filter_of
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from mcp_asdf_tools.tables import generate, parse_omega
 
 _DEFAULTS = TickConfig()
 _OMEGA = "0.05"
 _SUBJECTS = Subjects()
+_FILTERS = {
+    Filter.OFF: {"filter": Filtering.NONE.value},
+    Filter.ALWAYS: {"filter": Filtering.ASDF_PLUS.value, "activation": Activation.ALWAYS.value},
+    Filter.ADAPTIVE: {"filter": Filtering.ASDF_PLUS.value},
+}
+"""Options of each of the firmware's filters."""
 
 
 def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
@@ -32,27 +39,33 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
     )
     group.add_argument(
         "--filter",
-        choices=[each.name.lower() for each in Filter],
-        default=_DEFAULTS.filter.name.lower(),
-        help="when it recalibrates: by the test, every period without it, never (default %(default)s)",
+        choices=[Filtering.NONE.value, Filtering.ASDF_PLUS.value],
+        default=Filtering.ASDF_PLUS.value,
+        help="whether it recalibrates (default %(default)s)",
+    )
+    group.add_argument(
+        "--activation",
+        choices=[each.value for each in Activation],
+        default=Activation.ADAPTIVE.value,
+        help="recalibrate if the test rejects, or always (default %(default)s)",
     )
     for name, value, text in (
-        ("comms-period", _DEFAULTS.comms_period, "ticks between broadcasts"),
+        ("comms-period", _DEFAULTS.comms_period, "steps between broadcasts"),
         (
             "filter-period",
             _DEFAULTS.filter_period,
-            "nominal filtering period tau, a multiple of --comms-period",
+            "nominal filtering period tau, steps: a multiple of --comms-period",
         ),
     ):
         group.add_argument(
-            f"--{name}", type=int, metavar="TICKS", default=value, help=f"{text} (default {value})"
+            f"--{name}", type=int, metavar="STEPS", default=value, help=f"{text} (default {value})"
         )
     group.add_argument(
         "--memory",
         type=int,
         metavar="M",
         default=DEFAULT_MEMORY,
-        help="observations at which t and n are halved, a multiple of 4, at least 64 (default %(default)s)",
+        help="forgetting: halve t and n at so many observations, 4 k (default %(default)s)",
     )
     group.add_argument(
         "--omega",
@@ -69,18 +82,23 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
     )
     group.add_argument(
         "--firmware",
-        choices=list(FIRMWARES),
+        choices=firmware_names(),
         default=firmware,
-        help="the C itself, the same in Python integers, or the paper's equations (default %(default)s)",
+        help="firmware of the robot (default %(default)s)",
     )
 
 
 def robot_of(args: argparse.Namespace) -> RobotRecord:
     """The robot that the options ask for. Raises UsageError if there can be none."""
-    filter_, omega = Filter[args.filter.upper()], parse_omega(args.omega)
+    filters, activation, omega = args.filter, Activation(args.activation), parse_omega(args.omega)
+    if filters == Filtering.NONE.value and activation is not Activation.ADAPTIVE:
+        raise UsageError("--activation would do nothing: filter is none; leave it out")
+    filter_ = filter_of(filters != Filtering.NONE.value, activation)
     has_table = filter_ is Filter.ADAPTIVE
     if not has_table and (omega, args.neighbours) != (parse_omega(_OMEGA), MAX_ID):
-        raise UsageError(f"filter is {args.filter}, without a t-table: leave out --omega and --neighbours")
+        raise UsageError(
+            "the robot runs no test: leave out --omega and --neighbours, which are of its t-table"
+        )
     table = generate(omega, args.neighbours) if has_table else None
     config = TickConfig(table, filter_, args.comms_period, args.filter_period, args.memory)
     record = RobotRecord(args.id, args.firmware, args.b_hat, config)
@@ -96,6 +114,7 @@ def robot_arguments(robot: RobotRecord) -> list[str]:
     plain = config_as_plain(robot.config)
     table = plain.pop("table", None)
     plain |= {"id": robot.id, "b_hat": robot.b_hat, "firmware": robot.firmware}
+    plain |= _FILTERS[robot.config.filter]
     if table is not None and robot.config.filter is Filter.ADAPTIVE:
         plain |= {"omega": table["omega"], "neighbours": table["q"]}
     return _options(plain.items())

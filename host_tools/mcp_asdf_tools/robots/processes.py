@@ -11,8 +11,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.bus import BusChoice
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.options import robot_arguments, subject_arguments
@@ -77,7 +77,7 @@ def start_nodes(
     robots: Sequence[RobotRecord],
     bus_of: Callable[[int], BusChoice],
     subjects: Subjects,
-    ticks_per_second: int,
+    steps_per_second: int,
     log_of: Callable[[int], Path] | None = None,
 ) -> NodeProcesses:
     """Start a process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
@@ -88,7 +88,7 @@ def start_nodes(
             lockstep = Lockstep(bus, check=nodes.check)
             lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
 
-    A heartbeat is due every ``ticks_per_second`` ticks. A node writes its log, and what ``mcp-asdf replay``
+    A heartbeat is due every ``steps_per_second`` ticks. A node writes its log, and what ``mcp-asdf replay``
     needs, where ``log_of`` says. On SocketCAN this process and the new ones stay on one processor, see
     ``keep_order``. Raises UsageError if a bus is inside this process or two robots have one id.
     """
@@ -97,7 +97,11 @@ def start_nodes(
         raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
     commands = []
     for robot in robots:
-        words = [*robot_arguments(robot), *subject_arguments(subjects), f"--rate={ticks_per_second}"]
+        words = [
+            *robot_arguments(robot),
+            *subject_arguments(subjects),
+            f"--steps-per-second={steps_per_second}",
+        ]
         words += ["--lockstep", "--until-eof", "--json", *([f"--log={log_of(robot.id)}"] if log_of else [])]
         commands.append(
             [sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", *words, *bus_of(robot.id).arguments()]

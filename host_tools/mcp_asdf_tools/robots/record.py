@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from mcp_asdf.robot import check_settings
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
-from mcp_asdf_tools.tables.thresholds import omega_from_word
+from mcp_asdf_tools.tables import omega_from_word
 
 
 @dataclass(frozen=True)

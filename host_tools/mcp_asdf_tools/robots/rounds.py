@@ -21,7 +21,7 @@ from mcp_asdf.robot import (
     whole_number,
 )
 from mcp_asdf.table import Table
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.firmwares import port_of
 
 MAX_PERIOD = 2**32 - 1

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import count
 from typing import Protocol
 
 import can
 
 from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.world.topology import Topology
 
 
 class Hearer(Protocol):
@@ -23,17 +22,27 @@ class Hearer(Protocol):
         """Take in a frame that nobody of the swarm has sent."""
 
 
+class InRange(Protocol):
+    """A world, as the air knows it."""
+
+    def neighbours(self, robot: int) -> Collection[int]:
+        """Ids of the robots that ``robot`` hears at present; never itself."""
+
+
 class Air:
-    """What each robot hears of what is sent, by the topology and the faults.
+    """The frames that each robot hears of those sent: by topology, latency and faults.
 
     Attributes:
         in_range: Frames sent so far, counted once for each neighbour in range.
         arrived: Frames heard so far.
     """
 
-    def __init__(self, topology: Topology, faults: Faults) -> None:
+    def __init__(self, world: InRange, faults: Faults, latency: int) -> None:
+        """Carry frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed."""
         self.in_range = self.arrived = 0
-        self._topology = topology
+        self._world = world
+        self._is_late = latency > 0
+        self._held: dict[int, Sequence[Sent]] = {}
         self._faults = faults
         self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
         self._order = count()
@@ -43,7 +52,9 @@ class Air:
 
         Ask once a tick. O((sent + late) log late).
         """
-        neighbours = self._topology.neighbours(receiver)
+        if self._is_late:
+            sent, self._held[receiver] = self._held.get(receiver, ()), tuple(sent)
+        neighbours = self._world.neighbours(receiver)
         in_range = [each for each in sent if each.sender in neighbours]
         heard = self._heard(receiver, tick, in_range) if self._faults.faults else [s.frame for s in in_range]
         self.in_range += len(in_range)

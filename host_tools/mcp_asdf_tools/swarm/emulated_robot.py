@@ -5,7 +5,7 @@ from __future__ import annotations
 import can
 
 from mcp_asdf.robot import Counters, Observation, Robot, Status
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     FrameFormat,
     Heartbeat,
     Message,
@@ -15,9 +15,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.node import telemetry_of
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots import Recorder, RobotRecord, telemetry_of
 from mcp_asdf_tools.swarm.traffic import Reception
 
 _TRANSFERS = 32

@@ -12,16 +12,7 @@ from typing import TypeVar
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
-    FRAME_BYTES,
-    MAX_NODE,
-    ONE,
-    FrameFormat,
-    Message,
-    bits_of,
-    decode,
-    encode,
-)
+from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE, ONE, FrameFormat, Message, bits_of, decode, encode
 from mcp_asdf_tools.swarm.fault_spec import Fault, Kind
 from mcp_asdf_tools.swarm.transmission import Delivery, Sent
 

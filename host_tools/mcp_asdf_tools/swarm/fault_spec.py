@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
-from mcp_asdf_tools.bus.frames import MAX_NODE, float_of
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.bus import MAX_NODE, float_of
+from mcp_asdf_tools.common import UsageError
 
 _MAX_TICK = 2**32 - 1
 _MAX_ALPHA = float_of(0x7F7FFFFF)

@@ -28,8 +28,8 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.bus import FrameFormat
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.swarm.fault_injectors import (
     AT_SENDERS,
     ON_THE_WAY,

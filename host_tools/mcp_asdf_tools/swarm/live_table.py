@@ -11,8 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from mcp_asdf_tools.bus.frames import ONE, Telemetry
-from mcp_asdf_tools.bus.load import load
+from mcp_asdf_tools.bus import ONE, Telemetry, bus_load
 from mcp_asdf_tools.swarm.emulated_robot import Node
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -103,9 +102,9 @@ def _cells_of_telemetry(telemetry: Telemetry) -> list[str]:
 
 def _headline(swarm: Swarm) -> Text:
     x = np.array([node.robot.x for node in swarm.nodes])
-    f = swarm.world.fill_ratio
+    f = swarm.settings.fill_ratio
     return Text(
-        f"tick {swarm.ticks} of {swarm.settings.ticks}   f {f:g}   mean x {x.mean():.4f}   "
+        f"tick {swarm.ticks} of {swarm.settings.steps}   f {f:g}   mean x {x.mean():.4f}   "
         f"spread {np.ptp(x):.4f}   error {np.abs(x - f).mean():.4f}   \n"
         f"frames {swarm.traffic.on_the_bus}, {_load(swarm):.1%} of a bus of {_BIT_RATE // 1000} kbit/s   "
         f"seed {swarm.settings.seed}   (* flawed at the start)"
@@ -114,5 +113,5 @@ def _headline(swarm: Swarm) -> Text:
 
 def _load(swarm: Swarm) -> float:
     """Share of its time that the traffic so far would take of a bus of _BIT_RATE."""
-    seconds = max(swarm.ticks, 1) / swarm.settings.ticks_per_second
-    return load(swarm.traffic.bits, seconds, _BIT_RATE)
+    seconds = max(swarm.ticks, 1) / swarm.settings.steps_per_second
+    return bus_load(swarm.traffic.bits, seconds, _BIT_RATE)

@@ -20,7 +20,7 @@ from typing import Protocol
 
 import can
 
-from mcp_asdf_tools.robots.clock import Clock
+from mcp_asdf_tools.robots import Clock
 from mcp_asdf_tools.swarm.air import Air, Hearer
 from mcp_asdf_tools.swarm.connection import Connection, Taker
 from mcp_asdf_tools.swarm.faults import Sent

@@ -11,8 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from mcp_asdf_tools.common import plain_value
+from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm.run import Run
-from mcp_asdf_tools.swarm.settings import Deployment, Settings
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.world import Graph
 
 # Colours that stay apart for the colour-blind.
 _FLAWED, _OTHER, _ALL, _TRUTH = "#d55e00", "#0072b2", "#8a4f7d", "#222222"
@@ -90,17 +93,19 @@ def _limits(values: NDArray[np.float64], truth: float) -> tuple[float, float]:
 
 def _title(run: Run) -> str:
     settings = run.settings
-    deployment = {Deployment.PLUS: "ASDF+", Deployment.MINUS: "ASDF-", Deployment.OFF: "no filter"}
+    deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
     return (
         f"{settings.robots} robots, {settings.flawed_robots} flawed, {deployment[settings.filter]}, "
         rf"$\tau$ = {settings.filter_period}, {_topology(settings)}, seed {settings.seed}"
     )
 
 
-def _topology(settings: Settings) -> str:
-    if settings.graph is not None:
+def _topology(settings: SwarmSettings) -> str:
+    if isinstance(settings.graph, Graph):
         return Path(settings.graph.source).name
-    return "fully connected" if settings.density is None else f"moving, D = {settings.density:g}"
+    if settings.is_dynamic:
+        return f"moving, D = {settings.density:g}"
+    return str(plain_value(settings.topology)).replace("-", " ")
 
 
 def _legend(run: Run) -> list[Line2D]:

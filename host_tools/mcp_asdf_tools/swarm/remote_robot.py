@@ -12,7 +12,7 @@ import can
 
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus import (
     MAX_NODE,
     ONE,
     FrameFormat,
@@ -22,23 +22,28 @@ from mcp_asdf_tools.bus.frames import (
     decode,
     decode_telemetry,
 )
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep, LockstepSettings
-from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import RoundTimer
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import (
+    DRIVER_ID,
+    Lockstep,
+    LockstepSettings,
+    Recorder,
+    RobotRecord,
+    RoundTimer,
+    Subjects,
+)
 from mcp_asdf_tools.swarm.emulated_robot import Decoder
 from mcp_asdf_tools.swarm.fault_spec import Kind
 from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, Settings
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Reception
+from mcp_asdf_tools.world import Topology
 
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""
 
 
-def check_remote(settings: Settings, wiring: Wiring) -> None:
+def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
     """Raises UsageError if a swarm with these remote robots cannot be."""
     remote = wiring.remote
     if not remote:
@@ -60,9 +65,10 @@ def check_remote(settings: Settings, wiring: Wiring) -> None:
         return
     if set(remote) != set(range(settings.robots)):
         raise UsageError(f"robots here and elsewhere need a bus each: {EACH_A_BUS}")
-    if settings.faults or settings.graph is not None or settings.density is not None:
+    is_plain = settings.topology is Topology.FULLY_CONNECTED and settings.latency == 0
+    if settings.faults or not is_plain:
         raise UsageError(
-            "robots elsewhere on one bus hear everything from everybody; for faults or a topology "
+            "robots elsewhere on one bus hear everything from everybody; for faults, latency or a topology "
             f"{EACH_A_BUS}"
         )
 

@@ -11,13 +11,13 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.load import BIT_RATES, load
-from mcp_asdf_tools.common.versions import versions
-from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.bus import BIT_RATES, bus_load
+from mcp_asdf_tools.common import software_versions
+from mcp_asdf_tools.robots import LockstepError
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.emulated_robot import Node
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
-from mcp_asdf_tools.swarm.settings import Settings
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.swarm.traffic import Traffic
 
@@ -75,7 +75,7 @@ class Run:
         failure: Why the bus ended it, None if it did not.
     """
 
-    settings: Settings
+    settings: SwarmSettings
     nodes: Sequence[Node | RemoteNode]
     history: History
     results: dict[str, Any] = field(default_factory=dict)
@@ -85,9 +85,9 @@ class Run:
     def report(self, bus: dict[str, Any]) -> dict[str, Any]:
         """Everything needed to repeat the run, and its results, as plain values; equal for equal runs."""
         return {
-            "parameters": self.settings.parameters(),
+            "parameters": self.settings.plain(),
             "bus": bus,
-            "versions": versions(),
+            "versions": software_versions(),
             "interrupted": self.interrupted,
             "failure": self.failure,
             "results": self.results,
@@ -99,11 +99,11 @@ def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
 
     KeyboardInterrupt (from a hook, say) and a failing bus end the run early; what was done counts.
     """
-    history = History(swarm.settings.ticks)
+    history = History(swarm.settings.steps)
     history.add(swarm)
     outcome = Run(swarm.settings, swarm.nodes, history)
     try:
-        while swarm.ticks < swarm.settings.ticks:
+        while swarm.ticks < swarm.settings.steps:
             swarm.tick()
             history.sample(swarm)
             for hook in hooks:
@@ -121,11 +121,11 @@ def _results(swarm: Swarm, history: History) -> dict[str, Any]:
     x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
     counters = [node.counters for node in swarm.nodes]
     has_remote = any(isinstance(node, RemoteNode) for node in swarm.nodes)
-    tick = 1 / swarm.settings.ticks_per_second
+    tick = 1 / swarm.settings.steps_per_second
     return {
-        "ticks": swarm.ticks,
+        "steps": swarm.ticks,
         "mean_x": fmean(x),
-        "mean_error": fmean(np.abs(x - swarm.world.fill_ratio)),
+        "mean_error": fmean(np.abs(x - swarm.settings.fill_ratio)),
         "spread_x": float(np.ptp(x)),
         "spread_x_hat": float(np.ptp(x_hat)),
         "tests": None if has_remote else sum(each.tests for each in counters),
@@ -164,8 +164,8 @@ def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, 
     """
     return {
         str(rate): {
-            "mean": load(traffic.bits, seconds, rate) if seconds else 0.0,
-            "peak": load(traffic.most_bits, tick, rate),
+            "mean": bus_load(traffic.bits, seconds, rate) if seconds else 0.0,
+            "peak": bus_load(traffic.most_bits, tick, rate),
         }
         for rate in BIT_RATES
     }

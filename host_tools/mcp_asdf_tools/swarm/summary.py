@@ -8,17 +8,18 @@ from typing import Any
 
 from rich.table import Table
 
-from mcp_asdf_tools.bus.load import LIMIT
+from mcp_asdf_tools.bus import LIMIT
 from mcp_asdf_tools.swarm.run import Run
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
-def summary(run: Run, bus: str, seconds: float) -> Table:
+def summary_table(run: Run, bus: str, seconds: float) -> Table:
     """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
     results, settings = run.results, run.settings
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(style="bold")
     table.add_column()
-    table.add_row("run", f"{results['ticks']} of {settings.ticks} ticks in {seconds:.1f} s{_ending(run)}")
+    table.add_row("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}")
     table.add_row("estimate", _estimate(run))
     for name in ("flawed", "other"):
         table.add_row(f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
@@ -36,19 +37,25 @@ def one_line(run: Run) -> str:
     """The outcome in one line, for quiet runs."""
     results = run.results
     return (
-        f"seed {run.settings.seed}: {run.settings.robots} robots, {results['ticks']} ticks, "
+        f"seed {run.settings.seed}: {run.settings.robots} robots, {results['steps']} steps, "
         f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
     )
 
 
 def parameters(run: Run) -> str:
-    """Every parameter as the option that sets it, in a form that can be typed again."""
-    plain = run.settings.parameters()
-    plain |= plain.pop("frames")
-    graph, faults = plain.pop("graph"), plain.pop("faults")
-    words = [f"--{name.replace('_', '-')} {value}" for name, value in plain.items() if value is not None]
-    words += [] if graph is None else [f"--graph {shlex.quote(graph['source'])}"]
-    return " ".join([*words, *(f"--fault {shlex.quote(fault)}" for fault in faults)])
+    """The options to type for the same run: the seed, and those that differ from their defaults."""
+    given, usual = _options(run.settings), _options(SwarmSettings())
+    words = [
+        f"--{name.replace('_', '-')} {shlex.quote(str(value))}"
+        for name, value in given.items()
+        if value != usual[name] or name == "seed"
+    ]
+    return " ".join([*words, *(f"--fault {shlex.quote(str(fault))}" for fault in run.settings.faults)])
+
+
+def _options(settings: SwarmSettings) -> dict[str, Any]:
+    plain = settings.plain()
+    return {**plain, **plain["frames"], "frames": None, "faults": None}
 
 
 def load_warning(results: dict[str, Any]) -> str | None:

@@ -13,22 +13,20 @@ from collections.abc import Callable, Iterator, Sequence
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
-from mcp_asdf_tools.bus.load import wire_bits
-from mcp_asdf_tools.recording.sidecar import SidecarWriter
-from mcp_asdf_tools.robots.clock import make_clock
+from mcp_asdf_tools.bus import FrameFormat, Message, alpha_bits, decode, wire_bits
+from mcp_asdf_tools.recording import SidecarWriter
+from mcp_asdf_tools.robots import Filtering, make_clock
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Taker
 from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
 from mcp_asdf_tools.swarm.faults import Faults, Sent
 from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, Remote, SharedBus, Wiring
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
-from mcp_asdf_tools.swarm.settings import Deployment, Settings, make_world, robot_records
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
+from mcp_asdf_tools.world import World
 
-__all__ = ["Deployment", "Settings", "Swarm"]
-
-_COLOURS = (Observation.WHITE, Observation.BLACK)
+__all__ = ["Filtering", "Swarm", "SwarmSettings"]
 
 
 class Swarm:
@@ -46,7 +44,7 @@ class Swarm:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: SwarmSettings,
         wiring: Wiring,
         log: Taker | None = None,
         sidecar: SidecarWriter | None = None,
@@ -59,22 +57,22 @@ class Swarm:
         """
         self.settings = settings
         self.ticks = 0
-        self.world = make_world(settings)
+        self.world = World(settings)
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
-        self.clock = make_clock(settings.clock, settings.ticks_per_second)
+        self.clock = make_clock(settings.clock, settings.steps_per_second)
         self._sidecar = sidecar
         decoder = Decoder(settings.frames)
         self.nodes: list[Node | RemoteNode] = [
             (RemoteNode if record.id in wiring.remote else Node)(
                 record,
-                record.id < settings.flawed_robots,
+                settings.is_flawed(record.id),
                 decoder,
                 None if sidecar is None else sidecar.robots[record.id],
             )
-            for record in robot_records(settings)
+            for record in settings.records()
         ]
         self.traffic = Traffic([node.reception for node in self.nodes])
-        self._air = Air(self.world.topology, self.faults)
+        self._air = Air(self.world, self.faults, settings.latency)
         self._medium, self._drivers = self._connect(wiring, None if log is None else _as_received(log))
 
     def _connect(self, wiring: Wiring, log: Taker | None) -> tuple[Medium, list[Driver]]:
@@ -113,7 +111,7 @@ class Swarm:
         further use. O(robots**2).
         """
         self.clock.begin(self.ticks)
-        seen = [_COLOURS[colour] for colour in self.world.observe()[0].tolist()]
+        seen = self.world.step()
         alive = [node for node in self.nodes if isinstance(node, Node) and self._survives(node)]
         frames: list[tuple[Node | RemoteNode, can.Message]] = [*self._reports(alive)]
         frames += self._broadcasts([node for node in alive if node.observe(seen[node.id])])
@@ -128,7 +126,7 @@ class Swarm:
         self.ticks += 1
         self._count(sent)
 
-    def _commanded(self, seen: list[Observation]) -> Iterator[tuple[RemoteNode, can.Message]]:
+    def _commanded(self, seen: Sequence[Observation | None]) -> Iterator[tuple[RemoteNode, can.Message]]:
         """Let remote robots observe; yields what they send."""
         for driver in self._drivers:
             for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
@@ -150,7 +148,7 @@ class Swarm:
         """Heartbeats, then telemetry of the state before this tick."""
         now = self._now
         period = self.settings.telemetry_period
-        if self.ticks % self.settings.ticks_per_second == 0:
+        if self.ticks % self.settings.steps_per_second == 0:
             self.traffic.heartbeats_sent += len(alive)
             yield from ((node, node.heartbeat(now)) for node in alive)
         if period and self.ticks % period == 0:
@@ -179,7 +177,7 @@ class Swarm:
     @property
     def _now(self) -> float:
         """Simulated time, seconds."""
-        return self.ticks / self.settings.ticks_per_second
+        return self.ticks / self.settings.steps_per_second
 
     def _count(self, sent: list[Sent]) -> None:
         bits = sum(wire_bits(each.frame) for each in sent)

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Heartbeat, Rejection, Telemetry, decode_heartbeat, decode_telemetry
+from mcp_asdf_tools.bus import Heartbeat, Rejection, Telemetry, decode_heartbeat, decode_telemetry
 
 
 @dataclass

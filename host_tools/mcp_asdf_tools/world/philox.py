@@ -1,4 +1,4 @@
-"""The random numbers of an experiment: Philox4x32-10, as in ``experiments/engine/philox.h``.
+"""Random numbers of a world: Philox4x32-10, as in ``experiments/engine/philox.h``.
 
 A draw is a function of seed, trial, robot and step alone. With steps, robots and trials counted from 0, the
 counter of a block of four draws is (step div 4, robot, trial, stream), the key is the seed's lower and upper
@@ -11,6 +11,8 @@ J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,26 +50,40 @@ def philox(
     return c0, c1, c2, c3
 
 
-def words(seed: int, trial: int, robots: int, steps: int, stream: int) -> NDArray[np.uint32]:
-    """The draws of a trial, shape (steps, robots). ``seed`` is below 2**64, the others below 2**32."""
-    blocks = -(-steps // 4)
-    block, robot = np.meshgrid(
-        np.arange(blocks, dtype=np.uint64), np.arange(robots, dtype=np.uint64), indexing="ij"
-    )
-    constant = np.zeros_like(block)
-    drawn = philox(
-        (block, robot, constant + np.uint64(trial), constant + np.uint64(stream)),
-        (seed & 0xFFFFFFFF, seed >> 32),
-    )
-    return np.stack(drawn, axis=1).reshape(4 * blocks, robots)[:steps].astype(np.uint32)
+class Stream(NamedTuple):
+    """One kind of draws of one trial.
 
+    Attributes:
+        number: OBSERVATIONS, MOVES or WORLDS.
+        seed: Below 2**64.
+        trial: Below 2**32.
+        robots: Number of robots.
+    """
 
-def uniforms(seed: int, trial: int, robots: int, steps: int) -> NDArray[np.float64]:
-    """Numbers in (0, 1) of stream 1, shape (steps, robots): the middles of 2**32 equal intervals."""
-    return (words(seed, trial, robots, steps, MOVES).astype(np.float64) + 0.5) * 2.0**-32
+    number: int
+    seed: int
+    trial: int
+    robots: int
+
+    def words(self, steps: int, first: int = 0) -> NDArray[np.uint32]:
+        """Draws of steps ``first`` .. ``first + steps - 1``, shape (steps, robots)."""
+        start, stop = first // 4, -(-(first + steps) // 4)
+        blocks, robots = np.arange(start, stop, dtype=np.uint64), np.arange(self.robots, dtype=np.uint64)
+        block, robot = np.meshgrid(blocks, robots, indexing="ij")
+        constant = np.zeros_like(block)
+        drawn = philox(
+            (block, robot, constant + np.uint64(self.trial), constant + np.uint64(self.number)),
+            (self.seed & 0xFFFFFFFF, self.seed >> 32),
+        )
+        rows = np.stack(drawn, axis=1).reshape(4 * (stop - start), self.robots)
+        return rows[first - 4 * start :][:steps].astype(np.uint32)
+
+    def uniforms(self, steps: int, first: int = 0) -> NDArray[np.float64]:
+        """The same as numbers in (0, 1): the middles of 2**32 equal intervals."""
+        return (self.words(steps, first).astype(np.float64) + 0.5) * 2.0**-32
 
 
 def world_seed(seed: int, trial: int) -> int:
     """The seed of a trial's arena, below 2**64."""
-    low, high = words(seed, trial, 1, 2, WORLDS)[:, 0].tolist()
+    low, high = Stream(WORLDS, seed, trial, 1).words(2)[:, 0].tolist()
     return int(low) | int(high) << 32

@@ -1,43 +1,92 @@
-"""What the sensors of an experiment do: the probability of observing black, by step and robot."""
+"""Sensors: how likely each robot sees a tile's colour right, step by step."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.experiments.experiment import Drift, Experiment
-from mcp_asdf_tools.world.philox import CERTAIN, uniforms
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
+from mcp_asdf_tools.world.settings import Drift, WorldSettings
+
+Accuracies = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""True accuracies on black and on white tiles, each of shape (steps or 1, robots or 1): an axis of length 1
+stands for values that do not change along it."""
 
 
-def true_accuracies(experiment: Experiment, trial: int) -> NDArray[np.float64]:
-    """The true accuracy b, shape (steps or 1, robots or 1): an axis is 1 long where nothing changes along it.
+class SensorModel(Protocol):
+    """True accuracies over time; an extension in the entry point group ``mcp_asdf.sensors`` makes one."""
 
-    O(steps) or, for a Wiener process, O(steps robots).
+    def advance(self, steps: int) -> Accuracies:
+        """Accuracies in the next steps, 0 .. 1."""
+
+
+class DriftingSensors:
+    """The built-in model: b as ``settings.drift`` moves it, on white tiles ``white_offset`` more."""
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        self._settings = settings
+        self._moves = Stream(MOVES, settings.seed, trial, settings.robots)
+        self._step = 0
+        self._wiener = np.zeros((1, settings.robots))
+
+    def advance(self, steps: int) -> Accuracies:
+        """The next steps. O(steps) or, for a Wiener process, O(steps robots)."""
+        black = self._black(steps)
+        self._step += steps
+        offset = self._settings.white_offset
+        return black, np.clip(black + offset, 0.0, 1.0) if offset else black
+
+    def _black(self, steps: int) -> NDArray[np.float64]:
+        settings = self._settings
+        if settings.drift is Drift.NONE:
+            return np.full((1, 1), settings.true_accuracy)
+        step = np.arange(self._step, self._step + steps, dtype=np.float64)[:, np.newaxis]
+        if settings.drift is Drift.STEPPED:
+            step -= step % settings.drift_period
+        path = settings.true_accuracy + settings.drift_rate * step
+        if settings.drift is Drift.WIENER:
+            path = path + settings.drift_diffusion * self._wiener_paths(steps)
+        return np.clip(path, settings.lowest_accuracy, 1.0)
+
+    def _wiener_paths(self, steps: int) -> NDArray[np.float64]:
+        """Standard Wiener processes, 0 in the first step of all, shape (steps, robots)."""
+        moves = ndtri(self._moves.uniforms(steps, self._step))
+        if self._step == 0:
+            moves[0] = 0.0
+        moves[0] += self._wiener[0]
+        paths: NDArray[np.float64] = np.cumsum(moves, axis=0)
+        self._wiener = paths[-1:]
+        return paths
+
+
+def sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
+    """The sensors that settings ask for. Raises UsageError if their extension cannot be loaded."""
+    if not settings.sensor:
+        return DriftingSensors(settings, trial)
+    make = cast(
+        Callable[[WorldSettings, int], SensorModel], extensions.load(extensions.SENSORS, settings.sensor)
+    )
+    return make(settings, trial)
+
+
+def black_probabilities(
+    accuracies: Accuracies, fill_ratio: float | None
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """p(z = 1) on black and on white tiles, in units of 2**-31, shapes as the accuracies.
+
+    With a ``fill_ratio`` f the colour below is part of the chance: both are f b + (1 - f)(1 - w) (eq. 1).
     """
-    step = np.arange(experiment.steps, dtype=np.float64)[:, np.newaxis]
-    if experiment.drift is Drift.NONE:
-        return np.full((1, 1), experiment.true_accuracy)
-    if experiment.drift is Drift.STEPPED:
-        step -= step % experiment.drift_period
-    path = experiment.true_accuracy + experiment.drift_rate * step
-    if experiment.drift is Drift.WIENER:
-        path = path + experiment.drift_diffusion * _wiener(experiment, trial)
-    return np.clip(path, experiment.lowest_accuracy, 1.0)
+    b, w = accuracies
+    if fill_ratio is not None:
+        both = _in_units(fill_ratio * b + (1 - fill_ratio) * (1 - w))
+        return both, both
+    return _in_units(b), np.uint32(CERTAIN) - _in_units(w)
 
 
-def black_probabilities(experiment: Experiment, trial: int) -> NDArray[np.uint32]:
-    """p(z = 1) = f b + (1 - f)(1 - b) (eq. 1) in units of 2**-31; shape as ``true_accuracies``.
-
-    Where robots move it is that on a black floor, f = 1; on a white floor a robot observes white with it.
-    """
-    b, f = true_accuracies(experiment, trial), 1.0 if experiment.is_dynamic else experiment.fill_ratio
-    return np.rint((f * b + (1 - f) * (1 - b)) * CERTAIN).astype(np.uint32)
-
-
-def _wiener(experiment: Experiment, trial: int) -> NDArray[np.float64]:
-    """Standard Wiener processes from 0, shape (steps, robots)."""
-    moves = ndtri(uniforms(experiment.seed, trial, experiment.robots, experiment.steps))
-    moves[0] = 0.0
-    paths: NDArray[np.float64] = np.cumsum(moves, axis=0)
-    return paths
+def _in_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:
+    return np.rint(probabilities * CERTAIN).astype(np.uint32)

@@ -1,61 +1,74 @@
-"""Who can hear whom: everybody, the edges of a graph, or whoever is near in a moving world.
-
-``mcp_asdf_tools.world.arena.Arena`` is the topology of robots that move.
-"""
+"""Who hears whom: every robot every other, or the edges of a graph. Moving robots are in ``world.arena``."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
-from functools import cached_property
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from mcp_asdf_tools.bus.frames import MAX_NODE
-from mcp_asdf_tools.common.errors import UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf.robot import MAX_ID
+from mcp_asdf_tools.common import UsageError
+
+_EDGES = re.compile(r"[0-9>;\s]*")
 
 
 class Topology(Protocol):
-    """Who can hear whom at present."""
+    """Who hears whom, step by step. Extensions make one: entry point group ``mcp_asdf.topologies``."""
 
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears; never itself."""
+    def advance(self, steps: int) -> NDArray[np.bool_]:
+        """The next steps, shape (steps, N, N): ``[k, i, j]`` says whether i hears j in step k."""
 
 
-@dataclass(frozen=True)
-class FullyConnected:
+class Static:
+    """A topology that never changes."""
+
+    def __init__(self, hears: NDArray[np.bool_]) -> None:
+        """Take who hears whom, shape (N, N)."""
+        self._hears = hears
+
+    def advance(self, steps: int) -> NDArray[np.bool_]:
+        """The next steps. O(1)."""
+        return np.broadcast_to(self._hears, (steps, *self._hears.shape))
+
+
+def fully_connected(robots: int) -> Static:
     """Every robot of ``0 .. robots - 1`` hears every other."""
-
-    robots: int
-
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears. O(robots)."""
-        return frozenset(range(self.robots)) - {robot}
+    return Static(~np.eye(robots, dtype=np.bool_))
 
 
 @dataclass(frozen=True)
 class Graph:
-    """Robots that hear whom a file of edges says.
+    """Directed links between robots.
 
     Attributes:
-        source: The file.
         links: (sender, receiver) of every way that a message can go.
+        source: The file that they come from, if any; graphs with the same links are equal.
     """
 
-    source: str
     links: frozenset[tuple[int, int]]
+    source: str = field(default="graph", compare=False)
 
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears. O(1)."""
-        return self._heard.get(robot, frozenset())
-
-    @cached_property
-    def _heard(self) -> dict[int, frozenset[int]]:
-        """Whom each robot hears, if anybody."""
-        heard: dict[int, set[int]] = {}
+    def topology(self, robots: int) -> Static:
+        """Who hears whom among ``robots`` robots. Raises UsageError for a link to any other."""
+        self.check(robots)
+        hears = np.zeros((robots, robots), np.bool_)
         for sender, receiver in self.links:
-            heard.setdefault(receiver, set()).add(sender)
-        return {robot: frozenset(senders) for robot, senders in heard.items()}
+            hears[receiver, sender] = True
+        return Static(hears)
+
+    def __str__(self) -> str:
+        """The edges in one line, which ``graph_of`` takes back: ``3 5; 5 > 7``."""
+        both = {link for link in self.links if link[::-1] in self.links}
+        return "; ".join(
+            f"{a} {b}" if (a, b) in both else f"{a} > {b}"
+            for a, b in sorted(self.links)
+            if (a, b) not in both or a < b
+        )
 
     def check(self, robots: int) -> None:
         """Raises UsageError unless all ids are among ``0 .. robots - 1``. O(links)."""
@@ -63,31 +76,37 @@ class Graph:
         if unknown:
             raise UsageError(
                 f"{self.source} names robot {unknown[0]}, but the ids of {robots} robots are 0 to "
-                f"{robots - 1}; take more robots or cut the edge"
+                f"{robots - 1}; take more robots or remove the edge"
             )
 
 
-def read_graph(path: Path | str) -> Graph:
-    """Read a list of edges.
+def graph_of(given: Path | str) -> Graph:
+    """A graph from a file of edges, or from edges in one line, separated by semicolons.
 
-    One a line: ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. Empty lines, and
-    whatever follows a ``#``, say nothing. Raises UsageError, naming the line, for anything else, for ids
-    outside 0 .. 127, and for a link that stands there already. O(lines).
+    An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file it is a line;
+    empty lines and everything after a ``#`` are ignored. Raises UsageError, naming the line, for anything
+    else, for ids outside 0 .. 127 and for repeated links. O(lines).
     """
+    if isinstance(given, str) and _EDGES.fullmatch(given):
+        return _graph(given.split(";"), "edge", "graph")
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(given).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read the graph {path}: {error}; give a text file of edges") from error
-    first_line: dict[tuple[int, int], int] = {}
+        raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
+    return _graph(lines, "line", str(given))
+
+
+def _graph(lines: Iterable[str], unit: str, source: str) -> Graph:
+    first: dict[tuple[int, int], int] = {}
     for number, line in enumerate(lines, start=1):
-        for link in _links_of(line.partition("#")[0], f"{path}, line {number}"):
-            if link in first_line:
+        for link in _links_of(line.partition("#")[0], f"{source}, {unit} {number}"):
+            if link in first:
                 raise UsageError(
-                    f"{path}, line {number}: that robot {link[1]} hears {link[0]} stands in line "
-                    f"{first_line[link]} already; cut one of them"
+                    f"{source}, {unit} {number}: that robot {link[1]} hears {link[0]} is in {unit} "
+                    f"{first[link]} already; remove one of them"
                 )
-            first_line[link] = number
-    return Graph(str(path), frozenset(first_line))
+            first[link] = number
+    return Graph(frozenset(first), source)
 
 
 def _links_of(text: str, place: str) -> list[tuple[int, int]]:
@@ -98,14 +117,14 @@ def _links_of(text: str, place: str) -> list[tuple[int, int]]:
     is_one_way = words[1:2] == [">"]
     ends = words[::2] if is_one_way else words
     if len(words) != (3 if is_one_way else 2):
-        raise UsageError(f"{place}: {text.strip()!r} is no edge; write two ids, such as '3 5' or '3 > 5'")
+        raise UsageError(f"{place}: {text.strip()!r} is not an edge; write two ids, such as '3 5' or '3 > 5'")
     first, second = (_id_of(word, place) for word in ends)
     if first == second:
-        raise UsageError(f"{place}: robot {first} cannot be its own neighbour; cut the edge")
+        raise UsageError(f"{place}: robot {first} cannot be its own neighbour; remove the edge")
     return [(first, second)] if is_one_way else [(first, second), (second, first)]
 
 
 def _id_of(word: str, place: str) -> int:
-    if not (word.isascii() and word.isdigit() and int(word) <= MAX_NODE):
-        raise UsageError(f"{place}: {word!r} is no robot; ids are 0 to {MAX_NODE}")
+    if not (word.isascii() and word.isdigit() and int(word) <= MAX_ID):
+        raise UsageError(f"{place}: {word!r} is not a robot; ids are 0 to {MAX_ID}")
     return int(word)

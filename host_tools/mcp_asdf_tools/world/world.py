@@ -1,15 +1,32 @@
-"""The world of a trial, for firmware in Python: observations, and which robots hear each other."""
+"""The ground truth of a run: observations, positions, and who hears whom, step by step.
+
+The world knows nothing of radios, frames or firmware. It says who could hear whom; whether and when a message
+gets through is the business of what carries it. One world therefore drives a swarm on a CAN bus, trials in
+Python and trials in C alike: equal settings and trial give the same bits in all of them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.philox import CERTAIN, OBSERVATIONS, words
-from mcp_asdf_tools.world.sensors import black_probabilities
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.world import topology
+from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
+from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
+from mcp_asdf_tools.world.settings import Topology, WorldSettings
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.world.arena import Arena
+
+_STEPS_AT_ONCE = 64
+"""Steps computed ahead for those who take them one by one."""
+_COLOURS = (Observation.WHITE, Observation.BLACK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,43 +34,86 @@ class Scene:
     """Some steps in a row.
 
     Attributes:
-        black: Whether a sensor sees black, shape (steps, N).
+        black: Whether a sensor reports black, shape (steps, N).
         observes: Whether robots observe in a step, shape (steps,).
-        hears: Whether robot i and robot j hear each other, shape (steps, N, N).
+        hears: Whether robot i hears robot j, shape (steps, N, N).
+        positions: Centres in metres from the middle of the arena, shape (steps, N, 2); None if robots do not
+            move.
     """
 
     black: NDArray[np.bool_]
     observes: NDArray[np.bool_]
     hears: NDArray[np.bool_]
+    positions: NDArray[np.float64] | None
 
 
-class TrialWorld:
-    """The world of one trial, step by step the same as in the C engine."""
+class World:
+    """The world of one trial: many steps at once with ``advance``, or one by one with ``step``, not both."""
 
-    def __init__(self, experiment: Experiment, trial: int) -> None:
-        """Stand before the first step. Raises UsageError if the experiment's arena cannot be. O(steps N)."""
-        self._experiment, self._step = experiment, 0
-        shape = (experiment.steps, experiment.robots)
-        self._draws = words(experiment.seed, trial, shape[1], shape[0], OBSERVATIONS) >> np.uint32(1)
-        self._limits = np.broadcast_to(black_probabilities(experiment, trial), shape)
-        self._arena = None
-        if experiment.is_dynamic:
-            # Imported here, so that robots that do not move run where no arena has been built.
-            from mcp_asdf_tools.world.arenas import make_arena  # noqa: PLC0415
-
-            self._arena = make_arena(experiment, trial)
+    def __init__(self, settings: WorldSettings, trial: int = 0) -> None:
+        """Stand before the first step. Raises UsageError if the arena or an extension cannot be had."""
+        self.settings = settings
+        self._draws = Stream(OBSERVATIONS, settings.seed, trial, settings.robots)
+        self._next = 0
+        self._sensors = sensor_model(settings, trial)
+        self._arena = _arena_of(settings, trial) if settings.is_dynamic else None
+        self._topology = None if settings.is_dynamic else _topology_of(settings, trial)
+        self._is_static = settings.topology in (Topology.FULLY_CONNECTED, Topology.GRAPH)
+        self._ahead: Scene | None = None
+        self._at = -1
+        self._heard: Sequence[Sequence[int]] = []
 
     def advance(self, steps: int) -> Scene:
-        """The next ``steps`` steps; there must be as many. O(steps N^2)."""
-        robots = self._experiment.robots
-        part = slice(self._step, self._step + steps)
-        limits = self._limits[part]
-        hears = np.broadcast_to(~np.eye(robots, dtype=np.bool_), (steps, robots, robots))
-        if self._arena is not None:
-            motion = self._arena.record(steps)
-            limits = np.where(motion.black, limits, CERTAIN - limits)
-            hears = motion.adjacency
-        numbers = np.arange(part.start, part.stop) + 1
-        self._step = part.stop
-        observes = numbers % self._experiment.observation_period == 0
-        return Scene(self._draws[part] < limits, observes, hears)
+        """The next ``steps`` steps. O(steps N^2)."""
+        settings, first = self.settings, self._next
+        self._next += steps
+        draws = self._draws.words(steps, first) >> np.uint32(1)
+        accuracies = self._sensors.advance(steps)
+        observes = (np.arange(first, first + steps) + 1) % settings.observation_period == 0
+        if self._arena is None:
+            limit, _ = black_probabilities(accuracies, settings.fill_ratio)
+            assert self._topology is not None
+            return Scene(draws < limit, observes, self._topology.advance(steps), None)
+        on_black, on_white = black_probabilities(accuracies, None)
+        motion = self._arena.record(steps)
+        limits = np.where(motion.black, on_black, on_white)
+        return Scene(draws < limits, observes, motion.adjacency, motion.position)
+
+    def step(self) -> Sequence[Observation | None]:
+        """Take one step; returns the observation of each robot, None where it makes none. O(N^2)."""
+        if self._ahead is None or self._at + 1 == len(self._ahead.black):
+            self._ahead, self._at = self.advance(_STEPS_AT_ONCE), -1
+        self._at += 1
+        if not (self._is_static and self._heard):
+            self._heard = [np.flatnonzero(row).tolist() for row in self._ahead.hears[self._at]]
+        if not self._ahead.observes[self._at]:
+            return [None] * self.settings.robots
+        return [_COLOURS[black] for black in self._ahead.black[self._at].tolist()]
+
+    def neighbours(self, robot: int) -> Sequence[int]:
+        """Ids that ``robot`` hears in the present step, rising. Fails before the first."""
+        return self._heard[robot]
+
+    @property
+    def positions(self) -> NDArray[np.float64] | None:
+        """Centres in the present step, shape (N, 2), in metres; None if robots do not move."""
+        if self._ahead is None or self._ahead.positions is None:
+            return None
+        centres: NDArray[np.float64] = self._ahead.positions[self._at]
+        return centres
+
+
+def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
+    if settings.topology is Topology.FULLY_CONNECTED:
+        return topology.fully_connected(settings.robots)
+    if isinstance(settings.graph, topology.Graph):
+        return settings.graph.topology(settings.robots)
+    make = extensions.load(extensions.TOPOLOGIES, str(settings.topology))
+    return cast(Callable[[WorldSettings, int], topology.Topology], make)(settings, trial)
+
+
+def _arena_of(settings: WorldSettings, trial: int) -> Arena:
+    # Imported here, so that robots that do not move run where no arena has been built.
+    from mcp_asdf_tools.world.arenas import make_arena  # noqa: PLC0415
+
+    return make_arena(settings, trial)

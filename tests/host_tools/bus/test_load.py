@@ -8,7 +8,7 @@ import can
 import pytest
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
-from mcp_asdf_tools.bus.load import ERROR_BITS, load, wire_bits
+from mcp_asdf_tools.bus.load import ERROR_BITS, bus_load, wire_bits
 
 SEED = 20241029
 
@@ -91,4 +91,4 @@ def test_error_frames() -> None:
 
 
 def test_load() -> None:
-    assert load(125_000, 2.0, 125_000) == 0.5
+    assert bus_load(125_000, 2.0, 125_000) == 0.5

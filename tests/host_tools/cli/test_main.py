@@ -131,7 +131,7 @@ def test_ctrl_c_while_libraries_load_shows_no_traceback(library: str) -> None:
         f"        if name == {library!r}: os.kill(os.getpid(), signal.SIGINT)\n"
         "from mcp_asdf_tools.cli.main import main\n"
         "sys.meta_path.insert(0, Finder())\n"
-        "sys.exit(main(['swarm', '--ticks', '3']))"
+        "sys.exit(main(['swarm', '--steps', '3']))"
     )
     result = python("-c", script)
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "mcp-asdf swarm: interrupted\n")
@@ -155,7 +155,7 @@ def test_a_reader_that_leaves_ends_the_program_quietly() -> None:
 CHECK = ("table", "--check", "tables/t_table_omega05_q30.c")
 
 
-@pytest.mark.parametrize("arguments", [CHECK, ("swarm", "--ticks", "3"), ("--help",)])
+@pytest.mark.parametrize("arguments", [CHECK, ("swarm", "--steps", "3"), ("--help",)])
 def test_output_that_cannot_be_written_is_no_failed_check(arguments: tuple[str, ...]) -> None:
     title = " ".join(["mcp-asdf", *(word for word in arguments[:1] if word in cli.COMMANDS)])
     with open("/dev/full", "w") as full:
@@ -170,7 +170,7 @@ def shell(line: str) -> subprocess.CompletedProcess[str]:
     return python("-c", f"import os; os.execl('/bin/sh', 'sh', '-c', {command!r})")
 
 
-@pytest.mark.parametrize(("name", "rest"), [("dbc", ">&-"), ("swarm", "--ticks 3 --quiet <&- >&-")])
+@pytest.mark.parametrize(("name", "rest"), [("dbc", ">&-"), ("swarm", "--steps 3 --quiet <&- >&-")])
 def test_without_a_standard_output_what_needs_one_says_so(name: str, rest: str) -> None:
     result = shell(f"{name} {rest}")
     message = "cannot write to standard output: Bad file descriptor; send it elsewhere"
@@ -182,7 +182,7 @@ def test_without_a_standard_output_what_needs_one_says_so(name: str, rest: str) 
     [
         ("table --neighbours 0 --output . 2>&-", 2),
         ("table --neighbours 0 --output . 2>/dev/full", 2),
-        ("node --id 3 --ticks 1 --quiet >&- 2>&-", 0),
+        ("node --id 3 --steps 1 --quiet >&- 2>&-", 0),
     ],
 )
 def test_what_cannot_be_told_changes_no_exit_code(line: str, code: int) -> None:

@@ -37,7 +37,7 @@ def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path) -> None:
 def test_wireshark_reads_candump_logs_without_their_last_column(tmp_path: Path) -> None:
     tshark = require("tshark", "tshark")
     log = tmp_path / "run.log"
-    assert main(["swarm", "--robots", "2", "--ticks", "5", "--quiet", "--log", str(log)]) == 0
+    assert main(["swarm", "--robots", "2", "--steps", "5", "--quiet", "--log", str(log)]) == 0
     log.write_text(re.sub(r" [RT]$", "", log.read_text(), flags=re.MULTILINE))
     done = subprocess.run([tshark, "-r", log], capture_output=True, text=True, check=True)
     assert len(done.stdout.splitlines()) == 2 * 5 + 2

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import cast
@@ -48,7 +48,7 @@ from mcp_asdf_tools.crosscheck.compare import (
     Finding,
     Firmware,
     Subject,
-    compare,
+    compare_firmwares,
     crosscheck,
     differences,
     shrink,
@@ -96,7 +96,7 @@ def silent(done: int) -> None:
 def judged(left: Firmware, right: Firmware) -> Check:
     """A check that compares two firmwares and audits them."""
     audit = Audit()
-    return lambda scenario: compare(scenario, left, right, audit.follow(scenario.setup))
+    return lambda scenario: compare_firmwares(scenario, left, right, audit.follow(scenario.setup))
 
 
 def caught(check: Check, calls: int = CALLS) -> Scenario | None:
@@ -389,7 +389,9 @@ def differing_tables() -> int:
     """How many of 1500 spoilt tables only one of native and mirror takes."""
     source, setup = random.Random(SEED), parse_scenario(_SOUND).setup
     setups = (replace(setup, table=spoilt_table(source)) for _ in range(1500))
-    return sum(compare(Scenario(setup, ()), NativeRobot, MirrorRobot) is not None for setup in setups)
+    return sum(
+        compare_firmwares(Scenario(setup, ()), NativeRobot, MirrorRobot) is not None for setup in setups
+    )
 
 
 def test_spoilt_tables_are_the_same_to_both() -> None:
@@ -482,7 +484,7 @@ def test_a_planted_fault_is_caught_and_shown_by_a_minimal_scenario(fault: str) -
 )
 def test_what_both_do_wrong_is_caught_by_exact_arithmetic(fault: str) -> None:
     wrong = planted(fault)
-    assert caught(lambda scenario: compare(scenario, wrong, wrong), calls=2000) is None
+    assert caught(lambda scenario: compare_firmwares(scenario, wrong, wrong), calls=2000) is None
     assert caught(judged(wrong, wrong)) is not None
 
 
@@ -552,7 +554,7 @@ def test_the_last_bit_of_every_constant_of_the_mirror_matters(function: str) -> 
             continue
         node.value = cast(int, node.value) ^ 1
         changed = copy_of_mirror(module, tree)
-        if caught(lambda scenario, changed=changed: compare(scenario, NativeRobot, changed)) is None:  # type: ignore[misc]
+        if caught(partial(compare_firmwares, left=NativeRobot, right=changed)) is None:
             survivors.append(f"line {line}, column {column}: {text.strip()}")
     assert survivors == []
 
@@ -613,7 +615,7 @@ class BrokenRobot(MirrorRobot):
 
 def test_an_exception_is_a_difference() -> None:
     scenario = parse_scenario(f"{ROBOT},observe:1,settle")
-    finding = compare(scenario, NativeRobot, BrokenRobot)
+    finding = compare_firmwares(scenario, NativeRobot, BrokenRobot)
     assert finding is not None
     assert (finding.calls, finding.problems[0]) == (2, "status: OK, ZeroDivisionError: in settle")
 
@@ -628,7 +630,7 @@ class UnmakeableRobot(MirrorRobot):
 def test_the_same_exception_is_no_agreement() -> None:
     scenario = parse_scenario(f"{ROBOT},observe:1,settle")
     for robot, made, place in ((BrokenRobot, 2, "settle"), (UnmakeableRobot, 0, "init")):
-        finding = compare(scenario, robot, robot)
+        finding = compare_firmwares(scenario, robot, robot)
         assert finding == Finding(made, (f"both: ZeroDivisionError: in {place}",))
 
 
@@ -640,7 +642,7 @@ class SilentlyWrongRobot(MirrorRobot):
 
 
 def test_a_hidden_difference_of_state_is_found_at_once() -> None:
-    finding = compare(parse_scenario(ROBOT), NativeRobot, SilentlyWrongRobot)
+    finding = compare_firmwares(parse_scenario(ROBOT), NativeRobot, SilentlyWrongRobot)
     assert finding == Finding(0, ("updated: 0, 7",))
 
 
@@ -649,7 +651,9 @@ def test_a_robot_that_only_one_firmware_makes_is_a_difference() -> None:
         def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
             super().__init__(config, robot_id + 128, b_hat)
 
-    assert compare(parse_scenario(ROBOT), NativeRobot, Choosy) == Finding(0, ("status: OK, ERR_ID",))
+    assert compare_firmwares(parse_scenario(ROBOT), NativeRobot, Choosy) == Finding(
+        0, ("status: OK, ERR_ID",)
+    )
 
 
 def test_differences_name_words_of_the_image() -> None:

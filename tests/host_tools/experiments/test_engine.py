@@ -16,15 +16,17 @@ import pytest
 from mcp_asdf.robot import B_HAT_MARGIN, FirmwareError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
-from mcp_asdf_tools.experiments.experiment import Activation, Drift, Experiment, Mode
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world import philox
-from mcp_asdf_tools.world.world import TrialWorld
+from mcp_asdf_tools.world.settings import Drift
+from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
-SHORT = Experiment(steps=700, filter_period=100, trials=3, seed=77)
+SHORT = Experiment(robots=10, flawed=3, steps=700, filter_period=100, trials=3, seed=77)
 
 # Random123's own known answers: counter, key, words.
 KNOWN = [
@@ -54,25 +56,26 @@ def test_philox_gives_the_published_words(
 
 
 def test_a_draw_depends_on_seed_trial_robot_and_step_alone() -> None:
-    whole = philox.words(5, 2, robots=7, steps=50, stream=0)
-    assert np.array_equal(philox.words(5, 2, robots=3, steps=21, stream=0), whole[:21, :3])
-    for other in (philox.words(6, 2, 7, 50, 0), philox.words(5, 3, 7, 50, 0), philox.words(5, 2, 7, 50, 1)):
-        assert (other == whole).mean() < 0.01
+    whole = philox.Stream(0, 5, 2, robots=7).words(50)
+    assert np.array_equal(philox.Stream(0, 5, 2, robots=3).words(21), whole[:21, :3])
+    assert np.array_equal(philox.Stream(0, 5, 2, robots=3).words(29, first=21), whole[21:, :3])
+    for other in ((0, 6, 2), (0, 5, 3), (1, 5, 2)):
+        assert (philox.Stream(*other, robots=7).words(50) == whole).mean() < 0.01
     assert len(np.unique(whole)) == whole.size
 
 
 def test_the_upper_half_of_a_seed_counts() -> None:
-    assert (philox.words(1, 0, 4, 40, 0) == philox.words(1 + 2**32, 0, 4, 40, 0)).mean() < 0.01
+    assert (philox.Stream(0, 1, 0, 4).words(40) == philox.Stream(0, 1 + 2**32, 0, 4).words(40)).mean() < 0.01
 
 
 @pytest.mark.parametrize("colour", [0.0, 1.0])
 def test_certain_observations_are_certain(colour: float) -> None:
-    world = TrialWorld(Experiment(fill_ratio=colour, true_accuracy=1.0, steps=4000), 0)
+    world = World(Experiment(fill_ratio=colour, true_accuracy=1.0, steps=4000), 0)
     assert world.advance(4000).black.mean() == colour
 
 
 def test_observations_are_as_probable_as_asked() -> None:
-    seen = TrialWorld(Experiment(robots=4, steps=100_000, seed=9), 0).advance(100_000).black
+    seen = World(Experiment(robots=4, steps=100_000, seed=9), 0).advance(100_000).black
     deviation = (0.545 * 0.455 / seen.size) ** 0.5
     assert abs(seen.mean() - 0.545) < 4 * deviation
     shifted = np.corrcoef(seen[1:].ravel(), seen[:-1].ravel())[0, 1]
@@ -101,7 +104,7 @@ RARE = Experiment(
     flawed=0,
     fill_ratio=0.99999,
     true_accuracy=1.0,
-    mode=Mode.NONE,
+    filter=Filtering.NONE,
     steps=200_000,
     filter_period=200_000,
 )
@@ -109,8 +112,8 @@ EDGES = {
     "one robot": replace(SHORT, robots=1, flawed=1),
     "two robots": replace(SHORT, robots=2, flawed=1),
     "128 robots": replace(SHORT, robots=128, flawed=40, steps=210),
-    "no filter": replace(SHORT, mode=Mode.NONE),
-    "only flawed robots filter": replace(SHORT, mode=Mode.ASDF_MINUS),
+    "no filter": replace(SHORT, filter=Filtering.NONE),
+    "only flawed robots filter": replace(SHORT, filter=Filtering.ASDF_MINUS),
     "filter without a test": replace(SHORT, activation=Activation.ALWAYS),
     "only black": replace(SHORT, fill_ratio=1.0, true_accuracy=1.0),
     "only white": replace(SHORT, fill_ratio=0.0, true_accuracy=1.0),
@@ -149,7 +152,7 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
             fill_ratio=source.choice([0.0, 0.5, 0.55, 0.95, 1.0, source.random()]),
             true_accuracy=source.choice(accuracies),
             flawed_accuracy=source.choice(accuracies),
-            mode=source.choice(list(Mode)),
+            filter=source.choice(list(Filtering)),
             activation=source.choice(list(Activation)),
             filter_period=source.choice([3, 10, 97, 250]),
             omega=Decimal(source.choice(["0.05", "0.25", "0.9"])),
@@ -191,7 +194,7 @@ def test_lanes_are_used_only_where_trials_are_alike(experiment: Experiment, expe
     "experiment",
     [
         SHORT,
-        replace(SHORT, comms_period=5, mode=Mode.ASDF_MINUS),
+        replace(SHORT, comms_period=5, filter=Filtering.ASDF_MINUS),
         replace(SHORT, activation=Activation.ALWAYS, memory=64, robots=4),
         replace(SHORT, drift=Drift.WIENER, drift_diffusion=0.02, drift_rate=-1e-4),
         replace(SHORT, robots=1, flawed=0),

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import local_estimate
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import (
-    Activation,
-    Drift,
-    Experiment,
-    ExperimentError,
-    Floor,
-    Mode,
-    Topology,
-)
+from mcp_asdf_tools.common.parameters import ParameterError, meaning_of, plain_value
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world.philox import CERTAIN
-from mcp_asdf_tools.world.sensors import black_probabilities, true_accuracies
+from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
+from mcp_asdf_tools.world.settings import Drift, Floor, Topology
 
 AUTHORS = Path(__file__).parents[2] / "data/authors_parameters.yml"
 
@@ -43,11 +40,14 @@ AUTHORS = Path(__file__).parents[2] / "data/authors_parameters.yml"
         ("robots", True, "give a number"),
         ("robots", "ten", "give a number"),
         ("robots", float("inf"), "whole number"),
-        ("flawed", 11, "flawed is 11; it must be 0 to robots, 10"),
-        ("flawed", -1, "0 to robots"),
+        ("flawed", 21, "flawed is 21; give a count, 0 to 20, or a share"),
+        ("flawed", -1, "a count, 0 to 20"),
+        ("flawed", 1.5, "flawed is 1.5; give a count"),
+        ("flawed", "150%", "flawed is '150%'"),
+        ("flawed", True, "flawed is True"),
         ("fill_ratio", 1.5, "0 to 1"),
-        ("fill_ratio", float("nan"), "0 to 1"),
-        ("mode", "asdf", "choose one of none, asdf_minus, asdf_plus"),
+        ("fill_ratio", float("nan"), "give a number"),
+        ("filter", "asdf", "choose one of none, asdf-minus, asdf-plus"),
         ("filter_period", 0, "1 to"),
         ("memory", 63, "64 to"),
         ("memory", 66, "a multiple of 4"),
@@ -59,31 +59,35 @@ AUTHORS = Path(__file__).parents[2] / "data/authors_parameters.yml"
         ("steps", 0, "1 to"),
         ("trials", 0, "1 to"),
         ("firmware", "real", "choose one of native, mirror, reference"),
-        ("firmware", 3, "give a word"),
+        ("firmware", 3, "give a text"),
         ("conventions", "authors", "choose firmware reference"),
         ("drift_rate", 0.1, "choose a drift"),
         ("colour", 1, "unknown key 'colour'"),
     ],
 )
 def test_an_impossible_value_is_named(key: str, value: Any, words: str) -> None:
-    with pytest.raises(ExperimentError, match=words) as error:
+    with pytest.raises(ParameterError, match=words) as error:
         Experiment.from_parameters({key: value})
     assert error.value.key == key
 
 
 def test_periods_must_fit() -> None:
-    with pytest.raises(ExperimentError, match="multiple of comms_period, 3"):
+    with pytest.raises(ParameterError, match="multiple of comms_period, 3"):
         Experiment(comms_period=3, filter_period=100)
 
 
 def test_drift_starts_above_its_floor() -> None:
-    with pytest.raises(ExperimentError, match="at most true_accuracy"):
+    with pytest.raises(ParameterError, match="at most true_accuracy"):
         Experiment(drift=Drift.LINEAR, true_accuracy=0.6, lowest_accuracy=0.7)
 
 
 def test_parameters_come_back() -> None:
     experiment = Experiment(
-        mode=Mode.ASDF_MINUS, omega=Decimal("0.15"), drift=Drift.STEPPED, drift_rate=-1e-4, seed=2**64 - 1
+        filter=Filtering.ASDF_MINUS,
+        omega=Decimal("0.15"),
+        drift=Drift.STEPPED,
+        drift_rate=-1e-4,
+        seed=2**64 - 1,
     )
     assert Experiment.from_parameters(experiment.parameters()) == experiment
 
@@ -97,14 +101,14 @@ def test_a_whole_number_may_stand_for_a_float() -> None:
 @pytest.mark.parametrize(
     ("mode", "activation", "flawed", "other"),
     [
-        (Mode.NONE, Activation.ADAPTIVE, Filter.OFF, Filter.OFF),
-        (Mode.ASDF_MINUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.OFF),
-        (Mode.ASDF_PLUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE),
-        (Mode.ASDF_MINUS, Activation.ALWAYS, Filter.ALWAYS, Filter.OFF),
+        (Filtering.NONE, Activation.ADAPTIVE, Filter.OFF, Filter.OFF),
+        (Filtering.ASDF_MINUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.OFF),
+        (Filtering.ASDF_PLUS, Activation.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE),
+        (Filtering.ASDF_MINUS, Activation.ALWAYS, Filter.ALWAYS, Filter.OFF),
     ],
 )
-def test_who_filters_and_when(mode: Mode, activation: Activation, flawed: Filter, other: Filter) -> None:
-    experiment = Experiment(robots=4, flawed=2, mode=mode, activation=activation)
+def test_who_filters_and_when(mode: Filtering, activation: Activation, flawed: Filter, other: Filter) -> None:
+    experiment = Experiment(robots=4, flawed=2, filter=mode, activation=activation)
     configs = [experiment.config(robot) for robot in range(4)]
     assert [config.filter for config in configs] == [flawed, flawed, other, other]
     assert all((config.table is not None) == (config.filter == Filter.ADAPTIVE) for config in configs)
@@ -128,7 +132,8 @@ def test_the_papers_first_table(
     fill_ratio: float, accuracy: float, printed: str, estimates: dict[float, str]
 ) -> None:
     experiment = Experiment(fill_ratio=fill_ratio, true_accuracy=accuracy)
-    probability = float(black_probabilities(experiment, 0)[0, 0]) / CERTAIN
+    accuracies = sensor_model(experiment, 0).advance(1)
+    probability = float(black_probabilities(accuracies, fill_ratio)[0][0, 0]) / CERTAIN
     assert f"{probability:.3f}" == printed
     for b_hat, expected in estimates.items():
         blacks = round(1000 * probability)
@@ -137,6 +142,12 @@ def test_the_papers_first_table(
         for step in range(1000):
             robot.step(Observation.BLACK if step < blacks else Observation.WHITE)
         assert f"{robot.x_hat:.3f}" == expected
+
+
+def true_accuracies(experiment: Experiment, trial: int) -> NDArray[np.float64]:
+    black, white = sensor_model(experiment, trial).advance(experiment.steps)
+    assert white is black
+    return black
 
 
 def test_accuracy_without_drift_never_changes() -> None:
@@ -189,22 +200,42 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
     assert experiments_of(tmp_path, "") == [Experiment()]
 
 
+@pytest.mark.parametrize(
+    ("given", "count"),
+    [
+        (6, 6),
+        ("6", 6),
+        (0, 0),
+        (20, 20),
+        (0.3, 6),
+        ("0.3", 6),
+        ("30%", 6),
+        (1.0, 20),
+        (1, 1),
+        ("12.5%", 3),
+        (np.int64(4), 4),
+    ],
+)
+def test_flawed_robots_are_a_count_or_a_share(given: Any, count: int) -> None:
+    experiment = Experiment(robots=20, flawed=given)
+    assert experiment.flawed == experiment.flawed_robots == count
+    assert Experiment.from_parameters(experiment.parameters()) == experiment
+
+
 def test_lists_make_a_grid(tmp_path: Path) -> None:
-    found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nmode = ["none", "asdf_plus"]\n')
-    assert [(each.flawed, each.mode.value, each.steps) for each in found] == [
+    found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
+    assert [(each.flawed, each.filter.value, each.steps) for each in found] == [
         (1, "none", 1000),
-        (1, "asdf_plus", 1000),
+        (1, "asdf-plus", 1000),
         (3, "none", 1000),
-        (3, "asdf_plus", 1000),
+        (3, "asdf-plus", 1000),
     ]
 
 
 def test_grids_stand_on_the_keys_above_them(tmp_path: Path) -> None:
-    text = (
-        "trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed_proportion = 0.5\ntrials = 3\n"
-    )
+    text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
     found = experiments_of(tmp_path, text)
-    assert [(each.trials, each.flawed, each.fill_ratio) for each in found] == [(2, 1, 0.9), (3, 5, 0.55)]
+    assert [(each.trials, each.flawed, each.fill_ratio) for each in found] == [(2, 1, 0.9), (3, 10, 0.55)]
 
 
 @pytest.mark.parametrize(
@@ -214,11 +245,9 @@ def test_grids_stand_on_the_keys_above_them(tmp_path: Path) -> None:
         ("\n\nrobots = 0\n", "line 3: robots is 0"),
         ("robots = [3, 0]\n", "line 1: robots is 0"),
         ("robots = 4\nflawed = 5\n", "line 2: flawed is 5"),
-        ("steps = 1\n[[grid]]\nmode = 'x'\n", "line 3: mode is 'x'"),
+        ("steps = 1\n[[grid]]\nfilter = 'x'\n", "line 3: filter is 'x'"),
         ("steps = 1\n[[grid]]\n[[grid]]\nsteps = 0\n", "line 4: steps is 0"),
-        ("flawed_proportion = 0.25\n", "line 1: flawed_proportion 0.25 of 10 robots is 2.5"),
-        ("flawed_proportion = 2\n", "line 1: flawed_proportion is 2"),
-        ("flawed = 1\nflawed_proportion = 0.1\n", "line 2: flawed and flawed_proportion"),
+        ("flawed = 2.5\n", "line 1: flawed is 2.5; give a count, 0 to 20, or a share"),
         ("trials = []\n", "line 1: trials makes 0"),
         ("steps = \n", "line 1"),
         ("grid = 3\n", r"write \[\[grid\]\]"),
@@ -248,8 +277,8 @@ def test_the_physical_experiment_comes_with_the_program() -> None:
         ((3.0353, 3.0226), 0.448, Floor.CODE, 0.1)
     }
     first = found[0]
-    assert first.ticks_per_second / first.observation_period == 2, "observations a second"
-    assert first.steps / first.ticks_per_second == 1000, "seconds"
+    assert first.steps_per_second / first.observation_period == 2, "observations a second"
+    assert first.steps / first.steps_per_second == 1000, "seconds"
     density = first.robots * np.pi * first.radio_range**2 / np.prod(first.sides)
     assert density == pytest.approx(1.3, abs=0.05)
     with pytest.raises(UsageError, match=r"no file studio; what comes with the program is .*physical"):
@@ -263,7 +292,13 @@ def test_the_authors_file_runs_as_it_is() -> None:
     found = read_experiments(AUTHORS)
     assert [each.flawed for each in found] == [1, 3, 5]
     common = Experiment(
-        mode=Mode.ASDF_MINUS, filter_period=200, steps=1000, trials=2, omega=Decimal("0.1"), flawed=1
+        robots=10,
+        filter=Filtering.ASDF_MINUS,
+        filter_period=200,
+        steps=1000,
+        trials=2,
+        omega=Decimal("0.1"),
+        flawed=1,
     )
     assert found[0] == common
 
@@ -288,7 +323,7 @@ def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -
     )
     text = text.replace("filterSpecificParams:\n  type_2_err_prob: 0.1\n", "")
     found = experiments_of(tmp_path, text, "file.yaml")
-    assert {(each.activation, each.mode) for each in found} == {(Activation.ALWAYS, Mode.ASDF_PLUS)}
+    assert {(each.activation, each.filter) for each in found} == {(Activation.ALWAYS, Filtering.ASDF_PLUS)}
 
 
 @pytest.mark.parametrize(
@@ -332,6 +367,13 @@ def test_the_grid_of_the_documentation_is_one(tmp_path: Path) -> None:
     assert len(set(found)) == len(found) == 2 * 2 * 2 * 3 * 4 * 3
 
 
-def test_the_documentation_names_every_parameter() -> None:
+def test_the_documentation_lists_every_parameter() -> None:
+    """Its table is made of the parameters themselves."""
     page = (Path(__file__).parents[3] / "docs/experiments.md").read_text(encoding="utf-8")
-    assert [name for name in Experiment().parameters() if f"`{name}`" not in page] == []
+    lines = []
+    for each in fields(Experiment):
+        meaning = meaning_of(each)
+        assert meaning is not None
+        default = str(plain_value(each.default))
+        lines.append(f"| `{each.name}` | {meaning.text} | {f'`{default}`' if default else ''} |")
+    assert "\n".join(lines) in page, "\n".join(lines)

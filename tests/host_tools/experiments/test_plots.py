@@ -16,20 +16,22 @@ from matplotlib.patches import Circle, PathPatch
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.arena_plots import BODY_RADIUS, network, trajectories
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode, Topology
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import boxes, confidence, scatter, series_beside
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.settings import Topology
 
 LIMITS = Limits(300, 0.45)
-BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, mode=Mode.NONE)
+BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, filter=Filtering.NONE)
 GRID = [
-    replace(BASE, flawed=flawed, fill_ratio=f, flawed_accuracy=b_hat, mode=mode, filter_period=period)
+    replace(BASE, flawed=flawed, fill_ratio=f, flawed_accuracy=b_hat, filter=mode, filter_period=period)
     for f in (0.55, 0.95)
     for flawed, b_hat in ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
-    for mode, period in ((Mode.NONE, 100), (Mode.ASDF_PLUS, 100), (Mode.ASDF_PLUS, 150))
+    for mode, period in ((Filtering.NONE, 100), (Filtering.ASDF_PLUS, 100), (Filtering.ASDF_PLUS, 150))
 ]
 MOVING = Experiment(topology=Topology.DYNAMIC, robots=12, flawed=5, steps=400, filter_period=100, trials=2)
 
@@ -69,12 +71,12 @@ def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
 
 
 def _swarm(trials: Trials) -> tuple[int, float]:
-    return trials.experiment.flawed, trials.experiment.flawed_accuracy
+    return trials.experiment.flawed_robots, trials.experiment.flawed_accuracy
 
 
 def _series(trials: Trials) -> int:
     experiment = trials.experiment
-    return 0 if experiment.mode is Mode.NONE else 1 + (experiment.filter_period == 150)
+    return 0 if experiment.filter is Filtering.NONE else 1 + (experiment.filter_period == 150)
 
 
 def _levels(axes: Axes, count: int) -> list[tuple[float, float]]:
@@ -101,7 +103,7 @@ def test_series_are_named_by_what_varies(grid: list[Trials]) -> None:
 def test_points_are_the_trials_and_their_medians(grid: list[Trials]) -> None:
     figure = scatter(grid, LIMITS)
     found = [axes for axes in figure.axes if axes.get_title().startswith("no filter\n$f = 0.95")]
-    own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.mode is Mode.NONE]
+    own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
     assert len(found[0].lines) == 2 * len(own)
     for trials, points, middle in zip(own, found[0].lines[::2], found[0].lines[1::2], strict=True):
         scores = score(trials.settled, trials.errors, LIMITS)
@@ -123,7 +125,8 @@ def test_what_does_not_fit_a_picture_is_refused(grid: list[Trials]) -> None:
 
 def test_series_beside_each_other_show_their_records() -> None:
     runs = [
-        results_of(replace(BASE, flawed=1, trials=1, mode=mode), 10) for mode in (Mode.NONE, Mode.ASDF_PLUS)
+        results_of(replace(BASE, flawed=1, trials=1, filter=mode), 10)
+        for mode in (Filtering.NONE, Filtering.ASDF_PLUS)
     ]
     grid = np.array(series_beside(runs, 0).axes).reshape(3, 2)
     for column, trials in zip(grid.T, runs, strict=True):

@@ -12,16 +12,10 @@ import pytest
 
 from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.by_message import run_by_message
-from mcp_asdf_tools.experiments.experiment import (
-    Activation,
-    Convention,
-    Drift,
-    Experiment,
-    Floor,
-    Mode,
-    Topology,
-)
+from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Activation, Filtering
+from mcp_asdf_tools.world.settings import Drift, Floor, Topology
 
 FULL = Experiment(
     firmware="reference", robots=6, flawed=2, fill_ratio=0.7, steps=420, filter_period=60, seed=5
@@ -34,7 +28,7 @@ CASES = {
     "authors": replace(FULL, conventions=AUTHORS),
     "without a test": replace(FULL, activation=Activation.ALWAYS),
     "authors without a test": replace(FULL, conventions=AUTHORS, activation=Activation.ALWAYS),
-    "only flawed": replace(FULL, mode=Mode.ASDF_MINUS),
+    "only flawed": replace(FULL, filter=Filtering.ASDF_MINUS),
     "one robot": replace(FULL, robots=1, flawed=1),
     "uninformative": replace(FULL, flawed_accuracy=0.5),
     "uninformative to the authors": replace(FULL, flawed_accuracy=0.5, conventions=AUTHORS),

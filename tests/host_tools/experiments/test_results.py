@@ -13,8 +13,9 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.authors_formats import write_authors_json
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
@@ -22,15 +23,15 @@ from mcp_asdf_tools.experiments.results import (
     experiments_in,
     read_table,
     table_of,
-    versions,
     write_csv,
     write_table,
 )
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Filtering
 
 SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
-OTHER = replace(SHORT, mode=Mode.NONE, seed=2**64 - 1)
+OTHER = replace(SHORT, filter=Filtering.NONE, seed=2**64 - 1)
 
 
 @pytest.fixture
@@ -72,7 +73,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert len(row["k"]) == len(row["e"]) == 4
     assert len(row["b_hat"]) == 3 * 4
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
-    assert said == {"format": FORMAT, "versions": versions(), "delta": 0.01, "thinning": 10}
+    assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "thinning": 10}
     assert said == describe(read_table(path))
 
 
@@ -93,8 +94,8 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
     write_csv(tmp_path / "results.csv", [(trials, limits) for trials in found])
     with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [(row["mode"], row["trial"], row["seed"]) for row in rows] == [
-        (experiment.mode.value, str(trial), str(experiment.seed))
+    assert [(row["filter"], row["trial"], row["seed"]) for row in rows] == [
+        (experiment.filter.value, str(trial), str(experiment.seed))
         for experiment in (SHORT, OTHER)
         for trial in range(3)
     ]

@@ -124,17 +124,17 @@ def test_native_scores_have_the_distributions_of_the_reference(every: int) -> No
         {"true_accuracy": 0.75},
         {"filter_period": 2000},
         {"flawed": 1},
-        {"mode": "asdf_plus"},
+        {"filter": "asdf-plus"},
     ],
 )
 def test_the_comparison_notices_another_experiment(change: dict[str, float | str]) -> None:
-    name = ("asdf_minus", 5, 0.95, 1000)
+    name = ("asdf-minus", 5, 0.95, 1000)
     (cell,) = [
         each
         for each in fidelity.read_cells()
         if (
-            each.experiment.mode.value,
-            each.experiment.flawed,
+            each.experiment.filter.value,
+            each.experiment.flawed_robots,
             each.experiment.fill_ratio,
             each.experiment.filter_period,
         )

@@ -18,17 +18,18 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import sweep
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.simulation import Job
 from mcp_asdf_tools.experiments.sweep import Store, identity, jobs_of, run_sweep
+from mcp_asdf_tools.robots.population import Filtering
 from support import PATIENCE, ROOT, interruptible
 
 GRID = [
-    Experiment(robots=4, flawed=flawed, mode=mode, steps=300, filter_period=100, trials=40)
+    Experiment(robots=4, flawed=flawed, filter=mode, steps=300, filter_period=100, trials=40)
     for flawed in (1, 2)
-    for mode in Mode
+    for mode in Filtering
 ]
 FILE = """\
 robots = 4
@@ -36,7 +37,7 @@ steps = 300
 filter_period = 100
 trials = 3
 flawed = [1, 2]
-mode = ["none", "asdf_minus", "asdf_plus"]
+filter = ["none", "asdf-minus", "asdf-plus"]
 """
 
 
@@ -267,7 +268,7 @@ def test_the_authors_layout_is_written(tmp_path: Path, capsys: pytest.CaptureFix
 def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
     out = capsys.readouterr().out
-    for word in ("flawed", "mode", "asdf_minus", "h_K", "e_max"):
+    for word in ("flawed", "filter", "asdf-minus", "h_K", "e_max"):
         assert word in out
     assert "robots" not in out
 

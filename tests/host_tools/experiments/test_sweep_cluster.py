@@ -104,7 +104,7 @@ def test_the_cluster_runs_only_what_is_missing(
 
 
 def test_another_version_is_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster_module, "versions", lambda: {"mcp-asdf": "9.9.9"})
+    monkeypatch.setattr(cluster_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
     with pytest.raises(UsageError, match="install the same on all"):
         run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
 

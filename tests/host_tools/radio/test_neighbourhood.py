@@ -44,8 +44,9 @@ from mcp_asdf_tools.robots.processes import start_nodes
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.settings import Settings, make_world, robot_records
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.world.world import World
 from multicast import multicast
 from node_thread import join, meanwhile, node_in_a_thread
 from support import PATIENCE
@@ -73,7 +74,7 @@ def settings(controller: RobotRecord | None = None, faults: str = "", **world: A
     return RadioSettings(
         own,
         neighbours,
-        Settings(robots=5, **{"seed": 6} | world),
+        SwarmSettings(robots=5, **{"seed": 6} | world),
         Subjects(),
         tuple(parse_fault(text) for text in faults.split()),
     )
@@ -84,8 +85,8 @@ def settings(controller: RobotRecord | None = None, faults: str = "", **world: A
 
 def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm() -> None:
     """Robot 3 lives outside; all five end with the same bits as in an emulated swarm."""
-    world = Settings(robots=5, flawed=0.6, ticks=120, filter_period=20, seed=9, fill_ratio=0.9)
-    records = robot_records(world)
+    world = SwarmSettings(robots=5, flawed=0.6, steps=120, filter_period=20, seed=9, fill_ratio=0.9)
+    records = world.records()
     others = tuple(each for each in records if each.id != ID)
     neighbourhood = Neighbourhood(RadioSettings(records[ID], others, world, Subjects()))
     controller = RobotNode(records[ID].make(), NodeSettings(ID))
@@ -110,22 +111,22 @@ def state(robot: object) -> dict[str, int]:
 def test_a_controller_hears_and_is_heard_in_range_only() -> None:
     ids = (3, 10, 11, 40, 90)
     own = record(ID)
-    world = Settings(robots=5, density=1, seed=4)
+    world = SwarmSettings(robots=5, topology="dynamic", seed=4)
     neighbourhood = Neighbourhood(
         RadioSettings(own, tuple(like(own, robot, 0.9) for robot in ids[1:]), world, Subjects())
     )
-    twin = make_world(world)
+    twin = World(world)
     seen: set[int] = set()
     for tick in range(300):
         z = neighbourhood.begin()
-        assert z == twin.observe()[0, 0]
-        near = {ids[place] for place in twin.topology.neighbours(0)}
+        assert z == twin.step()[0]
+        near = {ids[place] for place in twin.neighbours(0)}
         before = {robot: node.robot.counters.accepted for robot, node in neighbourhood.nodes.items()}
         frames = neighbourhood.finish([encode(Message(ID, 1, 0, tick % 32), FrameFormat())])
         estimates = [m for f in frames if isinstance(m := decode(f, FrameFormat()), Message)]
         assert {message.sender for message in estimates} == near
         for robot, node in neighbourhood.nodes.items():
-            around = {ids[place] for place in twin.topology.neighbours(ids.index(robot))}
+            around = {ids[place] for place in twin.neighbours(ids.index(robot))}
             assert node.robot.counters.accepted - before[robot] == len(around)
         seen.add(len(near))
     assert len(seen) > 2
@@ -153,16 +154,16 @@ def test_ids_are_chosen_around_the_controller() -> None:
     assert choose_ids(3, 5, 3) == (4, 5, 6, 7, 8)
     assert choose_ids(127, 126) == tuple(range(126))
     for count, first, text in (
-        (0, 0, "robots is 0"),
-        (126, 0, "room for 1 to 125"),
-        (3, 124, "room for 1 to 2"),
+        (0, 0, "robots is 1; from id 0"),
+        (126, 0, "room for 2 to 126"),
+        (3, 124, "room for 2 to 3"),
         (1, 126, "first-id is 126; it must be 0 to 125"),
         (1, -1, "first-id is -1"),
     ):
         with pytest.raises(UsageError, match=text):
             choose_ids(3, count, first)
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        RadioSettings(record(1), (record(1),), Settings(robots=2), Subjects())
+        RadioSettings(record(1), (record(1),), SwarmSettings(robots=2), Subjects())
 
 
 # Odd frames
@@ -307,11 +308,11 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
             if len(self.sent) % 2:
                 raise can.CanOperationError("cable pulled")
 
-    plan = settings(ticks_per_second=1000)
+    plan = settings(steps_per_second=1000)
     run = RadioRun(Neighbourhood(plan), Link(Failing(), endures=True), ticks=20)
     run.run()
     figures = run.figures()
-    assert (figures["ticks"], figures["ending"]) == (20, "all ticks done")
+    assert (figures["steps"], figures["ending"]) == (20, "all ticks done")
     assert figures["bus_failures"] == figures["frames_sent"] == 4 * 21 // 2
     assert all(node.robot.t == 20 for node in run.neighbours.nodes.values())
 
@@ -589,7 +590,7 @@ def radio(options: str) -> int:
 
 def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     report, log = tmp_path / "report.json", tmp_path / "run.log"
-    options = f"{CONTROLLER} --verify --ticks 20 --timeout 20 --json --report {report} --log {log}"
+    options = f"{CONTROLLER} --verify --steps 20 --timeout 20 --json --report {report} --log {log}"
     with node_in_a_thread(f"{CONTROLLER} --lockstep"):
         assert radio(options) == 0
     content = json.loads(capsys.readouterr().out)
@@ -613,11 +614,11 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
 ) -> None:
     report = tmp_path / "report.md"
     with node_in_a_thread(f"{CONTROLLER} --lockstep --b-hat 0.56"):
-        assert radio(f"{CONTROLLER} --verify --ticks 40 --timeout 20 --report {report}") == 1
+        assert radio(f"{CONTROLLER} --verify --steps 40 --timeout 20 --report {report}") == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert 'FAILED: 0 of 19 phases passed; first in phase "nothing wrong", tick 0: estimate: the co' in shown
     assert "**FAILED: 0 of 19 phases passed" in report.read_text()
-    assert "| nothing wrong |  | 0 | 10 | 0 | 0 | 0 | failed |" in report.read_text()
+    assert "| nothing wrong |  | 0 | 38 | 0 | 0 | 0 | failed |" in report.read_text()
     assert "| silence | loss=1,receivers=3 | 0 | 0 | 0 | 0 | 0 | not run |" in report.read_text()
 
 
@@ -646,10 +647,10 @@ def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[
     log = tmp_path / "run.log"
     with choice.open() as bus, start_nodes([own], lambda robot: choice, Subjects(), 10) as nodes:
         Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
-        options = f"{CONTROLLER} --verify --ticks 20 --timeout 30 --log {log}"
+        options = f"{CONTROLLER} --verify --steps 20 --timeout 30 --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0
     assert "PASSED: 19 of 19 phases passed" in capsys.readouterr().out
-    assert nodes.reports[3]["results"]["ticks"] == 20 * len(PHASES)
+    assert nodes.reports[3]["results"]["steps"] == 20 * len(PHASES)
     assert main(["replay", str(log)]) == 0
 
 
@@ -657,16 +658,17 @@ def test_neighbours_in_real_time_hear_and_are_heard(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     log, node_log = tmp_path / "run.log", tmp_path / "node.log"
-    node_options = f"--id 3 --rate 100 --telemetry-period 5 --log {node_log}"
+    node_options = f"--id 3 --steps-per-second 100 --telemetry-period 5 --log {node_log}"
     with node_in_a_thread(node_options), meanwhile(lambda: speak_as(1, 9)):
         code = radio(
-            f"--id 3 --robots 4 --rate 100 --ticks 100 --fault loss=0.5,receivers=3 --json --log {log}"
+            "--id 3 --robots 5 --steps-per-second 100 --steps 100 --fault loss=0.5,receivers=3 --json "
+            f"--log {log}"
         )
     assert code == 0
     report = json.loads(capsys.readouterr().out)
     assert json.loads(Path(f"{log}.json").read_text()) == report
     results = report["results"]
-    assert results["ticks"] == 100
+    assert results["steps"] == 100
     assert results["estimates_heard"] > 0
     assert results["strangers"] == 1
     assert list(results["collisions"]) == ["1"]
@@ -690,15 +692,15 @@ def speak_as(*senders: int) -> None:
 BAD = {
     "": "--id",
     "--id 128": "robot id is 128",
-    "--id 3 --robots 0": "robots is 0; from id 0 on there is room for 1 to 125",
-    "--id 3 --robots 4 --first-id 123": "robots is 4; from id 123 on there is room for 1 to 3",
+    "--id 3 --robots 1": "robots is 1; from id 0 on there is room for 2 to 126",
+    "--id 3 --robots 5 --first-id 123": "robots is 5; from id 123 on there is room for 2 to 4",
     "--id 3 --first-id 126": "first-id is 126; it must be 0 to 125",
-    "--id 3 --ticks 0": "ticks is 0",
+    "--id 3 --steps 0": "steps is 0",
     "--id 3 --fill-ratio 1.5": "fill-ratio is 1.5",
-    "--id 3 --rate 0": "ticks-per-second is 0",
+    "--id 3 --steps-per-second 0": "steps-per-second is 0",
     "--id 3 --fault gremlin": "no kind is called 'gremlin'",
     "--id 3 --verify --fault collide": "fault collide needs the id",
-    "--id 3 --density -1": "density -1.0",
+    "--id 3 --topology dynamic --density -1": "--density is -1.0; it must be",
     "--id 3 --report x.md": "--report is for a verification",
     "--id 3 --timeout 2": "--timeout is for a verification",
     "--id 3 --verify --timeout 0": "timeout is 0.0",

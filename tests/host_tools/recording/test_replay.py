@@ -28,7 +28,7 @@ from mcp_asdf_tools.swarm.fault_spec import Kind
 from robots import ALPHA_ONE
 from wire import record
 
-SMALL = "--robots 4 --ticks 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
+SMALL = "--robots 4 --steps 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
 BROADCASTS = 4 * 40
 
 
@@ -71,7 +71,7 @@ def test_every_format_is_reproduced(suffix: str, tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize(
-    "options", ["--firmware mirror", "--firmware reference", "--comms-period 5", "--filter off --subject 9"]
+    "options", ["--firmware mirror", "--firmware reference", "--comms-period 5", "--filter none --subject 9"]
 )
 def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
     frames = swarm(tmp_path / "run.log", options)
@@ -100,13 +100,14 @@ def test_what_faults_did_is_no_difference(kind: Kind, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options", ["--seed 1", "--seed 2 --comms-period 5", "--density 2 --channel 'bus{robot}'"]
+    "options",
+    ["--seed 1", "--seed 2 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
 def test_what_faults_did_together_is_no_difference(options: str, tmp_path: Path) -> None:
     """Among so many frames of strangers some equal a broadcast that is still to come."""
     log, faults = tmp_path / "run.log", " ".join(f"--fault {each}" for each in FAULTS.values())
-    verdict = check(swarm(log, f"--ticks 120 {options} {faults}"), log)
-    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --ticks 120 {options} {faults}"
+    verdict = check(swarm(log, f"--steps 120 {options} {faults}"), log)
+    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --steps 120 {options} {faults}"
     assert verdict.foreign > 0
     assert verdict.reproduced > 0
 
@@ -161,7 +162,7 @@ def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
 
 
 def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
-    frames = swarm(tmp_path / "run.log", "--ticks 200")
+    frames = swarm(tmp_path / "run.log", "--steps 200")
     draw = random.Random(8)
     kept = [frame for frame in frames if draw.random() < 0.3]
     verdict = check(kept, tmp_path / "run.log")

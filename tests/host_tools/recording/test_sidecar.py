@@ -19,7 +19,7 @@ from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.common.versions import versions
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
@@ -195,4 +195,4 @@ def test_an_installed_package_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> 
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", absent)
-    assert versions()["mcp-asdf"] == "not installed"
+    assert software_versions()["mcp-asdf"] == "not installed"

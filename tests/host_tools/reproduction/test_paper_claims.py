@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf_tools.experiments.experiment import Mode
 from mcp_asdf_tools.reproduction import paper_claims, verdicts
 from mcp_asdf_tools.reproduction.comparisons import Claim
 from mcp_asdf_tools.reproduction.paper_claims import CLAIMS, CORRUPTION
 from mcp_asdf_tools.reproduction.study import Cell, Measure, Part, Study, cells_of
 from mcp_asdf_tools.reproduction.verdicts import Sample, Verdict
+from mcp_asdf_tools.robots.population import Filtering
 
 FULL, DYNAMIC, PHYSICAL = Part
-NONE, MINUS, PLUS = Mode
+NONE, MINUS, PLUS = Filtering
 
 Level = Callable[[Cell, str], float | tuple[float, float]]
 """The median of a cell and a measure, or median and interquartile range."""

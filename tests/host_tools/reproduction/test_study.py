@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.experiments.experiment import Experiment, Mode
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.scores import Limits, score
@@ -33,6 +33,7 @@ from mcp_asdf_tools.reproduction.study import (
     experiment_of,
     study_of,
 )
+from mcp_asdf_tools.robots.population import Filtering
 from support import ROOT
 
 FULL, DYNAMIC, PHYSICAL = Part
@@ -87,11 +88,11 @@ def test_flawed_robots_are_counted() -> None:
     ("given", "same"),
     [
         (Cell(FULL, 0.55, 0.95, 0.75, 0), Cell(FULL, 0.55, 0.95, 0.55, 0)),
-        (Cell(FULL, 0.55, 0.95, 0.75, 0, Mode.ASDF_MINUS), Cell(FULL, 0.55, 0.95, 0.75, 0)),
+        (Cell(FULL, 0.55, 0.95, 0.75, 0, Filtering.ASDF_MINUS), Cell(FULL, 0.55, 0.95, 0.75, 0)),
         (Cell(FULL, 0.55, 0.95, 0.75, 30, period=4000), Cell(FULL, 0.55, 0.95, 0.75, 30)),
         (
-            Cell(FULL, 0.55, 0.95, 0.75, 100, Mode.ASDF_MINUS, 2000),
-            Cell(FULL, 0.55, 0.95, 0.75, 100, Mode.ASDF_PLUS, 2000),
+            Cell(FULL, 0.55, 0.95, 0.75, 100, Filtering.ASDF_MINUS, 2000),
+            Cell(FULL, 0.55, 0.95, 0.75, 100, Filtering.ASDF_PLUS, 2000),
         ),
     ],
 )
@@ -109,12 +110,12 @@ def _shortened(cell: Cell) -> Experiment:
 
 
 def test_other_cells_are_kept_apart() -> None:
-    base = Cell(FULL, 0.55, 0.95, 0.75, 30, Mode.ASDF_MINUS)
+    base = Cell(FULL, 0.55, 0.95, 0.75, 30, Filtering.ASDF_MINUS)
     others = (
-        base.but(mode=Mode.ASDF_PLUS),
+        base.but(mode=Filtering.ASDF_PLUS),
         base.but(period=2000),
         base.but(flawed_accuracy=0.55),
-        base.but(percent=0, mode=Mode.ASDF_PLUS),
+        base.but(percent=0, mode=Filtering.ASDF_PLUS),
     )
     assert len({cell.normal for cell in (base, *others)}) == 5
 
@@ -147,7 +148,7 @@ def count_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
 def test_the_whole_study_makes_a_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    draw_only(monkeypatch, "topologies_asdf_minus", "fully_connected_series", "dynamic_network")
+    draw_only(monkeypatch, "topologies_asdf-minus", "fully_connected_series", "dynamic_network")
     found = answer(capsys, *SMALL, "--output", str(tmp_path))
     assert [(each["claim"], each["part"]) for each in found["claims"]] == [
         (claim.name, claim.part and claim.part.value) for claim in CLAIMS

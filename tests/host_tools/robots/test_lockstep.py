@@ -121,7 +121,7 @@ def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
 
 
 def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
-    robot = RobotNode(record(5).make(), NodeSettings(5, ticks_per_second=3))
+    robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=3))
     said = [robot.start()]
     for tick in range(7):
         said += [
@@ -428,7 +428,7 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
         assert results["robot"] == state_of(twin)
         # Filters keep heartbeats and telemetry away from a process.
         assert results["frames"] == twin.traffic.figures() | {"rejected": {}}
-        assert (results["ticks"], results["ending"]) == (60, "told to stop")
+        assert (results["steps"], results["ending"]) == (60, "told to stop")
 
 
 def test_a_process_that_ends_is_named_with_what_it_said() -> None:

@@ -41,7 +41,8 @@ from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all
 from mcp_asdf_tools.robots.node_run import Link, NodeRun
 from mcp_asdf_tools.robots.observations import LineSource, WorldSource
-from mcp_asdf_tools.world.swarm_world import FullyConnected, World
+from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.world import World
 from node_thread import join, meanwhile, node_in_a_thread
 from robots import ALPHA_ONE
 from support import PATIENCE, interruptible
@@ -70,9 +71,9 @@ def estimates(frames: list[can.Message], sender: int) -> list[Message]:
 
 
 def test_the_world_shows_a_robot_what_it_shows_it_in_any_swarm() -> None:
-    world = World(0.3, [0.8] * 9, FullyConnected(9), seed=77)
+    world = World(WorldSettings(robots=9, fill_ratio=0.3, true_accuracy=0.8, seed=77))
     source = WorldSource(5, 0.3, 0.8, 77)
-    assert [source.next(0) for _ in range(3000)] == world.observe(3000)[:, 5].tolist()
+    assert [source.next(0) for _ in range(3000)] == [world.step()[5] for _ in range(3000)]
 
 
 @pytest.mark.parametrize("bad", [(1.5, 0.9, 1), (0.5, -0.1, 1), (0.5, 0.9, -1)])
@@ -253,7 +254,7 @@ def lines(tmp_path: Path, text: str) -> LineSource:
 
 def fast(telemetry_period: int = 0) -> RobotNode:
     """Robot 5."""
-    settings = NodeSettings(5, ticks_per_second=2000, telemetry_period=telemetry_period)
+    settings = NodeSettings(5, steps_per_second=2000, telemetry_period=telemetry_period)
     return RobotNode(record(5).make(), settings)
 
 
@@ -294,7 +295,7 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
     header = Header([record(5)], None, FrameFormat())
     with FileSet() as files, SidecarWriter(tmp_path / "events", header, files) as writer:
         source = lines(tmp_path, "10" * 20)
-        robot = RobotNode(record(5).make(), NodeSettings(5, ticks_per_second=2000), writer.robots[5])
+        robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=2000), writer.robots[5])
         run = NodeRun(robot, Link(bus, endures=True, log=log.append))
         run.in_real_time(source)
         source.close()
@@ -325,15 +326,15 @@ def report_of(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 def test_nodes_that_hear_each_other_are_reproduced_from_their_logs(tmp_path: Path) -> None:
     """Each in a thread with a clock of its own, for long enough to filter several times."""
     logs = [tmp_path / f"{robot}.log" for robot in (3, 4)]
-    common = "--rate 400 --filter-period 20 --fill-ratio 0.9"
+    common = "--steps-per-second 400 --filter-period 20 --fill-ratio 0.9"
     with node_in_a_thread(f"--id 4 --b-hat 0.95 --log {logs[1]} {common}"):
-        words = f"node --id 3 --b-hat 0.55 --ticks 150 --quiet --log {logs[0]} {common}"
+        words = f"node --id 3 --b-hat 0.55 --steps 150 --quiet --log {logs[0]} {common}"
         assert main(shlex.split(words)) == 0
     for robot, log in zip((3, 4), logs, strict=True):
         results = json.loads(Path(f"{log}.json").read_text())["results"]
         assert results["frames"]["received"] > 0
         assert results["frames"]["collisions"] == {}
-        assert len(estimates(list(read_log(log)), robot)) == results["ticks"] >= 5
+        assert len(estimates(list(read_log(log)), robot)) == results["steps"] >= 5
         assert main(["replay", str(log)]) == 0
 
 
@@ -357,7 +358,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
 
     robot = "--id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20"
     with meanwhile(drive):
-        code = main(["node", *shlex.split(robot), "--lockstep", "--ticks", "40", "--json", "--log", str(log)])
+        code = main(["node", *shlex.split(robot), "--lockstep", "--steps", "40", "--json", "--log", str(log)])
     assert code == 0
     report = report_of(capsys)
     assert json.loads(Path(f"{log}.json").read_text()) == report
@@ -388,7 +389,7 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
         os.kill(os.getpid(), signal.SIGINT)
 
     with meanwhile(impersonate):
-        assert main(["node", *shlex.split("--id 3 --rate 100 --log"), str(log)]) == 0
+        assert main(["node", *shlex.split("--id 3 --steps-per-second 100 --log"), str(log)]) == 0
     captured = capsys.readouterr()
     warning = "another node sends under this node's own id: 3; give one of them another"
     assert captured.err.count(warning) == 1
@@ -399,7 +400,7 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("ticks", "code"), [("", 0), ("--ticks 100000", 130)])
+@pytest.mark.parametrize(("ticks", "code"), [("", 0), ("--steps 100000", 130)])
 @interruptible()
 def test_signals_end_it_with_all_saved(
     number: signal.Signals, ticks: str, code: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -413,7 +414,10 @@ def test_signals_end_it_with_all_saved(
         os.kill(os.getpid(), number)
 
     with meanwhile(end_it):
-        assert main(["node", *shlex.split(f"--id 3 --rate 50 {ticks} --json --log"), str(log)]) == code
+        assert (
+            main(["node", *shlex.split(f"--id 3 --steps-per-second 50 {ticks} --json --log"), str(log)])
+            == code
+        )
     assert report_of(capsys)["results"]["ending"] == "told to stop"
     assert main(["replay", str(log)]) == 0
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
@@ -433,8 +437,8 @@ def test_it_ends_with_its_standard_input_if_asked_to(
         os.close(writing)
 
     with meanwhile(end_it):
-        assert main(["node", "--id", "3", "--rate", "50", "--until-eof", "--json"]) == 0
-    assert report_of(capsys)["results"]["ticks"] >= 4
+        assert main(["node", "--id", "3", "--steps-per-second", "50", "--until-eof", "--json"]) == 0
+    assert report_of(capsys)["results"]["steps"] >= 4
     stdin.close()
 
 
@@ -443,7 +447,9 @@ def test_the_summary_says_what_to_type_for_the_same_again(
 ) -> None:
     (tmp_path / "lines").write_text("1\n0\n1\n")
     words = ["--id", "9", "--b-hat", "0.30000000000000004", "--observations", str(tmp_path / "lines")]
-    words += shlex.split("--rate 500 --memory 64 --filter always --firmware mirror --subject 5 --priority 1")
+    words += shlex.split(
+        "--steps-per-second 500 --memory 64 --activation always --firmware mirror --subject 5 --priority 1"
+    )
     assert main(["node", *words]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     again = shlex.split(shown.partition("again: mcp-asdf ")[2])
@@ -458,7 +464,7 @@ def test_the_summary_says_what_to_type_for_the_same_again(
 
 
 def test_nothing_is_printed_if_asked_for_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["node", "--id", "3", "--ticks", "2", "--rate", "100", "--quiet"]) == 0
+    assert main(["node", "--id", "3", "--steps", "2", "--steps-per-second", "100", "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
 
 
@@ -473,16 +479,16 @@ BAD = {
     "--id 1 --omega 0.95": "omega is 0.95",
     "--id 1 --neighbours 128": "the number of neighbours is 128",
     "--id 1 --filter some": "some",
-    "--id 1 --filter off --omega 0.1": "filter is off, without a t-table",
-    "--id 1 --filter always --neighbours 30": "filter is always, without a t-table",
+    "--id 1 --filter none --omega 0.1": "the robot runs no test: leave out --omega",
+    "--id 1 --activation always --neighbours 30": "leave out --omega and --neighbours",
     "--id 1 --firmware own": "own",
-    "--id 1 --rate 0": "rate is 0; it must be 1 to 10000",
-    "--id 1 --ticks 0": "ticks is 0",
+    "--id 1 --steps-per-second 0": "steps-per-second is 0; it must be 1 to 10000",
+    "--id 1 --steps 0": "steps is 0",
     "--id 1 --telemetry-period -1": "telemetry-period is -1",
     "--id 1 --subject 6144": "subject is 6144",
     "--id 1 --priority 8": "priority is 8",
     "--id 1 --telemetry-subject 3000": "the subjects [3000, 3000, 3002]; choose three different ones",
-    "--id 1 --fill-ratio 2": "fill-ratio is 2.0",
+    "--id 1 --fill-ratio 2": "fill_ratio is 2.0",
     "--id 1 --observations absent": "cannot read observations from absent",
     "--id 1 --observations bad": "bad, line 1: 'white' is no observation",
     "--id 1 --observations bad --lockstep": "leave out --observations",
@@ -513,7 +519,7 @@ def test_what_cannot_be_written_is_told_before_the_first_tick(
 ) -> None:
     monkeypatch.setattr(NodeRun, "in_real_time", lambda self, source: pytest.fail("it ran"))
     (tmp_path / obstructed).mkdir()
-    assert main(["node", "--id", "3", "--ticks", "1", "--log", f"{tmp_path}/run.log"]) == 2
+    assert main(["node", "--id", "3", "--steps", "1", "--log", f"{tmp_path}/run.log"]) == 2
     assert f"cannot write {tmp_path / obstructed}: it is not a regular file" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == [obstructed]
 
@@ -522,7 +528,7 @@ def test_results_that_fail_at_the_end_cost_neither_the_summary_nor_the_log(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(NodeRun, "in_real_time", lambda self, source: (tmp_path / "run.log.json").mkdir())
-    assert main(["node", "--id", "3", "--ticks", "1", "--log", f"{tmp_path}/run.log"]) == 2
+    assert main(["node", "--id", "3", "--steps", "1", "--log", f"{tmp_path}/run.log"]) == 2
     out, err = capsys.readouterr()
     assert "0 ticks as robot 3" in out
     assert f"cannot write {tmp_path}/run.log.json" in err

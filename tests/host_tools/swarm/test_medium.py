@@ -11,7 +11,16 @@ from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Connection, SwarmError
 from mcp_asdf_tools.swarm.faults import Faults, Sent, parse_fault
-from mcp_asdf_tools.world.topology import FullyConnected
+
+
+class Everyone:
+    """Robots that all hear each other."""
+
+    def __init__(self, robots: int) -> None:
+        self._ids = set(range(robots))
+
+    def neighbours(self, robot: int) -> set[int]:
+        return self._ids - {robot}
 
 
 def estimate(sender: int, tick: int, x_hat: int = 0) -> Sent:
@@ -25,7 +34,7 @@ def faults_of(*texts: str) -> Faults:
 def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
     """Against a list of all that is under way, sorted anew in every tick."""
     texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1")
-    air, twin = Air(FullyConnected(6), faults_of(*texts)), faults_of(*texts)
+    air, twin = Air(Everyone(6), faults_of(*texts), latency=0), faults_of(*texts)
     under_way: list[tuple[int, float, int, bytes]] = []
     arrived = 0
     for tick in range(200):
@@ -49,9 +58,26 @@ def test_robots_hear_their_neighbours_only() -> None:
             return {robot - 1, robot + 1}
 
     for faults in ((), ("loss=0",)):
-        air = Air(Line(), faults_of(*faults))
+        air = Air(Line(), faults_of(*faults), latency=0)
         heard = air.arrivals(2, 0, [estimate(sender, 0) for sender in (0, 1, 3, 4)])
         assert [frame.arbitration_id & 127 for frame in heard] == [1, 3]
+
+
+def test_late_frames_reach_the_robots_in_range_when_they_arrive() -> None:
+    class Moving:
+        near = True
+
+        def neighbours(self, robot: int) -> set[int]:
+            return {1} if self.near else {2}
+
+    world = Moving()
+    air = Air(world, faults_of(), latency=1)
+    heard = []
+    for tick, world.near in enumerate((True, False, False, True)):
+        frames = air.arrivals(0, tick, [estimate(sender, tick) for sender in (1, 2)])
+        heard.append([(frame.arbitration_id & 127, frame.data[3]) for frame in frames])
+    assert [[sender for sender, _ in each] for each in heard] == [[], [2], [2], [1]]
+    assert air.in_range == air.arrived == 3
 
 
 # Connections

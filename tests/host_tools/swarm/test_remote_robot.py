@@ -28,7 +28,7 @@ from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.run import Run, run_swarm
-from mcp_asdf_tools.swarm.settings import Settings, robot_records
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 
@@ -47,9 +47,9 @@ def no_bus_is_left_open() -> Iterator[None]:
     assert not virtual.channels
 
 
-def make(*faults: str, **changes: Any) -> Settings:
-    plain = {"robots": 4, "flawed": 0.5, "ticks": 50, "filter_period": 20, "seed": 11}
-    return Settings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
+def make(*faults: str, **changes: Any) -> SwarmSettings:
+    plain = {"robots": 4, "flawed": 0.5, "steps": 50, "filter_period": 20, "seed": 11}
+    return SwarmSettings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
 
 
 def own_bus(robot: int) -> can.BusABC:
@@ -95,9 +95,11 @@ def robot_elsewhere(node: RobotNode, bus: can.BusABC, hello: float | None = None
         thread.join()
 
 
-def run_elsewhere(settings: Settings, wiring: Wiring) -> tuple[Run, list[can.Message], dict[int, RobotNode]]:
+def run_elsewhere(
+    settings: SwarmSettings, wiring: Wiring
+) -> tuple[Run, list[can.Message], dict[int, RobotNode]]:
     """A run whose remote robots are in threads; with the frames it sent and those robots."""
-    records = robot_records(settings)
+    records = settings.records()
     nodes = {robot: RobotNode(records[robot].make(), NodeSettings(robot)) for robot in sorted(wiring.remote)}
     frames: list[can.Message] = []
     with ExitStack() as stack:
@@ -109,7 +111,7 @@ def run_elsewhere(settings: Settings, wiring: Wiring) -> tuple[Run, list[can.Mes
         return run_swarm(swarm), frames, nodes
 
 
-def run_here(settings: Settings) -> tuple[Run, list[can.Message]]:
+def run_here(settings: SwarmSettings) -> tuple[Run, list[can.Message]]:
     frames: list[can.Message] = []
     with Swarm(settings, Wiring(own_bus, is_shared=False), frames.append) as swarm:
         return run_swarm(swarm), frames
@@ -178,7 +180,7 @@ def test_a_robot_that_is_not_there_is_named() -> None:
 def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings = make()
-    node = RobotNode(robot_records(settings)[1].make(), NodeSettings(1))
+    node = RobotNode(settings.records()[1].make(), NodeSettings(1))
     with Swarm(settings, Wiring(own_bus, False, frozenset({1}))) as swarm, own_bus(1) as bus:
         with robot_elsewhere(node, bus):
             swarm.wait_until_up(10)
@@ -186,7 +188,7 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
         run = run_swarm(swarm)
     assert run.failure is not None
     assert "tick 2: robot 1 did not broadcast its estimate within" in run.failure
-    assert run.results["ticks"] == 1
+    assert run.results["steps"] == 1
 
 
 @pytest.mark.parametrize(
@@ -206,8 +208,18 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
             "cannot befall robots that run else",
         ),
         ({}, (), Wiring(one_bus, True, frozenset({1})), "need a bus each: write {robot}"),
-        ({}, ("loss",), Wiring(one_bus, True, frozenset(range(4))), "for faults or a topology write {robot}"),
-        ({"density": 1.0}, (), Wiring(one_bus, True, frozenset(range(4))), "for faults or a topology write"),
+        (
+            {},
+            ("loss",),
+            Wiring(one_bus, True, frozenset(range(4))),
+            "for faults, latency or a topology write {robot}",
+        ),
+        (
+            {"density": 1.0},
+            (),
+            Wiring(one_bus, True, frozenset(range(4))),
+            "for faults, latency or a topology write",
+        ),
     ],
 )
 def test_what_cannot_be(
@@ -228,7 +240,7 @@ def test_crashes_of_others_are_possible() -> None:
 
 # The command
 
-SMALL = ("--robots", "3", "--ticks", "25", "--filter-period", "10", "--seed", "5")
+SMALL = ("--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5")
 
 
 def command(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
@@ -251,7 +263,7 @@ def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_
     ]
     for robot, known in enumerate(here["results"]["robots"]):
         report = elsewhere["processes"][str(robot)]["results"]
-        assert report["ticks"] == 25
+        assert report["steps"] == 25
         assert report["robot"]["b_hat"] == known["b_hat"]
         assert report["robot"]["x"] == known["x"]
         assert report["robot"]["counters"]["tests"] == known["tests"]
@@ -259,8 +271,8 @@ def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_
 
 
 def test_a_device_behind_slcan_is_one_of_the_robots(capsys: pytest.CaptureFixture[str]) -> None:
-    settings = Settings(robots=3, ticks=25, filter_period=10, seed=5)
-    node = RobotNode(robot_records(settings)[1].make(), NodeSettings(1))
+    settings = SwarmSettings(robots=3, steps=25, filter_period=10, seed=5)
+    node = RobotNode(settings.records()[1].make(), NodeSettings(1))
     with (
         own_bus(77) as adapter,
         own_bus(77) as bus,
@@ -308,11 +320,11 @@ def warnings_of_pyserial() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
-        ("radio --id 0 --verify --ticks 3 {bus}", 1, "FAILED: 0 of"),
-        ("radio --id 0 --rate 100 --ticks 30 {bus}", 0, "30 ticks; all ticks done"),
-        ("node --id 0 --rate 100 --ticks 30 {bus}", 0, "30 ticks as robot 0; all ticks done"),
+        ("radio --id 0 --verify --steps 3 {bus}", 1, "FAILED: 0 of"),
+        ("radio --id 0 --steps-per-second 100 --steps 30 {bus}", 0, "30 steps; all ticks done"),
+        ("node --id 0 --steps-per-second 100 --steps 30 {bus}", 0, "30 ticks as robot 0; all ticks done"),
         ("node --id 0 --lockstep {bus}", 1, "the bus failed"),
-        ("swarm --robots 2 --ticks 3 --channel v{{robot}} --device 0=slcan:{channel}", 1, "mcp-asdf swarm: "),
+        ("swarm --robots 2 --steps 3 --channel v{{robot}} --device 0=slcan:{channel}", 1, "mcp-asdf swarm: "),
     ],
 )
 def test_an_adapter_that_is_unplugged_costs_no_result(

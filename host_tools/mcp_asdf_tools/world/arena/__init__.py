@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.world import _arena
 
 MAX_ROBOTS: int = _arena.lib.MCP_ASDF_ARENA_MAX_ROBOTS
@@ -24,7 +24,7 @@ MAX_TICKS = 2**32 - 1
 _REASONS = {
     "SIDE": "the arena is {0.width} x {0.height} m; choose sides above 0.1408 (a robot), up to 1000",
     "SPEED": "speed is {0.speed} m/s; choose one above 0, up to 0.814, the Khepera IV's limit",
-    "TICK": "ticks_per_second is {0.ticks_per_second}; choose at least 11.86 times the speed, {0.speed} m/s",
+    "TICK": "steps_per_second is {0.steps_per_second}; choose at least 11.86 times the speed, {0.speed} m/s",
     "RANGE": "radio_range is {0.radio_range} m; choose one above 0, up to 1000",
     "TILE": "the side of a tile is {0.floor.side} m; choose one with at most 100000 tiles along the arena",
     "FILL_RATIO": "fill ratio is {0.floor.fill_ratio}; it must be within 0 to 1",
@@ -79,7 +79,7 @@ class ArenaSettings:
         speed: Limit of a wheel, in m/s.
         radio_range: Distance of centres below which two robots hear each other, in metres.
         see_past: Whether two robots hear each other in spite of a body between them.
-        ticks_per_second: At least 11.86 a metre times ``speed``, so that no robot turns by more than 1.6 in
+        steps_per_second: At least 11.86 a metre times ``speed``, so that no robot turns by more than 1.6 in
             one.
     """
 
@@ -90,7 +90,7 @@ class ArenaSettings:
     speed: float = 0.1414
     radio_range: float = 0.7
     see_past: bool = False
-    ticks_per_second: int = 10
+    steps_per_second: int = 10
 
 
 def square_side(robots: int, density: float, radio_range: float = 0.7) -> float:
@@ -235,7 +235,7 @@ def config_values(settings: ArenaSettings, seed: int, ffi: Any) -> tuple[dict[st
         "height": settings.height,
         "speed": settings.speed,
         "range": settings.radio_range,
-        "tick": 1 / settings.ticks_per_second if settings.ticks_per_second > 0 else 0.0,
+        "tick": 1 / settings.steps_per_second if settings.steps_per_second > 0 else 0.0,
     }
     floor = settings.floor
     if isinstance(floor, Tiles):

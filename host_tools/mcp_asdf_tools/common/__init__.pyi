@@ -1,0 +1,35 @@
+"""Errors, files, signals, parameters and figures: what any program needs. Knows nothing of robots."""
+
+from . import extensions as extensions
+from .errors import UsageError as UsageError
+from .figures import COLOURS as COLOURS
+from .figures import FLAWED as FLAWED
+from .figures import GREY as GREY
+from .figures import INK as INK
+from .figures import OTHER as OTHER
+from .figures import check_plot_path as check_plot_path
+from .figures import clean as clean
+from .figures import empty_figure as empty_figure
+from .figures import image_of as image_of
+from .figures import save_figure as save_figure
+from .files import FileSet as FileSet
+from .files import check_target as check_target
+from .files import explaining as explaining
+from .files import refusal as refusal
+from .files import results_beside as results_beside
+from .files import write_atomically as write_atomically
+from .parameters import Meaning as Meaning
+from .parameters import ParameterError as ParameterError
+from .parameters import check_parameters as check_parameters
+from .parameters import meaning_of as meaning_of
+from .parameters import member_of as member_of
+from .parameters import parameter as parameter
+from .parameters import plain_value as plain_value
+from .parameters import special_parameter as special_parameter
+from .signals import has_ended as has_ended
+from .signals import standard_input as standard_input
+from .signals import stopping as stopping
+from .terminal import ReaderLeft as ReaderLeft
+from .terminal import screen as screen
+from .versions import own_version as own_version
+from .versions import software_versions as software_versions

@@ -1,0 +1,35 @@
+"""Extensions: objects that other distributions offer through entry points.
+
+Entry points are read from what is installed, so worker processes find the same ones. docs/extending.md has an
+example of each group.
+"""
+
+from __future__ import annotations
+
+from importlib import metadata
+from typing import Any
+
+from mcp_asdf_tools.common.errors import UsageError
+
+FIRMWARES = "mcp_asdf.firmwares"
+"""Classes of robots: ``(config, id, b_hat) -> mcp_asdf.Robot``."""
+TOPOLOGIES = "mcp_asdf.topologies"
+"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.Topology``."""
+SENSORS = "mcp_asdf.sensors"
+"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.SensorModel``."""
+
+
+def names(group: str) -> list[str]:
+    """Names of the installed extensions of a group, sorted."""
+    return sorted({point.name for point in metadata.entry_points(group=group)})
+
+
+def load(group: str, name: str) -> Any:
+    """The object of that name. Raises UsageError if none is installed or it cannot be imported."""
+    points = list(metadata.entry_points(group=group, name=name))
+    if not points:
+        raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
+    try:
+        return points[0].load()
+    except Exception as error:  # whatever the extension's import raises
+        raise UsageError(f"the extension {name!r} ({points[0].value}) cannot be loaded: {error}") from error

@@ -1,0 +1,191 @@
+"""Robots in a world: how many are flawed, which of them filter, and with which settings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from decimal import Decimal
+from enum import Enum
+from numbers import Integral, Real
+from typing import Any, Self
+
+from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
+from mcp_asdf_tools.common import (
+    ParameterError,
+    UsageError,
+    meaning_of,
+    parameter,
+    plain_value,
+    special_parameter,
+)
+from mcp_asdf_tools.robots.firmwares import firmware_names
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.tables import generate, parse_omega
+from mcp_asdf_tools.world import MAX_PERIOD, WorldSettings
+
+
+class Filtering(Enum):
+    """The robots that re-estimate their assumed accuracy."""
+
+    NONE = "none"
+    ASDF_MINUS = "asdf-minus"
+    """Only the flawed ones: the paper's ASDF-."""
+    ASDF_PLUS = "asdf-plus"
+    """All of them: ASDF+."""
+
+
+class Activation(Enum):
+    """When a robot re-estimates, every ``filter_period`` steps."""
+
+    ADAPTIVE = "adaptive"
+    """If the hypothesis test rejects (eq. 12)."""
+    ALWAYS = "always"
+    """Without a test."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Population(WorldSettings):
+    """N robots, of which the first ``flawed`` assume a wrong accuracy, and the world around them.
+
+    ``flawed`` is a count if it is an int or a text of digits (``6``), a share of N if it is a float or a text
+    with a point or a percent sign (``0.3``, ``30%``); a share becomes the nearest count, halves up.
+    """
+
+    flawed: int | float | str = special_parameter("30%", "flawed robots: a count (6) or a share (30%, 0.3)")
+    flawed_accuracy: float = parameter(0.55, "b_hat that flawed robots assume at the start", 0, 1)
+    filter: Filtering = parameter(Filtering.ASDF_PLUS, "robots that recalibrate")
+    activation: Activation = parameter(Activation.ADAPTIVE, "recalibrate if the test rejects, or always")
+    comms_period: int = parameter(1, "steps between broadcasts", 1, MAX_PERIOD)
+    filter_period: int = parameter(
+        DEFAULT_FILTER_PERIOD,
+        "nominal filtering period tau in steps, a multiple of comms_period",
+        1,
+        MAX_PERIOD,
+    )
+    omega: Decimal = special_parameter(Decimal("0.05"), "type II error probability of the test, up to 0.9")
+    memory: int = parameter(
+        DEFAULT_MEMORY,
+        "forgetting: halve t and n at this many observations, a multiple of 4",
+        MIN_MEMORY,
+        2**31,
+    )
+    latency: int = parameter(0, "steps that a message takes", 0, 1)
+    firmware: str = parameter("native", "firmware of the robots")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
+        try:
+            object.__setattr__(self, "omega", parse_omega(str(self.omega)))
+        except UsageError as error:
+            raise ParameterError("omega", str(error)) from None
+        self._check_robots()
+
+    def _check_robots(self) -> None:
+        if self.filter_period % self.comms_period:
+            raise ParameterError(
+                "filter_period",
+                f"filter_period is {self.filter_period}; it must be a multiple of comms_period, "
+                f"{self.comms_period}",
+            )
+        if self.memory % 4:
+            raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
+        known = firmware_names()
+        if self.firmware not in known:
+            message = f"firmware is {self.firmware!r}; choose one of {', '.join(known)}"
+            raise ParameterError("firmware", message)
+
+    def unused_parameters(self) -> dict[str, str]:
+        """Parameters without effect here, with the reason."""
+        if self.filter is Filtering.NONE:
+            return dict.fromkeys(("omega", "activation"), "filter is none")
+        if self.activation is Activation.ALWAYS:
+            return {"omega": "activation is always, without a test"}
+        return {}
+
+    @property
+    def flawed_robots(self) -> int:
+        """How many robots are flawed; they have the first ids."""
+        return flawed_count(self.flawed, self.robots)
+
+    def is_flawed(self, robot: int) -> bool:
+        """Whether a robot is among the flawed."""
+        return robot < self.flawed_robots
+
+    def filters(self, robot: int) -> bool:
+        """Whether a robot re-estimates its accuracy."""
+        return self.filter is Filtering.ASDF_PLUS or (
+            self.filter is Filtering.ASDF_MINUS and self.is_flawed(robot)
+        )
+
+    def b_hat(self, robot: int) -> float:
+        """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
+        accuracy = self.flawed_accuracy if self.is_flawed(robot) else self.true_accuracy
+        return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
+
+    def config(self, robot: int) -> TickConfig:
+        """Settings of a robot's firmware. The table covers N - 1 neighbours."""
+        kind = filter_of(self.filters(robot), self.activation)
+        table = generate(self.omega, max(2, self.robots - 1)) if kind is Filter.ADAPTIVE else None
+        return TickConfig(table, kind, self.comms_period, self.filter_period, self.memory)
+
+    def record(self, robot: int) -> RobotRecord:
+        """How a robot starts."""
+        return RobotRecord(robot, self.firmware, self.b_hat(robot), self.config(robot))
+
+    def parameters(self) -> dict[str, Any]:
+        """All parameters as plain numbers and words, which ``from_parameters`` takes back."""
+        return {name: _plain(getattr(self, name)) for name in parameter_names(type(self))}
+
+    @classmethod
+    def from_parameters(cls, parameters: dict[str, Any]) -> Self:
+        """The same from plain values; those left out have their defaults.
+
+        Raises ParameterError for an unknown name or a value out of range.
+        """
+        known = parameter_names(cls)
+        for key in parameters:
+            if key not in known:
+                raise ParameterError(key, f"unknown key {key!r}; known are {', '.join(known)}")
+        return cls(**parameters)
+
+
+def filter_of(filters: bool, activation: Activation) -> Filter:
+    """The firmware's filter of a robot that re-estimates its accuracy, or does not."""
+    if not filters:
+        return Filter.OFF
+    return Filter.ADAPTIVE if activation is Activation.ADAPTIVE else Filter.ALWAYS
+
+
+def parameter_names(kind: type[WorldSettings]) -> list[str]:
+    """Names of the parameters of a class, in order."""
+    return [field.name for field in fields(kind) if meaning_of(field) is not None]
+
+
+def _plain(value: Any) -> Any:
+    return plain_value(value) if isinstance(value, int | float | Decimal | Enum) else str(value)
+
+
+def flawed_count(given: Any, robots: int) -> int:
+    """A count or share of ``robots`` as a count. Raises ParameterError if it is neither, or out of range."""
+    count = _count(given, robots)
+    if count is None or not 0 <= count <= robots:
+        raise ParameterError(
+            "flawed", f"flawed is {given!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3"
+        )
+    return count
+
+
+def _count(given: Any, robots: int) -> int | None:
+    if isinstance(given, str) and not given.isdigit():
+        number, percent = given.removesuffix("%"), given.endswith("%")
+        try:
+            return _count(float(number) / (100 if percent else 1), robots)
+        except ValueError:
+            return None
+    if isinstance(given, str) or (isinstance(given, Integral) and not isinstance(given, bool)):
+        return int(given)
+    if isinstance(given, Real) and not isinstance(given, bool) and 0 <= float(given) <= 1:
+        return math.floor(float(given) * robots + 0.5)
+    return None

@@ -1,0 +1,276 @@
+"""The world of a swarm: floor, motion, sensors and who hears whom, as one set of parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mcp_asdf_tools.common import (
+    ParameterError,
+    UsageError,
+    check_parameters,
+    extensions,
+    parameter,
+    special_parameter,
+)
+from mcp_asdf_tools.world import floor_images
+from mcp_asdf_tools.world.topology import Graph, graph_of
+
+MAX_ROBOTS = 128
+"""Ids 0 .. 127."""
+MAX_STEPS = 10**9
+MAX_PERIOD = 2**32 - 1
+"""Steps."""
+MAX_SIDE = 1000.0
+"""Metres."""
+
+_BODY_DIAMETER = 0.1408
+_WHEEL_DISTANCE = 0.1054
+_MOST_CROWDED = 0.4
+"""Share of the arena under robots, up to which a place for each is found."""
+_LARGEST_TURN = 1.6
+"""Radians in one step."""
+_MOST_TILES = 100_000
+"""Along a side."""
+_SAME_SHARE = 1e-6
+
+
+class Topology(Enum):
+    """Who hears whom. An installed extension adds others, by its name."""
+
+    FULLY_CONNECTED = "fully-connected"
+    """Every robot hears every other."""
+    DYNAMIC = "dynamic"
+    """Robots move through an arena and hear those nearby; see docs/arena.md."""
+    GRAPH = "graph"
+    """The edges of ``graph``."""
+
+
+class Floor(Enum):
+    """The floor that moving robots observe."""
+
+    TILES = "tiles"
+    """Square tiles, each black with probability f; every trial has its own."""
+    CODE = "code"
+    """A pattern like a QR code's of which exactly the share f is black, the same in all trials."""
+    PICTURE = "picture"
+    """A black and white picture, stretched over the floor."""
+
+
+class Drift(Enum):
+    """How the true accuracy changes, from b at the first step; ``k`` counts steps from 0."""
+
+    NONE = "none"
+    LINEAR = "linear"
+    """b + drift_rate k."""
+    STEPPED = "stepped"
+    """b + drift_rate k, with k rounded down to a multiple of drift_period."""
+    WIENER = "wiener"
+    """b + drift_rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot."""
+
+    @property
+    def is_random(self) -> bool:
+        """Whether trials differ in it."""
+        return self is Drift.WIENER
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldSettings:
+    """Ground truth around N robots; equal settings give equal worlds.
+
+    Robots that do not move observe a black tile with probability f in every step anew, as in the paper's
+    fully connected experiments; ``density`` to ``picture_sha256`` are for moving robots alone. Raises
+    ParameterError, naming the field, for a value that is wrong or has no effect.
+    """
+
+    robots: int = parameter(20, "number of robots N", 1, MAX_ROBOTS)
+    topology: Topology | str = special_parameter(Topology.FULLY_CONNECTED, "who hears whom")
+    graph: Graph | str = special_parameter("", "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)")
+    fill_ratio: float = parameter(0.55, "f, share of black tiles", 0, 1)
+    true_accuracy: float = parameter(0.95, "b of every sensor, which unflawed robots assume", 0, 1)
+    white_offset: float = parameter(0.0, "true accuracy on white tiles less that on black ones", -1, 1)
+    sensor: str = parameter("", "installed sensor model, in place of the built-in one")
+    drift: Drift = parameter(Drift.NONE, "how the true accuracy changes")
+    drift_rate: float = parameter(0.0, "change of the true accuracy per step", -1, 1)
+    drift_period: int = parameter(1000, "steps between the changes of a stepped drift", 1, MAX_PERIOD)
+    drift_diffusion: float = parameter(0.0, "standard deviation of a Wiener drift per step", 0, 1)
+    lowest_accuracy: float = parameter(0.5, "lower limit of a drifting accuracy", 0, 1)
+    density: float = parameter(1.0, "swarm density D = N pi r^2 / L^2 of a square arena", 1e-6, 1e6)
+    width: float = parameter(0.0, "side of the arena along x in metres, in place of a density", 0, MAX_SIDE)
+    height: float = parameter(0.0, "side of the arena along y in metres", 0, MAX_SIDE)
+    speed: float = parameter(0.1414, "speed limit of a wheel, m/s", 1e-6, 0.814)
+    radio_range: float = parameter(0.7, "distance below which robots hear each other, metres", 1e-3, MAX_SIDE)
+    floor: Floor = parameter(Floor.TILES, "floor that moving robots observe")
+    tile: float = parameter(0.01, "side of a tile, metres", 1e-6, MAX_SIDE)
+    picture: str = parameter("", "image file of floor picture")
+    picture_sha256: str = parameter("", "SHA-256 of that file; filled in if empty, else checked")
+    steps_per_second: int = parameter(10, "steps per second of simulated time", 1, 1_000_000)
+    observation_period: int = parameter(1, "steps between observations", 1, MAX_PERIOD)
+    steps: int = parameter(10_000, "length of a run", 1, MAX_STEPS)
+    seed: int = parameter(1, "seed of everything random", 0, 2**64 - 1)
+
+    def __post_init__(self) -> None:
+        _set(self, "topology", _topology(self.topology))
+        _set(self, "graph", _graph(self.graph))
+        check_parameters(self)
+        self._check_topology()
+        self._check_sensor()
+        if self.is_dynamic:
+            _check_sides(self)
+            _check_arena(self)
+            _check_floor(self)
+
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the robots move."""
+        return self.topology is Topology.DYNAMIC
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Width and height of the arena in metres."""
+        if self.width:
+            return self.width, self.height
+        side = self.radio_range * math.sqrt(self.robots * math.pi / self.density)
+        return side, side
+
+    def _check_topology(self) -> None:
+        for name in () if self.is_dynamic else _OF_ARENA:
+            value = getattr(self, name)
+            if value != default_of(self, name):
+                said = value.value if isinstance(value, Enum) else value
+                raise ParameterError(
+                    name, f"{name} is {said} but robots do not move; choose topology dynamic"
+                )
+        if (self.topology is Topology.GRAPH) != isinstance(self.graph, Graph):
+            fix = "give its edges" if self.topology is Topology.GRAPH else "choose topology graph"
+            raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
+        if isinstance(self.graph, Graph):
+            try:
+                self.graph.check(self.robots)
+            except UsageError as error:
+                raise ParameterError("graph", str(error)) from error
+
+    def _check_sensor(self) -> None:
+        if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
+            installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
+            raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
+        if self.drift is Drift.NONE:
+            for name in ("drift_rate", "drift_diffusion"):
+                if getattr(self, name):
+                    raise ParameterError(
+                        name, f"{name} is {getattr(self, name)} but drift is none; choose a drift"
+                    )
+        elif self.lowest_accuracy > self.true_accuracy:
+            lowest, start = self.lowest_accuracy, self.true_accuracy
+            message = f"lowest_accuracy is {lowest}; it must be at most true_accuracy, {start}"
+            raise ParameterError("lowest_accuracy", message)
+
+
+_OF_ARENA = (
+    "density",
+    "width",
+    "height",
+    "speed",
+    "radio_range",
+    "floor",
+    "tile",
+    "picture",
+    "picture_sha256",
+)
+
+
+def default_of(settings: object, name: str) -> Any:
+    """The default of a field of a dataclass."""
+    return next(field.default for field in fields(settings) if field.name == name)  # type: ignore[arg-type]
+
+
+def _set(settings: WorldSettings, name: str, value: Any) -> None:
+    object.__setattr__(settings, name, value)
+
+
+def _topology(value: Any) -> Topology | str:
+    try:
+        return Topology(value)
+    except ValueError:
+        installed = extensions.names(extensions.TOPOLOGIES)
+        if value in installed:
+            return str(value)
+        choices = ", ".join([*(member.value for member in Topology), *installed])
+        raise ParameterError("topology", f"topology is {value!r}; choose one of {choices}") from None
+
+
+def _graph(value: Any) -> Graph | str:
+    if isinstance(value, Graph):
+        return value
+    if value == "":
+        return ""
+    if not isinstance(value, str | Path):
+        raise ParameterError("graph", f"graph is {value!r}; give a file or edges such as '3 5; 5 > 7'")
+    try:
+        return graph_of(value)
+    except UsageError as error:
+        raise ParameterError("graph", str(error)) from error
+
+
+def _check_sides(settings: WorldSettings) -> None:
+    if settings.width and settings.density != default_of(settings, "density"):
+        raise ParameterError("density", "density and width say how large the arena is; give one of them")
+    if (settings.width == 0) != (settings.height == 0):
+        message = f"the arena is {settings.width} x {settings.height} m; give width and height, or neither"
+        raise ParameterError("width" if settings.width == 0 else "height", message)
+
+
+def _check_arena(settings: WorldSettings) -> None:
+    width, height = settings.sides
+    size = f"{width:.4g} x {height:.4g} m"
+    key = "width" if settings.width else "density"
+    bodies = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
+    if min(width, height) <= _BODY_DIAMETER or bodies > _MOST_CROWDED * width * height:
+        message = (
+            f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size}; take a larger arena"
+        )
+        raise ParameterError(key, message)
+    if max(width, height) > MAX_SIDE:
+        raise ParameterError(key, f"the arena is {size}; its sides may be up to {MAX_SIDE:g} m")
+    if settings.tile * _MOST_TILES < max(width, height):
+        message = f"tile is {settings.tile}; choose one with at most {_MOST_TILES} along {size}"
+        raise ParameterError("tile", message)
+    if 2 * settings.speed / _WHEEL_DISTANCE > _LARGEST_TURN * settings.steps_per_second:
+        least = math.ceil(2 * settings.speed / _WHEEL_DISTANCE / _LARGEST_TURN)
+        message = f"steps_per_second is {settings.steps_per_second}; at this speed it must be {least} or more"
+        raise ParameterError("steps_per_second", message)
+
+
+def _check_floor(settings: WorldSettings) -> None:
+    floor, path = settings.floor, settings.picture
+    if (floor is Floor.PICTURE) != bool(path):
+        message = "floor is picture but there is none; give its path" if not path else "choose floor picture"
+        raise ParameterError("picture", f"picture is {path!r}: {message}")
+    if floor is not Floor.TILES and settings.tile != default_of(settings, "tile"):
+        raise ParameterError("tile", f"tile is {settings.tile} but floor is {floor.value}, without tiles")
+    try:
+        if floor is Floor.CODE:
+            floor_images.code(settings.fill_ratio)
+        if floor is Floor.PICTURE and not settings.picture_sha256:
+            _take_picture(settings, floor_images.read_picture(path))
+    except ParameterError:
+        raise
+    except UsageError as error:
+        key = "picture" if floor is Floor.PICTURE else "fill_ratio"
+        raise ParameterError(key, str(error)) from error
+
+
+def _take_picture(settings: WorldSettings, image: floor_images.ImageFile) -> None:
+    """Note the picture's digest, and that errors are relative to its fill ratio."""
+    share = float(image.pixels.mean(dtype=np.float64))
+    if abs(share - settings.fill_ratio) > _SAME_SHARE:
+        message = (
+            f"fill_ratio is {settings.fill_ratio}; of {settings.picture} {share:.9g} is black: give that"
+        )
+        raise ParameterError("fill_ratio", message)
+    _set(settings, "picture_sha256", image.sha256)
