@@ -5,9 +5,10 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 # What the installed project is built from: the rest is used where it stands.
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
+PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
-.PHONY: help setup swarm test lint format crosscheck cost targets loop socketcan docs clean
+.PHONY: help setup swarm test verify lint format crosscheck cost targets loop socketcan docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -17,9 +18,12 @@ setup: .venv/ready-to-test ## make .venv with the project and all that tests nee
 swarm: .venv/ready-to-run ## watch twenty robots that run the C firmware calibrate themselves
 	@$(BIN)/mcp-asdf swarm
 
-test: .venv/ready-to-test ## run everything: C tests under every preset, Python tests, analysers, documentation
+test: .venv/ready-to-test ## run the tests of everything, 5 minutes: C and Python, analysers, documentation
 	@rm -rf build/reports
-	@$(BIN)/pytest --numprocesses=auto --dist=worksteal --junit-xml=build/reports/pytest.xml
+	@$(PYTEST) -m "not slow" --junit-xml=build/reports/pytest.xml
+
+verify: .venv/ready-to-test ## run the slow rest of the tests: every compiler at every level, long runs, guest kernels
+	@$(PYTEST) -m slow --junit-xml=build/reports/verify.xml
 
 lint: .venv/ready-to-test ## run the analysers and the checks of types and style alone
 	@$(BIN)/pytest tests/test_tools.py
@@ -36,7 +40,7 @@ cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks.cost --write
 
 targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
-	@$(BIN)/python tests/targets/matrix.py
+	@PYTHONPATH=tests $(BIN)/python -m targets.matrix
 
 loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bit compared, and measure its rate
 	@$(BIN)/python tests/targets/firmware_loop.py

@@ -12,6 +12,7 @@ import can
 import pytest
 
 from mcp_asdf_tools.cli.main import main
+from support import PATIENCE
 
 
 def join() -> can.BusABC:
@@ -52,7 +53,7 @@ def node_in_a_thread(options: str) -> Iterator[None]:
         patch.setattr("sys.stdin", stdin)
         with meanwhile(run):
             try:
-                assert bus.recv(60) is not None
+                assert bus.recv(PATIENCE) is not None
                 yield
             finally:
                 os.close(writing)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from _pytest.mark import ParameterSet
 
 ROOT = Path(__file__).parents[1]
 HEADER = ROOT / "c_ref/src/mcp_asdf.h"
@@ -16,6 +22,8 @@ CORE = ROOT / "c_ref/src/mcp_asdf.c"
 TABLE = ROOT / "tables/t_table_omega05_q30.c"
 PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 """Tools that came with the virtual environment go before the system's."""
+PATIENCE = 600.0
+"""Seconds to wait for what has to happen; on a busy machine, too, only a program that hangs takes so long."""
 
 
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
@@ -37,3 +45,38 @@ def require(tool: str, packages: str | None = None) -> str:
     if shutil.which(tool, path=PATH) is None:
         pytest.skip(f"{tool} is not installed: {f'apt-get install {packages}' if packages else 'make setup'}")
     return tool
+
+
+def slow(values: Iterable[Any]) -> list[ParameterSet]:
+    """Values of a parametrisation, each for ``make verify``."""
+    each = (value if isinstance(value, tuple) else (value,) for value in values)
+    return [pytest.param(*value, marks=pytest.mark.slow) for value in each]
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Ctrl-C as in a terminal, for this process and those it starts inside.
+
+    A shell's background jobs ignore SIGINT, and their children inherit that.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Folder that ``make`` has filled, once for all worker processes of this run of the tests."""
+    own = factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "made" / name
+    folder.parent.mkdir(exist_ok=True)
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = folder.with_suffix(".done")
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder

@@ -9,13 +9,14 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, ROOT, require, run
+from support import PATH, PATIENCE, ROOT, require, run
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -84,6 +85,17 @@ NOT_RUN = {
 }
 """Commands that no test runs as they stand, and why."""
 
+SLOW = {
+    "mcp-asdf crosscheck --steps 5000 --seed 7",
+    "mcp-asdf crosscheck --steps 2000",
+    "mcp-asdf crosscheck --steps 1000 --plot operations.png",
+    "mcp-asdf crosscheck --steps 1000 --json",
+    "mcp-asdf plot alpha.svg --kind alpha",
+    "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
+    "mcp-asdf reproduce --quick --part physical",
+    "mcp-asdf sweep physical --trials 1",
+}
+"""Commands that are for ``make verify``."""
 
 NEEDED = {
     "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
@@ -138,8 +150,21 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
+    run_commands(page, workplace, left_out=SLOW)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if SLOW & set(all_commands(page))], ids=lambda page: page.name
+)
+def test_slow_commands_of_the_page_work_among_the_others(page: Path, workplace: Path) -> None:
+    run_commands(page, workplace)
+
+
+def run_commands(page: Path, workplace: Path, left_out: Collection[str] = ()) -> None:
+    """Run the page's blocks of commands, each block in a shell of its own."""
     for script in scripts(page):
-        lines = [command for command in script if is_run(page, command)]
+        lines = [command for command in script if is_run(page, command) and command not in left_out]
         for tool, packages in NEEDED.items():
             if any(tool in line for line in lines):
                 require(*packages)
@@ -160,14 +185,25 @@ def test_no_command_hides(page: Path) -> None:
 
 def test_what_is_not_run_is_shown_and_the_tests_named_are_there() -> None:
     shown = {command for page in PAGES for command in all_commands(page)}
-    assert {*NOT_RUN, *C_NODES, *HERE_WITH_MULTICAST} <= shown
+    assert {*NOT_RUN, *C_NODES, *HERE_WITH_MULTICAST, *SLOW} <= shown
     for name, (page, *parts) in RUN_ELSEWHERE.items():
         assert (ROOT / name).is_file(), name
         assert all(any(part in c for c in all_commands(ROOT / "docs" / page)) for part in parts), name
     for reason in NOT_RUN.values():
         for path in re.findall(r"tests/\S+", reason):
             assert (ROOT / path).exists(), path
-    assert sum(is_run(page, command) for page in PAGES for command in all_commands(page)) > 40
+    is_quick = [is_run(page, c) and c not in SLOW for page in PAGES for c in all_commands(page)]
+    assert sum(is_quick) > 40
+
+
+def test_a_slow_command_has_a_quick_one_beside_it() -> None:
+    """So that every subcommand of a page is run by the tests that are always run, or by the test named."""
+    quick = {c.split()[1] for page in PAGES for c in all_commands(page) if c not in SLOW and is_run(page, c)}
+    elsewhere = {"reproduce": "tests/host_tools/reproduction/test_study.py"}
+    elsewhere |= {"sweep": "tests/host_tools/experiments/test_sweep.py"}
+    assert {command.split()[1] for command in SLOW} - quick <= set(elsewhere)
+    for name, path in elsewhere.items():
+        assert f'"{name}"' in (ROOT / path).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
@@ -209,7 +245,7 @@ def test_a_node_on_one_machine_passes_the_verification() -> None:
         while judge.poll() is None and joined not in Path("/proc/net/igmp").read_text():
             time.sleep(0.05)
         with subprocess.Popen(node, env=environment, stdout=subprocess.DEVNULL) as controller:
-            printed, _ = judge.communicate(timeout=120)
+            printed, _ = judge.communicate(timeout=PATIENCE)
             controller.terminate()
     assert judge.returncode == 0, printed.decode()
     assert controller.returncode == 0

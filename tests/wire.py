@@ -3,18 +3,45 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
 
 import can
+import pytest
 
 from mcp_asdf.robot import Filter
+from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 TABLE = generate(parse_omega("0.05"), 20)
+
+
+class Clock:
+    """Time that stands still unless somebody waits."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        """The time."""
+        return self.now
+
+
+CLOCK = Clock()
+
+
+@contextmanager
+def still() -> Iterator[None]:
+    """Let no time pass for those who command robots on a Wire but while they wait for it in vain.
+
+    So limits of hundredths of a second are exact, however busy the machine. Decorates tests, too.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lockstep, "time", CLOCK)
+        yield
 
 
 class Wire(can.BusABC):
@@ -54,8 +81,12 @@ class Wire(can.BusABC):
         for node in self.nodes:
             self.say(node, node.hear(msg))
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return (self._waiting.popleft() if self._waiting else None), True
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, at once; if none is on its way, the time of ``still`` has passed in vain."""
+        if self._waiting:
+            return self._waiting.popleft()
+        CLOCK.now += (timeout or 0.0) + 1e-6  # looking takes time, too
+        return None
 
     def __del__(self) -> None:
         """Nothing to close."""

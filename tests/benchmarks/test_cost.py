@@ -81,8 +81,25 @@ def untrue(kept: measurement.Figures, fresh: measurement.Figures) -> list[str]:
     return list(figures.differences({**kept, "targets": only}, {**kept, **fresh}, TOLERANCE))
 
 
-@every_level
-@every_target
+QUICK = {("ATmega328P", "-Os")}
+"""Measured in every run of the tests."""
+
+
+some_cells = pytest.mark.parametrize(
+    ("target", "level"),
+    [
+        pytest.param(
+            *(target, level),
+            id=f"{target.name}-{level}",
+            marks=() if (target.name, level) in QUICK else pytest.mark.slow,
+        )
+        for target in TARGETS
+        for level in LEVELS
+    ],
+)
+
+
+@some_cells
 def test_the_kept_figures_are_what_is_measured(target: Target, level: str, tmp_path: Path) -> None:
     usable(target)
     kept_with = KEPT["compilers"][target.name]
@@ -191,8 +208,7 @@ def off_by(part: measurement.Figures, place: Place, factor: float) -> Iterator[N
     numbers[last] = right
 
 
-@every_level
-@every_target
+@some_cells
 def test_every_figure_that_is_off_is_told(target: Target, level: str) -> None:
     fresh = {**KEPT, "targets": {target.name: KEPT["targets"][target.name]}}
     kept = copy.deepcopy(fresh)

@@ -22,7 +22,7 @@ import pytest
 import yaml
 
 from c_ref.consumer import CONSUMER, answer, version_of_header
-from support import PATH, ROOT, TABLE, require, run
+from support import PATH, PATIENCE, ROOT, TABLE, require, run
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
@@ -108,7 +108,7 @@ def test_an_arduino_uno_runs_it(tmp_path: Path) -> None:
     built = {path.name for path in (tmp_path / "built/libraries/mcp_asdf").glob("*.o")}
     assert built == {f"{name}.c.o" for name in PARTS}
     simulator = ("simavr", "-m", "atmega328p", "-f", "16000000", image)
-    shown = subprocess.run(simulator, capture_output=True, text=True, check=False, timeout=60).stderr
+    shown = subprocess.run(simulator, capture_output=True, text=True, check=False, timeout=PATIENCE).stderr
     assert re.findall(r"(\d+ \d+)\.", shown) == [answer().strip()]
 
 

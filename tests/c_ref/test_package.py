@@ -18,7 +18,7 @@ import pytest
 
 from c_ref.consumer import CONSUMER, answer, version_of_header
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
-from support import CORE, HEADER, ROOT, TABLE, require, run
+from support import CORE, HEADER, ROOT, TABLE, require, run, slow
 
 BUILD = """
 cmake_minimum_required(VERSION 3.21)
@@ -73,12 +73,12 @@ def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return (folder / "first").rename(folder / "second")
 
 
-@pytest.fixture(params=[("LIBDIR",), ("INCLUDEDIR",), ("LIBDIR", "INCLUDEDIR")], ids="-".join)
+@pytest.fixture(params=["LIBDIR-INCLUDEDIR", *slow(["LIBDIR", "INCLUDEDIR"])])
 def absolute(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Where the library was installed to by a distribution that gives some folders as absolute paths."""
     place = tmp_path / "installed"
     names = {"LIBDIR": "lib/machine", "INCLUDEDIR": "include/here"}
-    folders = [f"-DCMAKE_INSTALL_{name}={place / names[name]}" for name in request.param]
+    folders = [f"-DCMAKE_INSTALL_{name}={place / names[name]}" for name in request.param.split("-")]
     cmake("-S", ROOT / "c_ref", "-B", tmp_path / "made", f"-DCMAKE_INSTALL_PREFIX={place}", *folders)
     cmake("--build", tmp_path / "made")
     cmake("--install", tmp_path / "made")
@@ -220,7 +220,7 @@ LONG_DIVISION = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod")
 FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
 
 
-@pytest.mark.parametrize("optimisation", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("optimisation", ["-Os", *slow(["-O0", "-O2"])])
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("source", [CORE, IMAGE, FRAME], ids=lambda path: path.stem)
 def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str, tmp_path: Path) -> None:
@@ -244,8 +244,11 @@ def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str
 # --- Added, fetched, found -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("folder", [ROOT, ROOT / "c_ref"], ids=["root", "c_ref"])
-@pytest.mark.parametrize("get", [ADD, FETCH], ids=["add_subdirectory", "FetchContent"])
+@pytest.mark.parametrize(
+    ("get", "folder"),
+    [(ADD, ROOT), (FETCH, ROOT / "c_ref"), *slow([(ADD, ROOT / "c_ref"), (FETCH, ROOT)])],
+    ids=["added root", "fetched c_ref", "added c_ref", "fetched root"],
+)
 def test_cmake_builds_it_from_source(get: str, folder: Path, project: Path, expected: str) -> None:
     built = build(project, get.format(folder))
     assert run(built / "consumer") == expected

@@ -25,7 +25,7 @@ from mcp_asdf.robot import Config, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from support import CORE, ROOT, require, run
+from support import CORE, PATIENCE, ROOT, require, run, slow
 
 PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
@@ -243,7 +243,7 @@ def answers(command: list[str | Path], given: Iterable[bytes], size: int, greeti
     """
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as machine:
         assert machine.stdout
-        deadline = threading.Timer(60, machine.kill)
+        deadline = threading.Timer(PATIENCE, machine.kill)
         deadline.start()
         sent = machine.stdout.read(greeting)
         writer = threading.Thread(target=write, args=(machine, given))
@@ -291,7 +291,7 @@ def test_it_does_what_the_mirror_does(project: Path) -> None:
     assert done.stdout == GREETING + Expected().play(played)
 
 
-@pytest.mark.parametrize("target", MACHINES)
+@pytest.mark.parametrize("target", ["cortex-m3", *slow(["rv32imac"])])
 def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
     command = machine(target)
     played = script(seed=6, ticks=1010, tiles=(0, 1, 1, 2), most_packets=1)
@@ -411,7 +411,7 @@ def check_on_an_atmega(image: Path, clock: int, baud: int, folder: Path) -> None
     assert (folder / "sent").read_bytes() == Expected().play(played)
 
 
-@pytest.mark.parametrize("board", CLOCKS)
+@pytest.mark.parametrize("board", ["Kilobot", *slow(["Uno"])])
 def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
     macros = KILOBOT.findall(PAGE) if board == "Kilobot" else []
     check_on_an_atmega(avr_image(tmp_path, *macros), *CLOCKS[board], tmp_path)

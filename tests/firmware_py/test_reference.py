@@ -135,11 +135,11 @@ AUTHORS_PAPER_DOF = replace(AUTHORS, lost_degrees=1)
 @pytest.mark.parametrize(
     ("name", "block", "conventions"),
     [
-        pytest.param(TRACE_A, "m", AUTHORS, id="A-m"),
-        pytest.param(TRACE_A, "m-1", AUTHORS_PAPER_DOF, id="A-m-1"),
+        pytest.param(TRACE_A, "m", AUTHORS, id="A-m", marks=pytest.mark.slow),
+        pytest.param(TRACE_A, "m-1", AUTHORS_PAPER_DOF, id="A-m-1", marks=pytest.mark.slow),
         pytest.param(TRACE_A, "m-1", PAPER, id="A-m-1-paper"),  # this run meets no edge but the degrees
         pytest.param(TRACE_B, "m", AUTHORS, id="B-m"),
-        pytest.param(TRACE_B, "m-1", AUTHORS_PAPER_DOF, id="B-m-1"),
+        pytest.param(TRACE_B, "m-1", AUTHORS_PAPER_DOF, id="B-m-1", marks=pytest.mark.slow),
     ],
 )
 def test_every_value_and_update_of_the_authors_programs(
@@ -148,7 +148,7 @@ def test_every_value_and_update_of_the_authors_programs(
     assert Trace(name).mismatches(block, conventions) == []
 
 
-@pytest.mark.parametrize("name", [TRACE_A, TRACE_B])
+@pytest.mark.parametrize("name", [TRACE_B, pytest.param(TRACE_A, marks=pytest.mark.slow)])
 def test_the_firmware_stays_within_its_error_of_the_authors_values(name: str) -> None:
     """Where |2 b_hat - 1| is 0.1 and more. No decision differs in these runs. Each of the six updates may add
     one rounding of x_hat, 2**-23, to those that come back through x_bar and b_hat; b_hat carries them times

@@ -10,9 +10,8 @@ from types import TracebackType
 
 import can
 
-from socketcan.robots import PATIENCE
 from socketcan.vcan import Vcan
-from support import require
+from support import PATIENCE, require
 
 _LINE = re.compile(r"\(\d+\.\d+\) (\S+) ([0-9A-F]+)#([0-9A-F]*)( [TR])?\n")
 

@@ -10,15 +10,27 @@ from collections.abc import Iterator
 
 import pytest
 
+from mcp_asdf_tools.cli import swarm as swarm_command
+from mcp_asdf_tools.swarm import connection, remote_robot
 from socketcan.guest import why_not_native
 from socketcan.relay import REPORTS, Reporter, reports_of
 from socketcan.vcan import Vcan, interfaces
+from support import PATIENCE
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "socketcan: needs a kernel with CAN, and gets one")
     if REPORTS in os.environ:
         config.pluginmanager.register(Reporter(config, os.environ[REPORTS]))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before ``-m`` chooses among them: a guest takes minutes, this machine's kernel seconds."""
+    ours = [item for item in items if item.get_closest_marker("socketcan")]
+    if ours and REPORTS not in os.environ and why_not_native():
+        for item in ours:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -45,6 +57,17 @@ def one_cpu() -> Iterator[None]:
     os.sched_setaffinity(0, {min(allowed)})
     yield
     os.sched_setaffinity(0, allowed)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give processes the time that they take to start and to answer in an emulator on a busy machine.
+
+    A driver that has waited for half of the time says a command again, which makes another log.
+    """
+    monkeypatch.setattr(swarm_command, "_STARTING_TIMEOUT", PATIENCE)
+    monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", PATIENCE)
+    monkeypatch.setattr(connection, "TIMEOUT", PATIENCE)
 
 
 @pytest.fixture

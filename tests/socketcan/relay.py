@@ -15,14 +15,14 @@ from typing import Any, Literal
 import pytest
 
 from socketcan.guest import NoGuestError, run_in_guest, shell_line, why_not_native
-from support import ROOT
+from support import PATIENCE, ROOT
 from targets.c_node import CORTEX_A8, NODES, PLAIN
 
 REPORTS = "MCP_ASDF_SOCKETCAN_REPORTS"
 """Set in a guest: the file that takes the reports, one JSON value a line."""
 
-SECONDS = 500
-"""Time limit for a guest's whole life."""
+SECONDS = 3 * PATIENCE
+"""Time limit for a guest's whole life, in which it starts and runs one test after the other."""
 
 WORK = ROOT / "build/socketcan"
 _KEPT_SECONDS = 3600
@@ -56,7 +56,7 @@ def reports_of(item: pytest.Item) -> list[pytest.TestReport]:
     if not any(report.when == "teardown" for report in reports):
         files = [_folder(item.config) / name for name in ("console", "log")]
         told = "\n".join(path.read_text(errors="replace")[-3000:] for path in files if path.exists())
-        explanation = f"the guest did not start, or broke off within {SECONDS} s:\n{told}"
+        explanation = f"the guest did not start, or broke off within {SECONDS:g} s:\n{told}"
         reports = [*reports, _report(item, "failed", explanation)]
     return reports
 

@@ -13,10 +13,8 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import send_all
 from socketcan.vcan import Vcan
+from support import PATIENCE
 from targets.c_node import twin
-
-PATIENCE = 60.0
-"""Seconds for anything to happen: emulated machines may be slow."""
 
 _BOTH = (Observation.WHITE, Observation.BLACK)
 

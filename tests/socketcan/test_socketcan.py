@@ -28,8 +28,9 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
-from socketcan.robots import PATIENCE, PythonNode, drive
+from socketcan.robots import PythonNode, drive
 from socketcan.vcan import FRAME, Vcan
+from support import PATIENCE
 from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
 
 pytestmark = pytest.mark.socketcan
@@ -95,7 +96,7 @@ def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: P
         start(3, "--lockstep", "--b-hat", 0.75, "--filter-period", 4)
         Lockstep(bus).wait_until_up([3], PATIENCE)
     robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4")
-    run = ("--robots", "3", "--steps", "11", "--timeout", "60", "--report", str(report))
+    run = ("--robots", "3", "--steps", "11", "--timeout", str(PATIENCE), "--report", str(report))
     assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan.name]) == 0
     assert report.exists()
 

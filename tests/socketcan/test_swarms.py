@@ -20,8 +20,8 @@ from mcp_asdf.robot import Config, Filter, Observation, Status
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode, word_of
 from mcp_asdf_tools.cli.main import main
 from socketcan.candump import Candump, listeners
-from socketcan.robots import PATIENCE
 from socketcan.vcan import FRAME, Vcan, interfaces
+from support import PATIENCE
 from targets.c_node import PLAIN, CNode, built
 
 ESTIMATE = struct.Struct("<I4xHBIx")

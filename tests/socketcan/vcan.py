@@ -14,6 +14,7 @@ from contextlib import contextmanager
 import can
 
 from mcp_asdf_tools.bus.interfaces import choose_bus
+from support import PATIENCE
 
 _NUMBERS = itertools.count()
 FRAME = struct.Struct("=IB3x8s")
@@ -66,7 +67,7 @@ class Vcan:
         """A connection, as every command opens it."""
         return choose_bus(argparse.Namespace(interface="socketcan", channel=self.name)).open()
 
-    def socket(self, timeout: float = 20) -> socket.socket:
+    def socket(self, timeout: float = PATIENCE) -> socket.socket:
         """A plain socket."""
         opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         opened.settimeout(timeout)

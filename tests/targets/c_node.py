@@ -19,7 +19,7 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from support import ROOT, require, run
+from support import PATIENCE, ROOT, made_once, require, run
 
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""
@@ -98,7 +98,7 @@ class CNode:
 
     def summary(self, status: int = 0) -> dict[str, Any]:
         """Its last line, when it has ended by itself with ``status``."""
-        printed, complaints = self.process.communicate(timeout=60)
+        printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
         assert not complaints or status
         (line,) = printed.splitlines()
@@ -163,12 +163,12 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
 
 
 def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The command of a build that the session makes once, unless it is there already."""
+    """The command of a build that is made once, unless it is there already."""
     if kind not in _BUILT:
         ready = Path(os.environ.get(NODES, ""), kind.name, PROGRAM)
         is_ready = NODES in os.environ and ready.exists()
-        folder = ready.parent if is_ready else tmp_path_factory.mktemp(kind.name)
-        _BUILT[kind] = kind.command(folder) if is_ready else kind.build(folder)
+        folder = ready.parent if is_ready else made_once(tmp_path_factory, f"node {kind.name}", kind.build)
+        _BUILT[kind] = kind.command(folder)
     return _BUILT[kind]
 
 

@@ -1,7 +1,7 @@
 """Build the golden vectors' player for every target and run it under emulation: every compiler, every level,
 and every choice that the core's arithmetic has.
 
-    python tests/targets/matrix.py [--target NAME ...]
+    PYTHONPATH=tests python -m targets.matrix [--target NAME ...]
 
 Prints a line for each build: the verdict and the image's bytes, or why it was left out. Exits with 1 if one
 failed or none was played, 2 for bad usage. Takes minutes; the test suite runs one build of each target and of

@@ -33,7 +33,7 @@ from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from support import ROOT, require, run
+from support import PATIENCE, ROOT, made_once, require, run, slow
 from targets import firmware_loop, matrix
 from targets.firmware_loop import (
     BOARDS,
@@ -52,9 +52,6 @@ from targets.slow_line import SlowLine
 
 FILTER_PERIOD = 25
 SEED = 20261121
-TICKS = {"cortex-m3": 150, "cortex-m4": 50, "rv32imc": 150}
-"""Of lockstep; `make loop` runs 5000."""
-TIMEOUT = 30.0
 PACE = 400
 SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
 SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
@@ -70,13 +67,13 @@ one_of_each = pytest.mark.parametrize("target", ["cortex-m3", "rv32imc"])
 @pytest.fixture(scope="module")
 def image_of(tmp_path_factory: pytest.TempPathFactory) -> Builder:
     """Builds the image for a target, once; skips the test if that is impossible here."""
-    built: dict[str, Path] = {}
 
     def image(target: str) -> Path:
         require("ninja", "ninja-build")
-        if target not in built:
-            built[target] = build(target, tmp_path_factory.mktemp(target), FILTER_PERIOD)
-        return built[target]
+        folder = made_once(
+            tmp_path_factory, f"loop {target}", lambda folder: build(target, folder, FILTER_PERIOD)
+        )
+        return folder / "slcan_robot"
 
     return image
 
@@ -102,7 +99,7 @@ class Line:
         self._socket = socket.socket()
         if receive_buffer is not None:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
-        self._socket.settimeout(TIMEOUT)
+        self._socket.settimeout(PATIENCE)
         self._socket.connect((host, int(port)))
 
     def __enter__(self) -> Line:
@@ -127,13 +124,13 @@ class Line:
         """All that comes until everything sent has been answered, and the answer to a last request."""
         text = b""
         self._socket.settimeout(1)
-        for _ in range(int(TIMEOUT)):
+        for _ in range(int(PATIENCE)):
             self.send(b"V\r")  # it may find no room either
             with suppress(TimeoutError):
                 while more := self._socket.recv(1 << 16):
                     text += more
             if text.endswith(b"V1001\r"):
-                self._socket.settimeout(TIMEOUT)
+                self._socket.settimeout(PATIENCE)
                 return text
         raise AssertionError(f"the image does not answer; the last it said is {text[-100:]!r}")
 
@@ -153,13 +150,14 @@ def model() -> Model:
 
 
 @every_target
-def test_in_lockstep_every_frame_is_the_mirror_s(target: str, board: Board) -> None:
+@pytest.mark.parametrize("ticks", [50, pytest.param(500, marks=pytest.mark.slow)])
+def test_in_lockstep_every_frame_is_the_mirror_s(target: str, ticks: int, board: Board) -> None:
+    """`make loop` runs 5000 ticks."""
     with open_bus(board) as bus:
         loop = Loop(*over(bus), FILTER_PERIOD)
         loop.start()
-        for _ in range(TICKS[target]):
+        for _ in range(ticks):
             loop.tick()
-    ticks = TICKS[target]
     assert loop.compared == 1 + 2 * ticks + (ticks - 1) // 10
     assert loop.mirror.robot.counters.updates > 0, "nothing was tried that the filter does"
     assert loop.mirror.robot.counters.accepted == 9 * ticks
@@ -370,10 +368,13 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The robot for this computer, on standard input and output, built to stop at every undefined act."""
     require("ninja", "ninja-build")
     sanitize = "-fsanitize=address,undefined -fno-sanitize-recover=all"
-    return build("host", tmp_path_factory.mktemp("host"), FILTER_PERIOD, flags=sanitize)
+    folder = made_once(
+        tmp_path_factory, "loop host", lambda folder: build("host", folder, FILTER_PERIOD, flags=sanitize)
+    )
+    return folder / "slcan_robot"
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", [0, 1, *slow([2, 3])])
 def test_whatever_comes_in_the_robot_says_what_its_model_says(program: Path, number: int) -> None:
     seed = SEED + number
     talk, chance = Talk(seed), random.Random(seed)
@@ -435,7 +436,7 @@ def test_a_lost_command_costs_its_tick_and_no_other(target: str, board: Board) -
     assert health and set(health[1:]) == {Health.ADVISORY}
 
 
-@one_of_each
+@pytest.mark.parametrize("target", ["cortex-m3", *slow(["rv32imc"])])
 def test_a_flood_with_noise_is_dropped_counted_and_survived(target: str, board: Board) -> None:
     """A hundred lines more a tick are a thousand a second at ten ticks; here they come as fast as they go."""
     told, talk = model(), Talk(SEED)
@@ -517,7 +518,7 @@ class Wires:
 
     def __init__(self, board: Board, adapter: SlcanServer) -> None:
         ports = (int(board.channel.rpartition(":")[2]), adapter.port)
-        self._ends = [socket.create_connection(("127.0.0.1", port), TIMEOUT) for port in ports]
+        self._ends = [socket.create_connection(("127.0.0.1", port), PATIENCE) for port in ports]
         for end in self._ends:
             end.settimeout(None)
             end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -561,14 +562,15 @@ def cortex_m3(image_of: Builder) -> Path:
     return image_of("cortex-m3")
 
 
-def test_no_byte_is_lost_at_230400_baud(cortex_m3: Path) -> None:
+@pytest.mark.parametrize("ticks", [4, *slow([FILTER_PERIOD + 5])])
+def test_no_byte_is_lost_at_230400_baud(ticks: int, cortex_m3: Path) -> None:
     """At 25 MHz a byte takes 1085 cycles then: more than two an instruction, the interrupt's included."""
     line, told, talk = slow_line(cortex_m3), model(), Talk(SEED)
     told.take(b"S8\rO\r")
-    for _ in range(FILTER_PERIOD + 5):
+    for _ in range(ticks):
         text = talk.tick(noise=2)
         assert line.say(text, PACE) == told.take(text)
-    assert told.node.robot.counters.tests > 0
+    assert told.node.robot.counters.tests == ticks // FILTER_PERIOD
 
 
 def test_a_byte_that_is_overrun_costs_its_line_and_no_other(cortex_m3: Path) -> None:

@@ -34,7 +34,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from support import ROOT, require, run
+from support import PATIENCE, ROOT, require, run, slow
 from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
 from targets.unix_bus import Peer, UnixBus
 
@@ -44,7 +44,7 @@ CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 
 BOTH = [Observation.WHITE, Observation.BLACK]
 
 
-@pytest.fixture(scope="module", params=[HOST, CORTEX_A8], ids=lambda kind: kind.name)
+@pytest.fixture(scope="module", params=[HOST, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
 def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     kind: Kind = request.param
     return built(kind, tmp_path_factory)
@@ -104,8 +104,8 @@ def test_nodes_in_lockstep_say_what_python_nodes_say(start: Start, bus: UnixBus)
 def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
     """Let robots observe what a seeded generator draws, exchange, and settle."""
     draw = random.Random(seed)
-    lockstep = Lockstep(bus, timeout=20)
-    lockstep.wait_until_up(robots, 20)
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up(robots, PATIENCE)
     for _ in range(ticks):
         lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
         lockstep.estimates(robots)
@@ -186,7 +186,7 @@ def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: 
             while bus.recv(0) is not None:
                 pass
     while len(peer.said) < answers:
-        assert bus.recv(20) is not None, f"{len(peer.said)} answers, expected {answers}"
+        assert bus.recv(PATIENCE) is not None, f"{len(peer.said)} answers, expected {answers}"
 
 
 @pytest.mark.parametrize(("ticks", "rounds"), [(2, 0), (3, 1), (5, 1), (6, 2)])
@@ -196,8 +196,8 @@ def test_a_tick_that_is_not_due_leaves_the_round_open(
     """The command to settle ends each tick, and every third one is the end of a round."""
     node = start(5, "--lockstep", "--comms-period", 3, "--filter-period", 6, "--steps", ticks)
     peer = bus.accept()
-    lockstep = Lockstep(bus, timeout=20)
-    lockstep.wait_until_up([5], 20)
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up([5], PATIENCE)
     for tick in range(ticks):
         lockstep.observe({5: Observation.BLACK})
         if tick % 3 == 0:
@@ -261,7 +261,7 @@ def test_an_input_without_observations_is_missed_but_not_waited_for(start: Start
 
 def waited(node: CNode) -> dict[str, object]:
     """Its summary, while its standard input stays open."""
-    node.process.wait(60)
+    node.process.wait(PATIENCE)
     return node.summary()
 
 
@@ -294,7 +294,7 @@ def replace(path: Path, text: str | None) -> None:
 def wait_for_more(bus: UnixBus, peer: Peer, frames: int) -> None:
     goal = len(peer.said) + frames
     while len(peer.said) < goal:
-        assert bus.recv(20) is not None
+        assert bus.recv(PATIENCE) is not None
 
 
 def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
@@ -333,8 +333,8 @@ def test_error_frames_show_in_the_node_s_health(start: Start, bus: UnixBus) -> N
         (CAN_ERR_PROT, 0, Health.WARNING),
         (CAN_ERR_RESTARTED, 0, Health.NOMINAL),
     )
-    lockstep = Lockstep(bus, timeout=20, watch=lambda frame: told.extend(health_in(frame)))
-    lockstep.wait_until_up([5], 20)
+    lockstep = Lockstep(bus, timeout=PATIENCE, watch=lambda frame: told.extend(health_in(frame)))
+    lockstep.wait_until_up([5], PATIENCE)
     for kind, controller, _ in ((CAN_ERR_PROT, 0, None), *reports):
         data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
         bus.send(can.Message(arbitration_id=kind, is_error_frame=True, data=data))
@@ -460,16 +460,16 @@ def test_a_state_that_does_not_fit_is_refused(start: Start, bus: UnixBus, tmp_pa
 def test_a_state_that_cannot_be_saved_is_a_failure(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     node = start(5, "--lockstep", "--state", tmp_path / "missing" / "state")
     bus.accept()
-    bus.recv(20)
+    bus.recv(PATIENCE)
     node.process.terminate()
-    _, complaints = node.process.communicate(timeout=20)
+    _, complaints = node.process.communicate(timeout=PATIENCE)
     assert node.process.returncode == 1
     assert "cannot save the state" in complaints
 
 
 def complaint(node: CNode) -> str:
     """What a node says that does not start."""
-    printed, complaints = node.process.communicate(timeout=20)
+    printed, complaints = node.process.communicate(timeout=PATIENCE)
     assert (node.process.returncode, printed) == (2, "")
     return str(complaints)
 
@@ -517,7 +517,7 @@ def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> 
 
 def refusal(command: list[str], *options: str) -> str:
     """What the node says of options that will not do."""
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (2, "")
     return done.stderr
 
@@ -548,13 +548,14 @@ def test_accuracies_are_read_as_python_reads_them(start: Start, bus: UnixBus) ->
     for robot, text in enumerate(texts):
         node = start(robot, "--lockstep", "--b-hat", text)
         bus.accept()
-        assert bus.recv(20) is not None
+        assert bus.recv(PATIENCE) is not None
         assert node.stop()["b_hat"] == b_hat_to_raw(float(text))
 
 
 # ---- The sources ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", C_FILES, ids=lambda path: path.name)
 def test_clang_tidy_finds_nothing(path: Path) -> None:
     run(require("clang-tidy"), "--quiet", path, "--", "-std=c99", *DEFINITIONS)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from support import CORE, ROOT, require, run
+from support import CORE, ROOT, require, run, slow
 from targets import matrix
 from targets.golden_scenarios import edge_scenarios, run_scenarios
 from targets.golden_vectors import encode, explain
@@ -29,7 +29,17 @@ PORTS = sorted(
 )
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+ALIKE = {"cortex-m3", "cortex-m4", "rv32imac"}
+"""Targets whose core computes by the same choices as another one's or this computer's."""
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        pytest.param(target, id=target.name, marks=pytest.mark.slow if target.name in ALIKE else ())
+        for target in TARGETS
+    ],
+)
 def test_the_target_computes_the_mirror_s_bits(target: Target, tmp_path: Path) -> None:
     reason = target.missing()
     if reason:
@@ -70,7 +80,10 @@ def check_contents(image: Path) -> None:
     assert ours - OUR_SOURCES <= {path.name for path in PORTS}
 
 
-@pytest.mark.parametrize("choice", [choice for choice in CHOICES if choice != "own"])
+@pytest.mark.parametrize(
+    "choice",
+    ["divide by bits", *slow(choice for choice in CHOICES if choice not in ("own", "divide by bits"))],
+)
 def test_this_computer_computes_the_same_by_every_choice(choice: str) -> None:
     require("ninja", "ninja-build")
     verdict, details = matrix.result_of(Cell(HOST, choice=choice))
@@ -217,50 +230,54 @@ def core_with(folder: Path, right: str, wrong: str) -> str:
     return f"MCP_ASDF_CORE={copy}"
 
 
+FAULTS = [
+    (  # ties away from zero: first seen when n = 1 is halved
+        "(n >> 1 & 1)",
+        "(n & 1)",
+        "scenario 6 (a memory of 64 halves, ties to even), call 4, step:1:",
+    ),
+    (  # a message whose effect the digest covers only with the next call
+        "before | UINT32_C(1) << (sender & 7)",
+        "before | UINT32_C(3) << (sender & 7)",
+        "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
+    ),
+    (  # one bit of a sum: seen when a round stays open
+        "multiply(x_hat, x_hat)",
+        "(multiply(x_hat, x_hat) | 1)",
+        "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
+    ),
+    (  # a member that is in no image
+        "shift_left(c, c_shift));",
+        "shift_left(c, c_shift)) ^ 1;",
+        "scenario 0 (nothing observed), call 0, table:0.05:30,robot:0:1:2147483648:0:3221225472:",
+    ),
+    (  # the edge of what says something
+        "if (g < INFORMATIVE) {",
+        "if (g <= INFORMATIVE) {",
+        "scenario 73 (x_bar below 1/2 that hardly says something), call 14, settle:",
+    ),
+    (  # the flag of an update
+        "    robot->updated = 0;\n",
+        "",
+        "scenario 11 (1 black among 2), call 2, observe:1:",
+    ),
+    (  # the last bit of 60 in the test of eq. 12
+        "upper_part + (multiply(k, low_word(spread)) >> 26)",
+        "upper_part + (multiply(k, low_word(spread)) >> 26) + 1",
+        "scenario 58 (the threshold for 2), call 8, settle:",
+    ),
+    (
+        "multiply(difference, difference) > upper_part",
+        "multiply(difference, difference) >= upper_part",
+        "scenario 59 (the threshold for 3), call 5, settle:",
+    ),
+]
+"""What is in the core, what is put in its place, and the first call that shows it."""
+
+
 @pytest.mark.parametrize(
     ("right", "wrong", "first"),
-    [
-        (  # ties away from zero: first seen when n = 1 is halved
-            "(n >> 1 & 1)",
-            "(n & 1)",
-            "scenario 6 (a memory of 64 halves, ties to even), call 4, step:1:",
-        ),
-        (  # a message whose effect the digest covers only with the next call
-            "before | UINT32_C(1) << (sender & 7)",
-            "before | UINT32_C(3) << (sender & 7)",
-            "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
-        ),
-        (  # one bit of a sum: seen when a round stays open
-            "multiply(x_hat, x_hat)",
-            "(multiply(x_hat, x_hat) | 1)",
-            "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
-        ),
-        (  # a member that is in no image
-            "shift_left(c, c_shift));",
-            "shift_left(c, c_shift)) ^ 1;",
-            "scenario 0 (nothing observed), call 0, table:0.05:30,robot:0:1:2147483648:0:3221225472:",
-        ),
-        (  # the edge of what says something
-            "if (g < INFORMATIVE) {",
-            "if (g <= INFORMATIVE) {",
-            "scenario 73 (x_bar below 1/2 that hardly says something), call 14, settle:",
-        ),
-        (  # the flag of an update
-            "    robot->updated = 0;\n",
-            "",
-            "scenario 11 (1 black among 2), call 2, observe:1:",
-        ),
-        (  # the last bit of 60 in the test of eq. 12
-            "upper_part + (multiply(k, low_word(spread)) >> 26)",
-            "upper_part + (multiply(k, low_word(spread)) >> 26) + 1",
-            "scenario 58 (the threshold for 2), call 8, settle:",
-        ),
-        (
-            "multiply(difference, difference) > upper_part",
-            "multiply(difference, difference) >= upper_part",
-            "scenario 59 (the threshold for 3), call 5, settle:",
-        ),
-    ],
+    [*FAULTS[:2], *slow(FAULTS[2:])],
 )
 def test_a_planted_fault_is_found_at_its_first_call(
     right: str, wrong: str, first: str, tmp_path: Path
@@ -343,10 +360,21 @@ def test_every_cell_plays_everything() -> None:
         assert [name for vectors in matrix.images_of(cell) for name in vectors] == list(VECTORS)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: " ".join(str(cell).split()))
+def test_the_cell_passes(cell: Cell) -> None:
+    """The whole matrix, as ``make targets`` shows it."""
+    verdict, details = matrix.result_of(cell)
+    if verdict == "left out":
+        pytest.skip(details)
+    assert verdict == "passed", details
+
+
 def test_a_matrix_without_tools_fails() -> None:
     """Everything is left out, with the reason; that nothing went wrong is not a success."""
-    command = [sys.executable, str(matrix.__file__)]
-    done = subprocess.run(command, env={"PATH": "/nonexistent"}, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "targets.matrix"]
+    nothing = {"PATH": "/nonexistent", "PYTHONPATH": str(ROOT / "tests")}
+    done = subprocess.run(command, env=nothing, capture_output=True, text=True, check=False)
     *cells, summary = done.stdout.splitlines()
     assert (done.returncode, done.stderr, summary) == (1, "", f"{len(cells)} left out")
     assert len(cells) == len(CELLS) >= 2 * (len(TARGETS) + 1) * len(matrix.LEVELS)

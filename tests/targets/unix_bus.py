@@ -12,6 +12,8 @@ from typing import Any
 
 import can
 
+from support import PATIENCE
+
 _EXTENDED, _REMOTE, _ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _CLASSIC, _FD = struct.Struct("=IB3x8s"), struct.Struct("=IB3x64s")
 
@@ -80,7 +82,7 @@ class UnixBus(can.BusABC):
         for peer in self.peers:
             peer.tell(msg)
 
-    def accept(self, seconds: float = 20) -> Peer:
+    def accept(self, seconds: float = PATIENCE) -> Peer:
         """The next node that connects. Raises TimeoutError if none does."""
         self._listener.settimeout(seconds)
         connection, _ = self._listener.accept()
@@ -88,7 +90,7 @@ class UnixBus(can.BusABC):
         return self.peers[-1]
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        deadline = time.monotonic() + (60 if timeout is None else timeout)
+        deadline = time.monotonic() + (PATIENCE if timeout is None else timeout)
         while True:
             present = {peer.connection: peer for peer in self.peers if not peer.is_gone}
             left = max(0.0, deadline - time.monotonic())

@@ -34,7 +34,7 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     float_of,
 )
-from support import ROOT
+from support import PATIENCE, ROOT
 
 pycyphal = pytest.importorskip("pycyphal", reason="pycyphal is not installed (pip install pycyphal)")
 transport = importlib.import_module("pycyphal.transport")
@@ -44,7 +44,6 @@ cyphal_can = importlib.import_module("pycyphal.transport.can")
 
 DEFAULT = FrameFormat()
 LARGEST_BITS = 0x7F7FFFFF
-TIMEOUT = 5.0
 fixed = settings(derandomize=True, deadline=None, max_examples=200)
 
 # The specification's types, without their comments: pycyphal does not bring them along.
@@ -250,7 +249,7 @@ class Cyphal:
             transfer_id=transfer_id,
             fragmented_payload=list(pycyphal.dsdl.serialize(content)),
         )
-        assert await session.send(transfer, asyncio.get_running_loop().time() + TIMEOUT)
+        assert await session.send(transfer, asyncio.get_running_loop().time() + PATIENCE)
 
     def listen(self, subject: int) -> Any:
         """A session that keeps what arrives from now on."""
@@ -267,7 +266,7 @@ async def exchanged(channel: str, subject: int, priority: int, contents: Sequenc
     with can.Bus(interface="virtual", channel=channel) as bus:
         for count, content in enumerate(contents):
             await cyphal.send(subject, priority, count, content)
-        received = [bus.recv(TIMEOUT) for _ in contents]
+        received = [bus.recv(PATIENCE) for _ in contents]
         cyphal.close()
     assert None not in received
     return [frame for frame in received if frame is not None]
@@ -312,8 +311,8 @@ async def heard(channel: str, subject: int, sent: Sequence[can.Message]) -> list
     session = cyphal.listen(subject)
     with can.Bus(interface="virtual", channel=channel) as bus:
         for frame in sent:
-            bus.send(frame, timeout=TIMEOUT)
-        deadline = asyncio.get_running_loop().time() + TIMEOUT
+            bus.send(frame, timeout=PATIENCE)
+        deadline = asyncio.get_running_loop().time() + PATIENCE
         transfers = [await session.receive(deadline) for _ in sent]
         cyphal.close()
     return transfers

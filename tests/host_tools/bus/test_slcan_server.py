@@ -23,9 +23,9 @@ from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from robots import ALPHA_ONE
+from support import PATIENCE, interruptible
 
 CHANNEL = "slcan test"
-TIMEOUT = 5.0
 
 
 def join() -> can.BusABC:
@@ -49,7 +49,7 @@ def client(server: SlcanServer) -> can.BusABC:
 
 
 def wait_until_open(server: SlcanServer) -> None:
-    deadline = time.monotonic() + TIMEOUT
+    deadline = time.monotonic() + PATIENCE
     while not server._is_open:
         assert time.monotonic() < deadline, "the client did not open the adapter"
         time.sleep(0.01)
@@ -73,7 +73,7 @@ def essence(frame: can.Message | None) -> tuple[Any, ...]:
 
 def received(bus: can.BusABC) -> can.Message | None:
     """The next frame; python-can's slcan ends a wait early on an answer of the adapter."""
-    deadline = time.monotonic() + TIMEOUT
+    deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         frame = bus.recv(0.1)
         if frame is not None:
@@ -104,7 +104,7 @@ def test_programs_come_and_go(server: SlcanServer) -> None:
 
 
 def raw(server: SlcanServer) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", server.port), TIMEOUT)
+    return socket.create_connection(("127.0.0.1", server.port), PATIENCE)
 
 
 def answers(program: socket.socket, length: int) -> bytes:
@@ -152,7 +152,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_nobody(server: SlcanServer)
         program.connect(("127.0.0.1", server.port))
         program.sendall(b"O\r")
         wait_until_open(server)
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENCE
         while not server.dropped:
             for _ in range(1000):
                 bus.send(FRAMES[0])
@@ -194,7 +194,7 @@ async def heard_by_pycyphal(pycyphal: Any, port: int, is_listening: threading.Ev
     specifier = pycyphal.transport.InputSessionSpecifier(subject, None)
     session = transport.get_input_session(specifier, pycyphal.transport.PayloadMetadata(7))
     is_listening.set()
-    transfer = await session.receive(asyncio.get_running_loop().time() + 4 * TIMEOUT)
+    transfer = await session.receive(asyncio.get_running_loop().time() + PATIENCE)
     transport.close()
     return transfer
 
@@ -205,7 +205,7 @@ def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
     done, is_listening = threading.Event(), threading.Event()
 
     def robot() -> None:
-        is_listening.wait(4 * TIMEOUT)
+        is_listening.wait(PATIENCE)
         with join() as bus:
             bus.send(frames.encode_heartbeat(Heartbeat(42, 1, 1)))
             for count in range(1000):
@@ -228,7 +228,7 @@ def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
 
 def estimates_at(port: int, heard: list[can.Message], count: int) -> None:
     """Connect as soon as there is an adapter, collect estimates, then press Ctrl-C."""
-    deadline = time.monotonic() + 10 * TIMEOUT
+    deadline = time.monotonic() + PATIENCE
     try:
         with connection_to(port, deadline) as program:
             program.sendall(b"O\r")
@@ -245,13 +245,14 @@ def estimates_at(port: int, heard: list[can.Message], count: int) -> None:
 def connection_to(port: int, deadline: float) -> socket.socket:
     while True:
         try:
-            return socket.create_connection(("127.0.0.1", port), TIMEOUT)
+            return socket.create_connection(("127.0.0.1", port), PATIENCE)
         except ConnectionRefusedError:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.02)
 
 
+@interruptible()
 def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]

@@ -23,11 +23,9 @@ import yaml
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Message
-from support import PATH, ROOT, require
+from support import PATH, PATIENCE, ROOT, interruptible, require
 
 ROBOTS = 3
-ENOUGH = 90.0
-"""Seconds after which a test gives up waiting."""
 PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
@@ -51,10 +49,11 @@ def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
     require("yakut")
     command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
     endless = ["--filter-period", "1000", "--steps", "100000000", "--slcan", "0", *options]
+    endless += ["--clock", "real-time", "--steps-per-second", "200"]
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
-    with subprocess.Popen(
-        command + endless, env=environment, stdout=quiet, stderr=told, text=True
-    ) as running:
+    with interruptible():
+        started = subprocess.Popen(command + endless, env=environment, stdout=quiet, stderr=told, text=True)
+    with started as running:
         assert running.stderr
         where = re.search(r"socket://\S+:(\d+)", running.stderr.readline())
         try:
@@ -80,7 +79,7 @@ def test_it_prints_what_the_robots_broadcast(environment: dict[str, str], tmp_pa
     with swarm(environment, "--log", str(tmp_path / "run.log")) as yakut:
         command = [*yakut[:1], "--json", *yakut[1:], *wanted, "--count", "60", "+M"]
         shown = subprocess.run(
-            command, env=environment, capture_output=True, timeout=ENOUGH, check=True
+            command, env=environment, capture_output=True, timeout=PATIENCE, check=True
         ).stdout
     estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
     assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
@@ -118,7 +117,7 @@ def watched(command: list[str], environment: dict[str, str], is_enough: Callable
     """What a program writes to its terminal until that is enough, or for too long."""
     ours, its = pty.openpty()
     with subprocess.Popen(command, env=environment, stdin=its, stdout=its, stderr=its) as program:
-        screen, deadline = "", time.monotonic() + ENOUGH
+        screen, deadline = "", time.monotonic() + PATIENCE
         while time.monotonic() < deadline and not is_enough(screen):
             if select.select([ours], [], [], 0.1)[0]:
                 screen += os.read(ours, 1 << 16).decode(errors="replace")

@@ -17,6 +17,7 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common import files, versions
 from mcp_asdf_tools.common.errors import UsageError
+from support import interruptible
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -100,6 +101,7 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
 
 
+@interruptible()
 def test_ctrl_c_within_an_import_waits_for_its_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -120,6 +122,7 @@ def test_ctrl_c_within_an_import_waits_for_its_end(
 
 
 @pytest.mark.parametrize("library", ["numpy", "mcp_asdf_tools.recording.sidecar"])
+@interruptible()
 def test_ctrl_c_while_libraries_load_shows_no_traceback(library: str) -> None:
     script = (
         "import os, signal, sys\n"

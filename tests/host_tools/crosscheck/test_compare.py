@@ -75,6 +75,7 @@ from mcp_asdf_tools.crosscheck.random_scenarios import (
     spoilt_table,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, TableChoice, build_table, parse_scenario
+from support import slow
 
 MIRROR, FIXED_POINT = mcp_asdf.mirror, mcp_asdf.fixed_point
 SOURCES = {
@@ -537,6 +538,7 @@ EQUIVALENT = {
 """Constants whose last bit makes no difference: function, part of the line, and value."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", functions())
 def test_the_last_bit_of_every_constant_of_the_mirror_matters(function: str) -> None:
     module = {module.__name__.rpartition(".")[2]: module for module in SOURCES}[function.partition(".")[0]]
@@ -579,7 +581,7 @@ class TamperedRobot(MirrorRobot):
 
 
 @pytest.mark.parametrize(
-    ("q", "entry", "bit"), [(30, 0, 0), (30, 28, 1), (30, 29, 0), (127, 125, 2), (2, 0, 3)]
+    ("q", "entry", "bit"), [(30, 0, 0), (127, 125, 2), *slow([(30, 28, 1), (30, 29, 0), (2, 0, 3)])]
 )
 def test_one_bit_of_a_table_entry_is_caught(q: int, entry: int, bit: int) -> None:
     robot = type("Robot", (TamperedRobot,), {"q": q, "entry": entry, "bit": bit})
@@ -1007,13 +1009,13 @@ MESSAGES = [None] * 127
     ("robot", "axis", "told"),
     [
         (GrowingRobot, "m", "operations"),
-        (GrowingRobot, "m", "lines executed"),
+        pytest.param(GrowingRobot, "m", "lines executed", marks=pytest.mark.slow),
         (LoopingRobot, "m", "lines executed"),
-        (LoopingRobot, "m", "uses range,"),
-        (BareRobot, "m", "lines executed"),
-        (OneLineRobot, "m", "lines executed"),
-        (HiddenRobot, "m", "uses range, sum,"),
-        (EndlessRobot, "t", "lines executed"),
+        pytest.param(LoopingRobot, "m", "uses range,", marks=pytest.mark.slow),
+        pytest.param(BareRobot, "m", "lines executed", marks=pytest.mark.slow),
+        pytest.param(OneLineRobot, "m", "lines executed", marks=pytest.mark.slow),
+        pytest.param(HiddenRobot, "m", "uses range, sum,", marks=pytest.mark.slow),
+        pytest.param(EndlessRobot, "t", "lines executed", marks=pytest.mark.slow),
     ],
 )
 def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, told: str) -> None:
@@ -1219,7 +1221,7 @@ def test_the_plot_is_drawn(quick: None, tmp_path: Path, capsys: pytest.CaptureFi
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+@pytest.mark.parametrize("suffix", ["svg", *slow(["png", "pdf"])])
 def test_equal_figures_give_equal_files(tmp_path: Path, suffix: str) -> None:
     first, second = (tmp_path / f"{name}.{suffix}" for name in ("first", "second"))
     for path in (first, second):

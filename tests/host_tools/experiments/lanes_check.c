@@ -8,7 +8,7 @@
 #define mcp_asdf_x_bar usual_x_bar
 #define mcp_asdf_x usual_x
 
-#include "../c_ref/white_box.h"
+#include "../../c_ref/white_box.h"
 
 #include "lanes.h"
 

@@ -24,7 +24,7 @@ from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.simulation import Job
 from mcp_asdf_tools.experiments.sweep import Store, identity, jobs_of, run_sweep
 from mcp_asdf_tools.robots.population import Filtering
-from support import ROOT
+from support import PATIENCE, ROOT, interruptible
 
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=mode, steps=300, filter_period=100, trials=40)
@@ -310,7 +310,10 @@ def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         "--workers",
         "2",
     ]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    with interruptible():
+        process = subprocess.Popen(
+            command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
     yield process
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
@@ -319,11 +322,11 @@ def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 def test_ctrl_c_keeps_what_is_finished(slow_sweep: subprocess.Popen[str], tmp_path: Path) -> None:
     parts = tmp_path / "slow.parquet.parts"
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE
     while len(list(parts.glob("*.parquet"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(slow_sweep.pid, signal.SIGINT)
-    _, errors = slow_sweep.communicate(timeout=60)
+    _, errors = slow_sweep.communicate(timeout=PATIENCE)
     assert slow_sweep.returncode == 130
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
@@ -337,11 +340,11 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
     children = Path(f"/proc/{slow_sweep.pid}/task/{slow_sweep.pid}/children")
     if not children.exists():
         pytest.skip("the kernel does not list the children of a process")
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE
     while not any(map(is_worker, children.read_text().split())) and time.monotonic() < deadline:
         time.sleep(0.001)
     os.killpg(slow_sweep.pid, signal.SIGINT)
-    _, errors = slow_sweep.communicate(timeout=60)
+    _, errors = slow_sweep.communicate(timeout=PATIENCE)
     assert slow_sweep.returncode == 130
     assert "Traceback" not in errors
 

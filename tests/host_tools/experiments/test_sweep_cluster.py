@@ -35,7 +35,7 @@ from distributed import LocalCluster
 if __name__ == "__main__":
     workers = int(sys.argv[1])
     with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
-        print(cluster_module.scheduler_address, flush=True)
+        print(cluster.scheduler_address, flush=True)
         sys.stdin.read()
 """
 """Worker processes, until the input ends."""

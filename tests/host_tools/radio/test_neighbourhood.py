@@ -49,7 +49,8 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.world import World
 from multicast import multicast
 from node_thread import join, meanwhile, node_in_a_thread
-from wire import Wire, record
+from support import PATIENCE
+from wire import Wire, record, still
 
 ID = 3
 TICKS = 25
@@ -199,7 +200,8 @@ def judge(
     controller: RobotNode, plan: RadioSettings | None = None, phases: Sequence[Phase] = PHASES
 ) -> Verdict:
     """What the judge says of a controller."""
-    return Verification(plan or settings(), Bench(Wire(controller), TICKS, 0.05), phases).run()
+    with still():
+        return Verification(plan or settings(), Bench(Wire(controller), TICKS, 0.05), phases).run()
 
 
 def obedient(firmware: str = "native") -> RobotNode:
@@ -249,6 +251,7 @@ def test_a_phase_in_which_nothing_happens_proves_nothing() -> None:
     assert [phase.name for phase in verdict.phases if phase.outcome == "nothing happened"] == ["loss"]
 
 
+@still()
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     controller, done = obedient(), list[int]()
     bench = Bench(
@@ -261,6 +264,7 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     assert (controller.ticks, controller.is_settled) == (TICKS + 3, True)
 
 
+@still()
 def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     """An observe and a settle of the first phase."""
 
@@ -284,6 +288,7 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     assert "twice" not in headline(judge(obedient()).plain())
 
 
+@still()
 def test_a_bus_that_fails_ends_a_verification() -> None:
     class Failing(Wire):
         def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -625,6 +630,7 @@ def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
     assert "robot 3 did not say that it is there within 0.05 s" in " ".join(capsys.readouterr().out.split())
 
 
+@still()
 def test_a_controller_may_be_started_afterwards() -> None:
     controller = obedient()
     wire = Wire(controller)  # it says at once that it is there
@@ -640,7 +646,7 @@ def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[
     choice, own = multicast(9), record(3, "native", 0.55)
     log = tmp_path / "run.log"
     with choice.open() as bus, start_nodes([own], lambda robot: choice, Subjects(), 10) as nodes:
-        Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
+        Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
         options = f"{CONTROLLER} --verify --steps 20 --timeout 30 --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0
     assert "PASSED: 19 of 19 phases passed" in capsys.readouterr().out
@@ -677,7 +683,7 @@ def test_neighbours_in_real_time_hear_and_are_heard(
 def speak_as(*senders: int) -> None:
     """Let other nodes say something once the radio is at work."""
     with join() as bus:
-        while (frame := bus.recv(60)) is not None and frame.arbitration_id & 0x7F != 4:
+        while (frame := bus.recv(PATIENCE)) is not None and frame.arbitration_id & 0x7F != 4:
             pass
         for sender in senders:
             bus.send(encode(Message(sender, 7, 0, 0), FrameFormat()), timeout=1)

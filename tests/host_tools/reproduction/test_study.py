@@ -144,6 +144,7 @@ def count_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
     return started
 
 
+@pytest.mark.slow
 def test_the_whole_study_makes_a_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -37,7 +37,8 @@ from mcp_asdf_tools.robots.node_run import state_of
 from mcp_asdf_tools.robots.processes import start_nodes
 from multicast import multicast
 from robots import ALPHA_ONE
-from wire import Wire, node, record
+from support import PATIENCE
+from wire import Wire, node, record, still
 
 COLOURS = (*Observation, None)
 """The possible observations of a tick."""
@@ -151,6 +152,7 @@ def test_estimates_count_whenever_they_come(when: str) -> None:
     assert (robot.robot.beta > 0) == (when == "between ticks")  # of the last round
 
 
+@still()
 def test_frames_of_each_kind_are_numbered_on_their_own() -> None:
     robot = node(5, comms_period=2, filter_period=2)
     wire = Wire(robot)
@@ -168,6 +170,7 @@ def test_frames_of_each_kind_are_numbered_on_their_own() -> None:
 
 
 @pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
+@still()
 def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
     robots, ids = [node(i, firmware, 0.55 + 0.1 * i) for i in range(4)], range(4)
     twins = [node(i, firmware, 0.55 + 0.1 * i).robot for i in ids]
@@ -194,6 +197,7 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
     assert lockstep.tick == 120
 
 
+@still()
 def test_late_robots_are_named() -> None:
     robots = [node(i) for i in range(3)]
     wire = Wire(*robots)
@@ -208,6 +212,7 @@ def test_late_robots_are_named() -> None:
         lockstep.settle(range(3))
 
 
+@still()
 def test_what_came_before_it_was_waited_for_counts() -> None:
     lockstep = Lockstep(Wire(node(1), node(2)), timeout=0.02)
     lockstep.wait_until_up({1, 2}, 0.01)
@@ -218,6 +223,7 @@ def test_what_came_before_it_was_waited_for_counts() -> None:
         lockstep.estimates({3})
 
 
+@still()
 def test_estimates_of_an_earlier_tick_do_not_count() -> None:
     lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
     for _ in range(2):
@@ -228,6 +234,7 @@ def test_estimates_of_an_earlier_tick_do_not_count() -> None:
         lockstep.estimates({1})
 
 
+@still()
 def test_a_robot_that_restarts_is_noticed() -> None:
     wire = Wire(node(1))
     lockstep = Lockstep(wire, timeout=0.02)
@@ -242,6 +249,7 @@ def test_a_robot_that_restarts_is_noticed() -> None:
         lockstep.settle({1})
 
 
+@still()
 def test_a_driver_may_join_robots_that_have_run_before() -> None:
     robot = node(1)
     for lockstep in (Lockstep(Wire(robot)), Lockstep(Wire(robot))):
@@ -251,6 +259,7 @@ def test_a_driver_may_join_robots_that_have_run_before() -> None:
     assert robot.ticks == 10
 
 
+@still()
 def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
     wire, seen = Wire(node(1), node(2)), list[can.Message]()
 
@@ -265,7 +274,7 @@ def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
     assert [frame for frame in seen if not frame.is_rx] == wire.sent
     assert [frame.is_rx for frame in seen] == [False, False, *[True] * 4, False, False, True, True]
     with pytest.raises(ZeroDivisionError):
-        lockstep.wait_until_up({3}, 60)
+        lockstep.wait_until_up({3}, PATIENCE)
 
 
 def decoded(frame: can.Message) -> Command:
@@ -306,6 +315,7 @@ def play(wire: Wire, ticks: int = 40) -> Lockstep:
     return lockstep
 
 
+@still()
 def test_a_command_that_is_lost_once_is_said_again() -> None:
     """To those alone who have not answered; the run ends in the same bits."""
     observes = {(5, 2), (5, 3), (9, 1), (20, 1)}
@@ -330,6 +340,7 @@ def contents(frames: list[can.Message]) -> list[tuple[int, bytes]]:
 
 
 @pytest.mark.parametrize(("action", "what"), [("OBSERVE", "broadcast its estimate"), ("SETTLE", "settle")])
+@still()
 def test_a_command_that_is_lost_twice_ends_the_run(action: str, what: str) -> None:
     def is_lost(order: Command, times: int) -> bool:
         return order.tick == 7 and order.target == 2 and order.action.name.startswith(action)
@@ -341,6 +352,7 @@ def test_a_command_that_is_lost_twice_ends_the_run(action: str, what: str) -> No
     assert sum(name.startswith(action) for name in names) == 2
 
 
+@still()
 def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
     """The robot has settled: told again, it must not do so twice."""
     wire = Lossy(*map(node, (1, 2, 3)), loses=lambda order, times: False, mute=8)
@@ -351,6 +363,7 @@ def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
     assert [robot.traffic.disobeyed for robot in wire.nodes] == [1] * 3
 
 
+@still()
 def test_a_tick_may_be_left_open() -> None:
     """As if every settle had been lost: the robots have ended it when they observe again."""
     wire, twins = Wire(node(1)), Wire(node(1))
@@ -368,6 +381,7 @@ def test_a_tick_may_be_left_open() -> None:
     assert wire.nodes[0].traffic.unsettled == 20
 
 
+@still()
 def test_commands_are_where_they_were_asked_to_be() -> None:
     subjects = Subjects(FrameFormat(1), FrameFormat(2), FrameFormat(3, priority=0))
     wire = Wire(RobotNode(record(1).make(), NodeSettings(1, subjects)))
@@ -381,6 +395,7 @@ def test_commands_are_where_they_were_asked_to_be() -> None:
     assert commands == [Command(99, n // 2, 1, actions[n % 2], n % 32) for n in range(80)]
 
 
+@still()
 def test_ids_and_subjects_that_clash_are_refused() -> None:
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
         Lockstep(Wire()).observe({126: Observation.WHITE})
@@ -399,8 +414,8 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
     twins = Wire(*(RobotNode(each.make(), NodeSettings(each.id)) for each in records))
     draw, ids = random.Random(3), (0, 7)
     with choice.open() as bus, start_nodes(records, lambda robot: choice, Subjects(), 10) as nodes:
-        lockstep, model = Lockstep(bus, timeout=30, check=nodes.check), Lockstep(twins)
-        lockstep.wait_until_up(ids, 60)
+        lockstep, model = Lockstep(bus, timeout=PATIENCE, check=nodes.check), Lockstep(twins)
+        lockstep.wait_until_up(ids, PATIENCE)
         for tick in range(60):
             z = {robot: draw.choice(COLOURS) for robot in ids}
             due = ids if tick % 2 else (0,)
@@ -424,7 +439,7 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
     ):
         lockstep = Lockstep(bus, check=nodes.check)
         with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: .*memory is 63"):
-            lockstep.wait_until_up({3}, 60)
+            lockstep.wait_until_up({3}, PATIENCE)
     assert nodes.reports == {}
 
 
@@ -432,11 +447,11 @@ def test_processes_end_when_whoever_started_them_dies() -> None:
     """Their standard input ends then; nothing else tells them."""
     choice = multicast(3)
     with choice.open() as bus, start_nodes([record(3)], lambda robot: choice, Subjects(), 10) as nodes:
-        Lockstep(bus, check=nodes.check).wait_until_up({3}, 60)
+        Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
         (process,) = nodes._processes.values()
         assert process.stdin is not None
         process.stdin.close()
-        assert process.wait(30) == 0
+        assert process.wait(PATIENCE) == 0
         process.stdin = None
 
 

@@ -45,6 +45,7 @@ from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 from node_thread import join, meanwhile, node_in_a_thread
 from robots import ALPHA_ONE
+from support import PATIENCE, interruptible
 from wire import node, record
 
 WHITE, BLACK = Observation
@@ -342,8 +343,8 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
 
     def drive() -> None:
         with join() as bus:
-            lockstep = Lockstep(bus, timeout=20)
-            lockstep.wait_until_up({5}, 20)
+            lockstep = Lockstep(bus, timeout=PATIENCE)
+            lockstep.wait_until_up({5}, PATIENCE)
             for tick in range(40):
                 z = (WHITE, BLACK, None)[tick * tick % 3]
                 lockstep.observe({5: z})
@@ -371,6 +372,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
     assert main(["replay", str(log)]) == 0
 
 
+@interruptible()
 def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -378,12 +380,12 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
 
     def impersonate() -> None:
         with join() as bus:
-            while estimates([frame] if (frame := bus.recv(20)) else [], 3) == []:
+            while estimates([frame] if (frame := bus.recv(PATIENCE)) else [], 3) == []:
                 pass
             for number in range(3):
                 bus.send(encode(Message(3, number, 0, number), FrameFormat()), timeout=1)
             for _ in range(5):  # ticks in which it hears that
-                assert bus.recv(20) is not None
+                assert bus.recv(PATIENCE) is not None
         os.kill(os.getpid(), signal.SIGINT)
 
     with meanwhile(impersonate):
@@ -399,6 +401,7 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(("ticks", "code"), [("", 0), ("--steps 100000", 130)])
+@interruptible()
 def test_signals_end_it_with_all_saved(
     number: signal.Signals, ticks: str, code: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -407,7 +410,7 @@ def test_signals_end_it_with_all_saved(
     def end_it() -> None:
         with join() as bus:
             for _ in range(5):
-                assert bus.recv(20) is not None
+                assert bus.recv(PATIENCE) is not None
         os.kill(os.getpid(), number)
 
     with meanwhile(end_it):
@@ -430,7 +433,7 @@ def test_it_ends_with_its_standard_input_if_asked_to(
         os.write(writing, b"something to read is no end\n")
         with join() as bus:
             for _ in range(5):
-                assert bus.recv(20) is not None
+                assert bus.recv(PATIENCE) is not None
         os.close(writing)
 
     with meanwhile(end_it):

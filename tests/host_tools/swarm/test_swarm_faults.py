@@ -37,6 +37,7 @@ from mcp_asdf_tools.swarm.summary import load_warning, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.arenas import make_arena
 from multicast import multicast
+from support import slow
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """And some more: of this process, for tests in others run at the same time."""
@@ -390,7 +391,7 @@ def test_invariants_hold_under_any_mix_of_faults(
         assert accounted == found["arrived"]
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("rate", [0.5, *slow([0.0, 0.9])])
 def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
     """All sensors are as good as they are taken for; the bounds leave room, and the seed is fixed."""
     run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, steps=600, filter_period=200, seed=2))
@@ -499,7 +500,7 @@ def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
 # As many as there can be
 
 
-@pytest.mark.parametrize("medium", ["one bus", "one group"])
+@pytest.mark.parametrize("medium", ["one bus", *slow(["one group"])])
 def test_128_robots(medium: str) -> None:
     """More frames than a socket keeps, so they have to be read while others are still sent."""
     settings = make(robots=128, steps=2, flawed=0.1)

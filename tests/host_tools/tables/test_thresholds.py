@@ -45,6 +45,7 @@ from mcp_asdf_tools.tables.thresholds import (
     parse_omega,
     worst_threshold_error,
 )
+from support import slow
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = [("0.05", 127), ("0.1", 127), ("0.15", 127), ("0.2", 127), ("0.25", 127), ("0.05", 30)]
@@ -163,14 +164,14 @@ def test_the_oracle_refuses_a_neighbouring_entry(omega: str, q: int) -> None:
 # --- The generator ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("omega", "q"), SHIPPED + EDGES + random_cases(24, seed=1))
+@pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES, *slow(random_cases(24, seed=1))])
 def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
     table = generate(Decimal(omega), q)
     assert table.q == q
     assert wrong_entries(table, Decimal(omega)) == []
 
 
-@pytest.mark.parametrize(("omega", "q"), SHIPPED + EDGES + random_cases(40, seed=2))
+@pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES, *slow(random_cases(40, seed=2))])
 def test_the_firmware_accepts_every_table(omega: str, q: int) -> None:
     table = generate(Decimal(omega), q)
     assert Table.from_words(table.words()) == table
