@@ -12,7 +12,7 @@ from typing import Any
 import z3
 from proofs.machine import Machine, Summary
 from proofs.numbers import Integers, Type, known
-from proofs.prove import Contract, prove
+from proofs.prove import By, Contract, Step, prove
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
 PREPARED = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
@@ -98,9 +98,11 @@ PRODUCTS = {
     "multiply_high": Contract(lambda found, a, b: found == _word(63, _wide(a) * _wide(b))),
 }
 SPLIT_PRODUCTS = {
-    "multiply": Contract(lambda found, a, b: found == _sum_of_halves(a, b), steps=(_halves_fit,)),
+    "multiply": Contract(
+        lambda found, a, b: found == _sum_of_halves(a, b), steps=(Step(_halves_fit),), by=By.SUMS
+    ),
     "multiply_high": Contract(
-        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(_halves_fit,)
+        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(Step(_halves_fit),), by=By.SUMS
     ),
 }
 
@@ -208,9 +210,10 @@ def _digit(divide: int, least: int) -> Contract:
         ),
         safe=lambda rest, d, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
         steps=(
-            lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits),
-            lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d,
+            Step(lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits)),
+            Step(lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d),
         ),
+        by=By.SUMS,
         cases=("bits", (7, 12)),
         uses={"estimate_digit": estimate.stands_in("estimate_digit")},
     )
@@ -297,8 +300,13 @@ def _ratio_in_integers(machine: Machine, a: Any, d: Any) -> Any:
     """ratio() for quotient(), which only takes its two words apart."""
     machine.claim(z3.And(d.term > 0, a.term <= d.term), "what ratio requires")
     upper_a, half_d, scale = (machine.unknown("ratio", Type(bits)) for bits in (32, 32, 64))
-    machine.facts.append(is_ratio(upper_a.term, half_d.term, a.term, d.term, scale.term))
+    machine.know(is_ratio(upper_a.term, half_d.term, a.term, d.term, scale.term))
     return {"high": upper_a, "low": half_d}
+
+
+def quotient_ensures(found: Any, a: Any, d: Any) -> Any:
+    """At most 7 units of 2^-32 too small, never too large."""
+    return z3.And(found * d <= 2**32 * a, 2**32 * a <= (found + 7) * d, found < 2**32)
 
 
 def is_tried(variant: Variant, name: str) -> bool:
@@ -316,7 +324,7 @@ def contracts(variant: Variant) -> dict[str, Contract]:
         "divide_31": quotients["divide_31"].stands_in("divide_31"),
     }
     quotient = Contract(
-        lambda found, a, d: z3.And(found * d <= 2**32 * a, 2**32 * a <= (found + 7) * d, found < 2**32),
+        quotient_ensures,
         Integers,
         requires=lambda a, d: z3.And(d > 0, a <= d),
         uses=uses,

@@ -21,7 +21,7 @@ INTEGERS = {
     **{f"uint{bits}_t": Type(bits) for bits in (8, 16, 32, 64)},
     **{f"int{bits}_t": Type(bits, signed=True) for bits in (8, 16, 32, 64)},
 }
-TURNS_MOST = 64
+TURNS_MOST = 256
 """A loop without a stated bound is given up after so many turns."""
 
 
@@ -107,6 +107,8 @@ class Machine:
             return self.unknown(name, kind)
         if isinstance(kind, c_ast.PtrDecl):
             return self.at(name, self.unknown_of(kind.type, name))
+        if not isinstance(kind, c_ast.Struct):
+            return None
         return {each.name: self.unknown_of(each.type, each.name) for each in kind.decls}
 
     def constant_of(self, declared: Any, value: int) -> Number:
@@ -116,6 +118,10 @@ class Machine:
     def variable(self, name: str) -> Place:
         """A variable of the function that runs."""
         return Place((self._frames[-1].number, name))
+
+    def declare(self, declaration: Any) -> None:
+        """A variable of which nothing is known but its type."""
+        self._declare(declaration.name, declaration.type, self.unknown_of(declaration.type, declaration.name))
 
     def at(self, name: str, value: Any) -> Place:
         """A pointer to a new variable with this value."""
@@ -130,6 +136,10 @@ class Machine:
             value = value[step]
         return value
 
+    def know(self, formula: Any) -> None:
+        """Something that holds wherever the program gets here."""
+        self.facts.append(z3.Implies(z3.And(self._path), formula) if self._path else formula)
+
     def claim(self, formula: Any, about: str) -> None:
         """Something that must hold here."""
         if not z3.is_true(z3.simplify(formula)):
@@ -143,17 +153,17 @@ class Machine:
         self._names += 1
         frame = Frame(self._names, definition)
         self._frames.append(frame)
-        for parameter, argument in zip(definition.decl.type.args.params, arguments, strict=True):
+        for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
             self._declare(parameter.name, parameter.type, argument)
         depth = len(self._path)
-        self._execute(definition.body)
+        self.execute(definition.body)
         del self._path[depth:]
         self._frames.pop()
         return self._chosen(frame.returned)
 
     # --- Statements ---
 
-    def _execute(self, node: Any) -> None:
+    def execute(self, node: Any) -> None:
         getattr(self, f"_{type(node).__name__}", self._expression_statement)(node)
 
     def _expression_statement(self, node: Any) -> None:
@@ -161,11 +171,11 @@ class Machine:
 
     def _Compound(self, node: Any) -> None:  # noqa: N802
         for item in node.block_items or []:
-            self._execute(item)
+            self.execute(item)
 
     def _DeclList(self, node: Any) -> None:  # noqa: N802
         for each in node.decls:
-            self._execute(each)
+            self.execute(each)
 
     def _Decl(self, node: Any) -> None:  # noqa: N802
         kind = self._resolve(node.type)
@@ -188,14 +198,20 @@ class Machine:
     def _If(self, node: Any) -> None:  # noqa: N802
         self._branch(
             self.truth(node.cond),
-            lambda: self._execute(node.iftrue),
-            lambda: None if node.iffalse is None else self._execute(node.iffalse),
+            lambda: self.execute(node.iftrue),
+            lambda: None if node.iffalse is None else self.execute(node.iffalse),
         )
 
     def _For(self, node: Any) -> None:  # noqa: N802
         if node.init is not None:
-            self._execute(node.init)
+            self.execute(node.init)
         self._turn(node, 0)
+
+    def _While(self, node: Any) -> None:  # noqa: N802
+        self._turn(node, 0)
+
+    def _EmptyStatement(self, node: Any) -> None:  # noqa: N802
+        """Nothing."""
 
     def _turn(self, node: Any, made: int) -> None:
         condition = z3.simplify(self.truth(node.cond))
@@ -207,10 +223,11 @@ class Machine:
             return
 
         def go_on() -> None:
-            self._execute(node.stmt)
+            self.execute(node.stmt)
             if self.after_turn is not None and not any(nodes(node.stmt, c_ast.For)):
                 self.after_turn(self)
-            self.value(node.next)
+            if isinstance(node, c_ast.For):
+                self.value(node.next)
             self._turn(node, made + 1)
 
         self._branch(condition, go_on, lambda: None)
@@ -223,26 +240,26 @@ class Machine:
             otherwise()
         else:
             before = dict(self._memory)
-            with self._under(condition) as ended_then:
+            with self._under(condition) as after_first:
                 then()
             after_then, self._memory = self._memory, before
-            with self._under(z3.Not(condition)) as ended_otherwise:
+            with self._under(z3.Not(condition)) as after_second:
                 otherwise()
             self._memory = {
                 key: _merged(condition, after_then[key], value)
                 for key, value in self._memory.items()
                 if key in after_then
             }
-            self._path += [z3.Not(condition)] * len(ended_then) + [condition] * len(ended_otherwise)
+            self._path += after_first + after_second
 
     @contextmanager
-    def _under(self, condition: Any) -> Iterator[list[bool]]:
-        """On a path of its own; the list says afterwards whether that path ended with a return."""
-        depth, ended = len(self._path), list[bool]()
+    def _under(self, condition: Any) -> Iterator[list[Any]]:
+        """On a path of its own; the list says afterwards what is known behind it: where the condition holds,
+        that no return has ended the path."""
+        depth, behind = len(self._path), list[Any]()
         self._path.append(condition)
-        yield ended
-        if any(z3.is_false(each) for each in self._path[depth:]):
-            ended.append(True)
+        yield behind
+        behind += [z3.Implies(condition, each) for each in self._path[depth + 1 :]]
         del self._path[depth:]
 
     # --- Expressions ---
@@ -355,7 +372,7 @@ class Machine:
         name = node.name.name
         if name == "__builtin_clz":
             return self._count_leading_zeros(arguments[0])
-        kinds = [self._resolve(each.type) for each in self.program.functions[name].decl.type.args.params]
+        kinds = [self._resolve(each.type) for each in self.program.parameters(name)]
         given = zip(arguments, kinds, strict=True)
         return self.call(name, *(self._converted(each, kind) for each, kind in given))
 

@@ -81,6 +81,10 @@ class Program:
         """Names of the functions that this file defines."""
         return [name for name, each in self.functions.items() if each.coord.file == str(path)]
 
+    def parameters(self, name: str) -> list[Any]:
+        """Declarations of a function's parameters."""
+        return list(self.functions[name].decl.type.args.params)
+
     def callees(self, name: str) -> set[str]:
         """Functions of the program that this one calls."""
         return {
