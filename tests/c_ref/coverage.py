@@ -18,8 +18,11 @@ VARIANTS = ("1001", "2100", "1000", "3010", "4000", "2000")
 """Those of ``CMakeLists.txt``."""
 WHITE_BOX = ("words", "division", "estimate", "rounds", "state", "wide")
 """Without ``damaged``, whose inputs are random, and ``accuracy``, which finds nothing new in more time."""
-SOURCES = sorted(CORE.parent.glob("*.c"))
-BLACK_BOX = ("api", "frame", "golden_run")
+PORTS = ROOT / "c_ref/ports"
+SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
+FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}
+"""Files whose conditions count."""
+BLACK_BOX = ("api", "frame", "golden_run", "node")
 FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
 Span = tuple[int, int, int, int]
@@ -97,7 +100,7 @@ def programs(folder: Path) -> Iterator[Path]:
 
 
 def _compiled(program: Path, *arguments: str | Path) -> Path:
-    run("clang-19", *FLAGS, f"-I{CORE.parent}", *arguments, "-o", program)
+    run("clang-19", *FLAGS, f"-I{CORE.parent}", f"-I{PORTS}", *arguments, "-o", program)
     return program
 
 
@@ -113,6 +116,6 @@ def measured(folder: Path) -> Decisions:
             *(f"-instr-profile={profile}", program),
         )
         for function in json.loads(exported)["data"][0]["functions"]:
-            if Path(function["filenames"][0]).parent == CORE.parent:
+            if Path(function["filenames"][0]) in FIRMWARE:
                 found.add(function)
     return found
