@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import Any
 
 import z3
+
 from proofs.machine import Machine, Summary
 from proofs.numbers import Integers, Type, known
 from proofs.prove import By, Contract, Step, prove

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import z3
+
 from proofs.arithmetic import contracts as arithmetic_contracts
 from proofs.arithmetic import quotient_ensures
 from proofs.machine import Machine, Summary

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from pycparser import c_ast
+
 from proofs.machine import Machine
 from proofs.numbers import Words
 from proofs.prove import Contract, always, prove_obligations, prove_safe
 from proofs.source import Program, nodes
-from pycparser import c_ast
 
 
 def loops_in(program: Program, name: str) -> list[Any]:

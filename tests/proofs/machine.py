@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import z3
+from pycparser import c_ast
+
 from proofs.numbers import Arithmetic, Number, Type, known
 from proofs.source import Program, nodes, stated_turns
-from pycparser import c_ast
 
 INTEGERS = {
     "_Bool": Type(1),

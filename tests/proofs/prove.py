@@ -10,6 +10,7 @@ from operator import mul
 from typing import Any, Protocol
 
 import z3
+
 from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Arithmetic, Number, Words
 from proofs.source import Program
@@ -63,6 +64,15 @@ def _with_names(term: Any, names: dict[tuple[int, ...], Any], done: dict[int, An
 def _has_integers(term: Any) -> bool:
     """Multiplied out, products of whole numbers are alike where they are equal; those of words are not."""
     return term.sort() == z3.IntSort() or any(_has_integers(each) for each in term.children())
+
+
+def refuse_contradiction(known: list[Any], name: str) -> None:
+    """Anything follows from what contradicts itself. The solver need not find an example."""
+    solver = z3.Solver()
+    solver.set("timeout", 200)
+    solver.add(*known)
+    if solver.check() == z3.unsat:
+        raise UnprovenError(f"{name}: what is known contradicts itself")
 
 
 def terms(value: Any) -> Any:
@@ -161,6 +171,7 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
         if invariant:
             invariant.at_end(machine, results[0])
         prove_obligations(machine, name)
+        refuse_contradiction(machine.facts, name)
         shown: list[Any] = []
         for number, step in enumerate((*contract.steps, Step(contract.ensures, contract.by)), 1):
             formula = step.formula(*results, *before)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pycparser import c_ast, c_generator, c_parser
+
 from support import ROOT, run
 
 SOURCES = ROOT / "c_ref/src"

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from proofs.source import INCLUDE, LANES, SOURCES, Variant
 from support import CORE, require, run
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import z3
+
 from proofs.arithmetic import PREPARED, contracts, is_ratio, is_tried
 from proofs.prove import UnprovenError, prove, prove_contract, prove_safe, safe_callees
 from proofs.source import HEADER, VARIANTS, Program, Variant, program
