@@ -3,7 +3,8 @@
  *
  * Each function has one contract, which all variants meet to the bit: inputs, result, bound. [a, b) is the
  * range of the integer on the left; "Q32" is a value in units of 2^-32. Inputs outside the ranges, which only
- * damaged memory can bring about, give a meaningless result, but never a trap or an endless loop.
+ * damaged memory can bring about, give a meaningless result, but never a trap or an endless loop. "Lemma"
+ * names the proof of a contract, for all arguments and every variant, in tests/proofs/arithmetic.py.
  */
 #ifndef MCP_ASDF_ARITHMETIC_H
 #define MCP_ASDF_ARITHMETIC_H
@@ -145,19 +146,20 @@ static inline uint32_t high_word(uint64_t value)
     return words.word[1];
 }
 #else
-/* high 2^32 + low. */
+/* high 2^32 + low. Lemma join. */
 ALWAYS_INLINE uint64_t join(uint32_t high, uint32_t low) { return (uint64_t)high << 32 | low; }
 
-/* floor(value / 2^32). */
+/* floor(value / 2^32). Lemma high_word. */
 ALWAYS_INLINE uint32_t high_word(uint64_t value) { return (uint32_t)(value >> 32); }
 #endif
 
-/* value modulo 2^32. */
+/* value modulo 2^32. Lemma low_word. */
 ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
 /* ---- Shifts ------------------------------------------------------------------------------------------- */
 
 #if MCP_ASDF_SHIFT_BYTES
+/* The same as below, in counts of a byte. Lemmas shift_left_by, shift_right_by. */
 NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
 {
     for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
@@ -184,12 +186,13 @@ static inline uint32_t shift_right(uint32_t value, uint32_t count)
     return shift_right_by(value, (uint8_t)count);
 }
 #else
-/* value 2^count modulo 2^32, and floor(value / 2^count), count in [0, 31]: callers mask what memory holds. */
+/* value 2^count modulo 2^32, and floor(value / 2^count), count in [0, 31]: callers mask what memory holds.
+ * Lemmas shift_left, shift_right. */
 ALWAYS_INLINE uint32_t shift_left(uint32_t value, uint32_t count) { return value << count; }
 ALWAYS_INLINE uint32_t shift_right(uint32_t value, uint32_t count) { return value >> count; }
 #endif
 
-/* floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. */
+/* floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma shift_right_64. */
 ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
 {
     if ((count & 32) != 0) {
@@ -205,7 +208,7 @@ typedef struct {
     uint32_t high, low;
 } word_pair_t;
 
-/* value 2^count, count in [0, 31]; of other counts the lower 5 bits. */
+/* value 2^count, count in [0, 31]; of other counts the lower 5 bits. Lemma shift_left_wide. */
 ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 {
     const uint32_t masked = count & 31;
@@ -218,13 +221,13 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
     return shifted;
 }
 
-/* Upper word of value 2^count modulo 2^64, count in [0, 31]. */
+/* Upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
     return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31);
 }
 
-/* Leading zeros of value > 0: [0, 31]; 31 for value = 0. */
+/* Leading zeros of value > 0: [0, 31]; 31 for value = 0. Lemma leading_zeros. */
 #if MCP_ASDF_HAS_CLZ
 ALWAYS_INLINE uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value | 1); }
 #elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
@@ -304,7 +307,7 @@ WARM uint32_t multiply_high(uint32_t a, uint32_t b)
     return a1 * b1 + (middle >> 16) + (middle2 >> 16);
 }
 #else
-/* a b, and floor(a b / 2^32): exact. */
+/* a b, and floor(a b / 2^32): exact. Lemmas multiply, multiply_high. */
 #ifdef __AVR__ /* where avr-gcc, inlining it, often multiplies 64 by 64 bits */
 NOINLINE uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
 #else
@@ -314,7 +317,7 @@ ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(
 #endif
 
 /* *sum += term, in memory before anything further begins: the sums of a round, which a compiler would gladly
- * add side by side, are more than a small core has registers for. */
+ * add side by side, are more than a small core has registers for. Lemma add. */
 ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
 {
     *sum += term;
@@ -330,7 +333,8 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
  * The last rest corrects the quotient: it is the exact floor however the digits were estimated.
  *
  * take_digit(): the next `bits` <= 12 bits of a quotient, of which d = [2^30, 2^31] is the divisor, and
- * prepare(d) what all digits share. The rest is below 2 d before and after. */
+ * prepare(d) what all digits share. The rest is below 2 d before and after. Lemmas prepare, estimate_digit,
+ * take_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
 ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1; } /* > d / 2^15 */
 
@@ -374,8 +378,8 @@ ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_BITS
-/* floor(2^bits a / d) modulo 2^32 for bits < 32, a < 2 d and d <= 2^31, which keeps a below 2^32. Each byte
- * of the quotient is collected by itself: a shift of one takes a quarter of the time. */
+/* floor(2^bits a / d) for bits 24 and 31, a < 2 d and d <= 2^31, which keeps a below 2^32. Each byte of the
+ * quotient is collected by itself: a shift of one takes a quarter of the time. Lemma divide_by_bits. */
 NOINLINE uint32_t divide_by_bits(uint32_t a, uint32_t d, uint8_t bits)
 {
     uint32_t quotient = 0;
@@ -406,7 +410,8 @@ ALWAYS_INLINE uint32_t take_digit(uint32_t *rest, uint32_t d, uint32_t prepared,
     return digit;
 }
 
-/* floor(2^24 a / d) for a < 2 d and 2^29 <= d <= 2^31: below 2^25. The reciprocals begin at 2^30. */
+/* floor(2^24 a / d) for a < 2 d and 2^29 <= d <= 2^31: below 2^25. The reciprocals begin at 2^30. Lemma
+ * divide_24. */
 SHARED uint32_t divide_24(uint32_t a, uint32_t d)
 {
     if (MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0) {
@@ -418,7 +423,7 @@ SHARED uint32_t divide_24(uint32_t a, uint32_t d)
     return (first << 12) + second + (a >= d);
 }
 
-/* floor(2^31 a / d) for a < 2 d and 2^30 <= d <= 2^31: below 2^32. */
+/* floor(2^31 a / d) for a < 2 d and 2^30 <= d <= 2^31: below 2^32. Lemma divide_31. */
 ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 {
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
@@ -429,7 +434,7 @@ ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 
 /* The upper 32 bits of d > 0 and of 0 <= a <= d, in the same places, for divide_24() and divide_31(): the
  * dividend in the upper word, and in the lower word half the divisor, rounded up. The quotient is at most
- * 2^-31 + 2^-30 a / d less than a / d, and never more. */
+ * 2^-31 + 2^-30 a / d less than a / d, and never more. Lemma ratio. */
 ALWAYS_INLINE uint64_t ratio(uint64_t a, uint64_t d)
 {
     if (high_word(d) == 0) {
@@ -440,7 +445,7 @@ ALWAYS_INLINE uint64_t ratio(uint64_t a, uint64_t d)
     return join(upper(a, shift), (upper(d, shift) >> 1) + 1);
 }
 
-/* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. */
+/* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. Lemma quotient. */
 SHARED uint32_t quotient(uint64_t a, uint64_t d)
 {
     const uint64_t found = ratio(a, d);

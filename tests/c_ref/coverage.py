@@ -1,0 +1,121 @@
+"""Which conditions of the firmware's C its own C tests decide, each by itself: clang's MC/DC."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from support import CORE, ROOT, TABLE, require, run
+
+PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
+CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+VARIANTS = ("1001", "2100", "1000", "3010", "4000", "2000")
+"""Those of ``CMakeLists.txt``."""
+WHITE_BOX = ("words", "division", "estimate", "rounds", "state", "wide")
+"""Without ``damaged``, whose inputs are random, and ``accuracy``, which finds nothing new in more time."""
+PORTS = ROOT / "c_ref/ports"
+SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
+FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}
+"""Files whose conditions count."""
+BLACK_BOX = ("api", "frame", "golden_run", "node")
+FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
+
+Span = tuple[int, int, int, int]
+"""First line and column, last line and column."""
+
+
+@dataclass
+class Decisions:
+    """What was seen of the conditions and decisions of some functions.
+
+    Attributes:
+        outcomes: How often a condition was true and false, by function, file and place.
+        effects: Whether each condition of a decision changed its result by itself, in its order, likewise.
+    """
+
+    outcomes: dict[tuple[str, str, Span], list[int]] = field(
+        default_factory=lambda: defaultdict(lambda: [0, 0])
+    )
+    effects: dict[tuple[str, str, Span], list[bool]] = field(default_factory=dict)
+
+    def add(self, function: dict[str, Any]) -> None:
+        """Adds what one program saw of a function; what any of them saw counts."""
+        name = function["name"].replace(";", ":").rpartition(":")[2]
+        path = function["filenames"][0]
+        for *span, true, false, _, _, _ in function["branches"]:
+            seen = self.outcomes[name, path, _span(span)]
+            seen[0] += true
+            seen[1] += false
+        for record in function["mcdc_records"]:
+            key, effects = (name, path, _span(record[:4])), record[-1]
+            before = self.effects.get(key, [False] * len(effects))
+            self.effects[key] = [a or b for a, b in zip(before, effects, strict=True)]
+
+    def missing(self) -> Iterator[tuple[str, str, str]]:
+        """Function, text, and what was not seen: ``true``, ``false``, or ``effect of condition i``."""
+        for (name, path, span), (true, false) in sorted(self.outcomes.items()):
+            for outcome, count in (("true", true), ("false", false)):
+                if count == 0:
+                    yield name, text_at(path, span), outcome
+        for (name, path, span), effects in sorted(self.effects.items()):
+            for number, seen in enumerate(effects, 1):
+                if not seen:
+                    yield name, text_at(path, span), f"effect of condition {number}"
+
+
+def _span(numbers: Iterable[int]) -> Span:
+    first_line, first_column, last_line, last_column = numbers
+    return first_line, first_column, last_line, last_column
+
+
+@cache
+def _lines(path: str) -> list[str]:
+    return Path(path).read_text(encoding="utf-8").splitlines()
+
+
+def text_at(path: str, span: Span) -> str:
+    """A part of a source file on one line."""
+    first_line, first_column, last_line, last_column = span
+    lines = _lines(path)[first_line - 1 : last_line]
+    lines[-1] = lines[-1][: last_column - 1]
+    lines[0] = lines[0][first_column - 1 :]
+    return " ".join(" ".join(lines).split())
+
+
+def programs(folder: Path) -> Iterator[Path]:
+    """The C tests, as they are built for the project, with counters in them."""
+    require("clang-19", PACKAGES)
+    tests = ROOT / "tests/c_ref"
+    for name in BLACK_BOX:
+        yield _compiled(folder / name, tests / f"test_{name}.c", *SOURCES, TABLE)
+    for variant in VARIANTS:
+        chosen = [f"-DTEST_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=True)]
+        for name in WHITE_BOX:
+            yield _compiled(folder / f"{name}_{variant}", tests / f"test_{name}.c", *chosen)
+
+
+def _compiled(program: Path, *arguments: str | Path) -> Path:
+    run("clang-19", *FLAGS, f"-I{CORE.parent}", f"-I{PORTS}", *arguments, "-o", program)
+    return program
+
+
+def measured(folder: Path) -> Decisions:
+    """Of all C tests together."""
+    found = Decisions()
+    for program in programs(folder):
+        raw, profile = program.with_suffix(".profraw"), program.with_suffix(".profdata")
+        run(program, LLVM_PROFILE_FILE=str(raw))
+        run(require("llvm-profdata-19", PACKAGES), "merge", "-o", profile, raw)
+        exported = run(
+            *(require("llvm-cov-19", PACKAGES), "export", "-skip-expansions"),
+            *(f"-instr-profile={profile}", program),
+        )
+        for function in json.loads(exported)["data"][0]["functions"]:
+            if Path(function["filenames"][0]) in FIRMWARE:
+                found.add(function)
+    return found

@@ -1,0 +1,34 @@
+"""Every condition of the firmware that can be, is decided both ways by the C tests, and each by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from c_ref.coverage import SOURCES, measured
+from support import CORE
+
+UNREACHED = {
+    ("divide_24", "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0", "effect of condition 1"): (
+        "a constant of each variant, so no run can change it; both its values are compiled and tested"
+    ),
+    ("prepare", "address", "false"): (
+        "the index of a reciprocal is above 64 in damaged memory only, which test_damaged.c tries at random"
+    ),
+}
+"""What cannot be seen: function, text, what of it; and the reason."""
+
+
+@pytest.mark.slow
+def test_every_condition_is_tested(tmp_path: Path) -> None:
+    """Missing means missing from all C tests together; ``test_damaged.c``, whose inputs are random, does not
+    count."""
+    found = measured(tmp_path)
+    assert {Path(path) for _, path, _ in found.outcomes} == {
+        *SOURCES,
+        CORE.with_name("mcp_asdf_arithmetic.h"),
+    }
+    assert len(found.outcomes) > 150 and sum(map(len, found.effects.values())) > 70
+    missing = sorted(found.missing())
+    assert missing == sorted(UNREACHED), "\n".join(map(str, missing))

@@ -1,0 +1,136 @@
+/* Every call of the firmware, with any arguments, on any memory contents: what Frama-C's Eva runs. Pointers
+ * are sound, and a table has the 130 words that may be read of it. */
+#include "mcp_asdf.c"
+#include "mcp_asdf_frame.c"
+#include "mcp_asdf_image.c"
+
+#ifdef __FRAMAC__
+#include "__fc_builtin.h"
+#else /* for compilers, which have no values between two bounds */
+void Frama_C_make_unknown(char *first, unsigned long count);
+int Frama_C_interval(int least, int most);
+unsigned char Frama_C_unsigned_char_interval(unsigned char least, unsigned char most);
+unsigned long Frama_C_unsigned_long_interval(unsigned long least, unsigned long most);
+#endif
+
+#define ID_IN_IMAGE 119
+#define UNKNOWN(object) Frama_C_make_unknown((char *)&(object), sizeof(object))
+
+static uint32_t table[130];
+static mcp_asdf_config_t config;
+static mcp_asdf_t robot;
+static uint8_t image[MCP_ASDF_IMAGE_SIZE];
+
+static uint32_t word(void) { return (uint32_t)Frama_C_unsigned_long_interval(0, UINT32_MAX); }
+static uint8_t byte(void) { return Frama_C_unsigned_char_interval(0, 255); }
+
+static void forget_all(void)
+{
+    UNKNOWN(table);
+    UNKNOWN(image);
+    UNKNOWN(robot);
+    robot.config = &config;
+    config.table = table;
+    config.filter_period = word();
+    config.memory = word();
+    config.filter = byte();
+}
+
+/* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
+ * it would not remember that the second one is refused before it serves as an index. */
+
+/* Those that accept a table, of any contents, or none. */
+static void accept_any(void)
+{
+    config.table = Frama_C_interval(0, 1) != 0 ? table : 0;
+    if (Frama_C_interval(0, 1) != 0) {
+        (void)mcp_asdf_init(&robot, &config, byte(), word());
+    } else if (image[ID_IN_IMAGE] <= MCP_ASDF_MAX_ID) {
+        (void)mcp_asdf_restore(&robot, &config, image);
+    } else {
+        (void)mcp_asdf_restore(&robot, &config, image);
+    }
+}
+
+/* Those that rely on an accepted one: its first word is right. */
+static void call_any(void)
+{
+    table[0] = TABLE_MAGIC + (uint32_t)Frama_C_interval(2, MCP_ASDF_MAX_ID);
+    switch (Frama_C_interval(0, 5)) {
+    case 0:
+        (void)mcp_asdf_observe(&robot, (mcp_asdf_observation_t)byte());
+        break;
+    case 1:
+        (void)mcp_asdf_receive(&robot, byte(), word(), word());
+        break;
+    case 2:
+        (void)mcp_asdf_step(&robot, (mcp_asdf_observation_t)byte());
+        break;
+    case 3:
+        (void)(mcp_asdf_x(&robot) + mcp_asdf_x_bar(&robot));
+        break;
+    case 4:
+        if (robot.id <= MCP_ASDF_MAX_ID) {
+            (void)mcp_asdf_invariants_hold(&robot);
+        } else {
+            (void)mcp_asdf_invariants_hold(&robot);
+        }
+        break;
+    default:
+        mcp_asdf_save(&robot, image);
+    }
+}
+
+static mcp_asdf_frame_t frame;
+static mcp_asdf_frame_format_t format;
+static mcp_asdf_estimate_t estimate_message;
+static mcp_asdf_heartbeat_t heartbeat;
+static mcp_asdf_telemetry_t telemetry;
+static mcp_asdf_command_t command;
+
+static void forget_messages(void)
+{
+    UNKNOWN(frame);
+    UNKNOWN(format);
+    UNKNOWN(estimate_message);
+    UNKNOWN(heartbeat);
+    UNKNOWN(telemetry);
+    UNKNOWN(command);
+}
+
+static void encode_any(void)
+{
+    (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
+    (void)mcp_asdf_encode_heartbeat(&frame, byte(), &heartbeat);
+    (void)mcp_asdf_encode_telemetry(&frame, &format, &telemetry);
+    (void)mcp_asdf_encode_command(&frame, &format, &command);
+}
+
+static void decode_any(void)
+{
+    const uint16_t subject = (uint16_t)word();
+    (void)mcp_asdf_decode_estimate(&estimate_message, subject, &frame);
+    (void)mcp_asdf_decode_heartbeat(&heartbeat, &frame);
+    (void)mcp_asdf_decode_telemetry(&telemetry, subject, &frame);
+    (void)mcp_asdf_decode_command(&command, subject, &frame);
+}
+
+int main(void)
+{
+    forget_all();
+    forget_messages();
+    switch (Frama_C_interval(0, 3)) {
+    case 0:
+        accept_any();
+        break;
+    case 1:
+        encode_any();
+        break;
+    case 2:
+        decode_any();
+        break;
+    default:
+        call_any();
+    }
+    return 0;
+}

@@ -1,0 +1,334 @@
+"""The lemmas of ``mcp_asdf_arithmetic.h``: one contract for each of its functions, by the function's name.
+
+A contract holds for every argument of the function's C type that it requires; most require nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import z3
+
+from proofs.machine import Machine, Summary
+from proofs.numbers import Integers, Type, known
+from proofs.prove import By, Contract, Step, prove
+from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
+
+PREPARED = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
+"""The least divisor that prepare() is given, and how much of it 2^46 / d may be too small, in units of 2^-13;
+the solver takes this for granted, and ``every_divisor.c`` tries all divisors."""
+
+
+def _counts(_: Any, count: Any) -> Any:
+    return z3.ULE(count, 31)
+
+
+def _wide(word: Any, bits: int = 64) -> Any:
+    return z3.ZeroExt(bits - word.size(), word)
+
+
+def _word(high: int, value: Any) -> Any:
+    return z3.Extract(high, high - 31, value)
+
+
+WORDS = {
+    "join": Contract(lambda found, high, low: found == z3.Concat(high, low)),
+    "high_word": Contract(lambda found, value: found == _word(63, value)),
+    "low_word": Contract(lambda found, value: found == _word(31, value)),
+    "add": Contract(lambda after, before, term: after == before + term),
+}
+
+
+def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
+    return z3.Concat(found["high"], found["low"]) == _wide(value) << _wide(count & 31)
+
+
+SHIFTS = {
+    "shift_left_by": Contract(
+        lambda found, value, count: found == value << _wide(count, 32), requires=_counts, safe=_counts
+    ),
+    "shift_right_by": Contract(
+        lambda found, value, count: found == z3.LShR(value, _wide(count, 32)), requires=_counts, safe=_counts
+    ),
+    "shift_left": Contract(
+        lambda found, value, count: found == value << count, requires=_counts, safe=_counts
+    ),
+    "shift_right": Contract(
+        lambda found, value, count: found == z3.LShR(value, count), requires=_counts, safe=_counts
+    ),
+    "shift_right_64": Contract(lambda found, value, count: found == z3.LShR(value, _wide(count & 63))),
+    "shift_left_wide": Contract(_is_shifted_wide),
+    "upper": Contract(
+        lambda found, value, count: found == _word(63, value << _wide(count)), requires=_counts, safe=_counts
+    ),
+}
+
+
+def _are_leading_zeros(found: Any, value: Any) -> Any:
+    """The value, or 1 for 0, has its highest bit in front after a shift by them, and lost none."""
+    positive = z3.If(value == 0, z3.BitVecVal(1, 32), value)
+    shifted = positive << found
+    return z3.And(z3.ULE(found, 31), _word(31, shifted) >> 31 == -1, z3.LShR(shifted, found) == positive)
+
+
+WORDS["leading_zeros"] = Contract(_are_leading_zeros, result_matters=True)
+
+
+def _products_of_halves(a: Any, b: Any) -> list[Any]:
+    """Upper by upper, upper by lower, lower by upper, lower by lower; each as a word."""
+    a0, a1, b0, b1 = a & 0xFFFF, z3.LShR(a, 16), b & 0xFFFF, z3.LShR(b, 16)
+    return [a1 * b1, a1 * b0, a0 * b1, a0 * b0]
+
+
+def _sum_of_halves(a: Any, b: Any) -> Any:
+    """a b: (2^16 a1 + a0) (2^16 b1 + b0), multiplied out."""
+    upper, first, second, lower = (_wide(each) for each in _products_of_halves(a, b))
+    return (upper << 32) + ((first + second) << 16) + lower
+
+
+def _halves_fit(*arguments: Any) -> Any:
+    """(2^16 - 1)^2 at most."""
+    a, b = arguments[-2:]
+    return z3.And([z3.ULE(each, (2**16 - 1) ** 2) for each in _products_of_halves(a, b)])
+
+
+PRODUCTS = {
+    "multiply": Contract(lambda found, a, b: found == _wide(a) * _wide(b)),
+    "multiply_high": Contract(lambda found, a, b: found == _word(63, _wide(a) * _wide(b))),
+}
+SPLIT_PRODUCTS = {
+    "multiply": Contract(
+        lambda found, a, b: found == _sum_of_halves(a, b), steps=(Step(_halves_fit),), by=By.SUMS
+    ),
+    "multiply_high": Contract(
+        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(Step(_halves_fit),), by=By.SUMS
+    ),
+}
+
+# --- Quotients: in whole numbers ------------------------------------------------------------------------
+
+
+def _is_floor(found: Any, dividend: Any, divisor: Any) -> Any:
+    return z3.And(found >= 0, found * divisor <= dividend, dividend < found * divisor + divisor)
+
+
+def _divisible(least: int) -> Callable[..., Any]:
+    return lambda a, d, *_: z3.And(a < 2 * d, least <= d, d <= 2**31)
+
+
+class Remainder:
+    """What holds after i turns of divide_by_bits(), of the quotient q so far and the present a < 2 d:
+    2^i dividend = 2 d q + a. The product d q is a number of its own, so that all claims are linear."""
+
+    def __init__(self) -> None:
+        self.turns = self.turns_in_byte = 0
+        self.quotient: Any = z3.IntVal(0)
+        self.product: Any = z3.IntVal(0)
+        self.a: Any = None
+        self.facts: list[Any] = []
+
+    def after_turn(self, machine: Machine) -> None:
+        """The turn took the divisor out where it fitted; the quotient's new bit says so."""
+        if self.a is None:
+            self.a, self.facts = machine.given["a"], list(machine.facts)
+        self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
+        fits, d = self.a >= machine.given["d"], machine.given["d"]
+        self.quotient = 2 * self.quotient + z3.If(fits, 1, 0)
+        self.product = 2 * self.product + z3.If(fits, d, 0)
+        machine.claim(self._holds(machine), f"turn {self.turns}")
+        for name in ("a", "byte", "quotient"):
+            place = machine.variable(name)
+            machine.store(place, machine.unknown(name, machine.load(place).type))
+        self.quotient, self.product = z3.FreshInt("quotient"), z3.FreshInt("product")
+        self.a = machine.load(machine.variable("a")).term
+        machine.facts[:] = [*self.facts, self._holds(machine)]
+        if known(machine.load(machine.variable("turns")).term) == 1:
+            self.turns_in_byte = 0
+
+    def _holds(self, machine: Machine) -> Any:
+        a, byte, bytes_ = (machine.load(machine.variable(name)).term for name in ("a", "byte", "quotient"))
+        return z3.And(
+            *(a >= 0, a < 2 * machine.given["d"], byte >= 0, byte < 2**self.turns_in_byte),
+            *(bytes_ >= 0, bytes_ < 2 ** (self.turns - self.turns_in_byte)),
+            self.quotient == bytes_ * 2**self.turns_in_byte + byte,
+            2**self.turns * machine.given["a"] == 2 * self.product + a,
+        )
+
+    def at_end(self, machine: Machine, found: Any) -> None:
+        """The result is q, and the product is d q, as it was before the first turn and after each."""
+        machine.claim(found == self.quotient, "all bits are in the result")
+        d, q, product = z3.Ints("d q product")
+        for bit in (0, 1):
+            prove(2 * product + bit * d == d * (2 * q + bit), product == d * q, about="product")
+        machine.facts.append(found * machine.given["d"] == self.product)
+
+
+def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
+    """What is known of prepare(d)."""
+    if divide == HARDWARE:
+        return lambda prepared, d: z3.And(d < prepared * 2**15, prepared * 2**15 <= d + 2**15)
+    _, lost = PREPARED[divide]
+    return lambda prepared, d: z3.And(
+        prepared > 0,
+        prepared * d <= 2**46,
+        (2**46 - prepared * d) * lost.denominator <= lost.numerator * 2**33,
+    )
+
+
+def _estimate(divide: int) -> Contract:
+    """A quotient of upper bits, and that its product is no longer than a word."""
+    if divide == HARDWARE:
+        return Contract(
+            lambda digit, rest, prepared, bits: _is_floor(digit, rest / 2 ** (15 - known(bits)), prepared),
+            Integers,
+            requires=lambda rest, prepared, bits: prepared > 0,
+            safe=lambda rest, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
+            cases=("bits", (7, 12)),
+        )
+    return Contract(
+        lambda digit, rest, prepared, bits: _is_floor(
+            digit, rest / 2**15 * prepared, 2 ** (31 - known(bits))
+        ),
+        Integers,
+        requires=lambda rest, prepared, bits: rest / 2**15 * prepared < 2**32,
+        safe=lambda rest, prepared, bits: z3.ULE(bits, 12),
+        cases=("bits", (7, 12)),
+    )
+
+
+def _digit(divide: int, least: int) -> Contract:
+    """A digit is never too large and less than 2 too small, so the rest stays below 2 d."""
+    estimate = _estimate(divide)
+    return Contract(
+        lambda digit, after, rest, d, prepared, bits: z3.And(
+            digit >= 0, digit * d + after == rest * 2 ** known(bits), after >= 0, after < 2 * d
+        ),
+        Integers,
+        requires=lambda rest, d, prepared, bits: z3.And(
+            _divisible(least)(rest, d), _is_prepared(divide)(prepared, d)
+        ),
+        safe=lambda rest, d, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
+        steps=(
+            Step(lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits)),
+            Step(lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d),
+        ),
+        by=By.SUMS,
+        cases=("bits", (7, 12)),
+        uses={"estimate_digit": estimate.stands_in("estimate_digit")},
+    )
+
+
+def _by_digits(divide: int) -> dict[str, Contract]:
+    least = 2**29 if divide == HARDWARE else PREPARED[divide][0]
+    prepare = Contract(
+        _is_prepared(divide),
+        Integers,
+        requires=lambda d: z3.And(least <= d, d <= 2**31),
+        result_matters=divide == HARDWARE,
+    )
+    digit = _digit(divide, least)
+    uses = {"prepare": prepare.stands_in("prepare"), "take_digit": digit.stands_in("take_digit")}
+    return {
+        "prepare": prepare,
+        "estimate_digit": _estimate(divide),
+        "take_digit": digit,
+        "divide_24": Contract(_quotient_of(24), Integers, _divisible(2**29), uses=uses),
+        "divide_31": Contract(_quotient_of(31), Integers, _divisible(2**30), uses=uses),
+    }
+
+
+def _quotient_of(bits: int) -> Callable[..., Any]:
+    return lambda found, a, d: _is_floor(found, 2**bits * a, d)
+
+
+def _by_bits() -> dict[str, Contract]:
+    one_by_one = Contract(
+        lambda found, a, d, bits: _is_floor(found, 2 ** known(bits) * a, d),
+        Integers,
+        requires=lambda a, d, bits: z3.And(a < 2 * d, d <= 2**31),
+        safe=lambda a, d, bits: z3.ULT(bits, 32),
+        cases=("bits", (24, 31)),
+        invariant=Remainder,
+    )
+    uses = {"divide_by_bits": one_by_one.stands_in("divide_by_bits")}
+    return {
+        "divide_by_bits": one_by_one,
+        "divide_24": Contract(_quotient_of(24), Integers, _divisible(2**29), uses=uses),
+        "divide_31": Contract(_quotient_of(31), Integers, _divisible(2**30), uses=uses),
+    }
+
+
+def normalised(value: Any) -> tuple[Any, Any]:
+    """A long word shifted until its highest bit is set, and by how much."""
+    shift = z3.BitVecVal(0, 64)
+    for step in (32, 16, 8, 4, 2, 1):
+        more = z3.If(z3.LShR(value, 64 - step) == 0, z3.BitVecVal(step, 64), z3.BitVecVal(0, 64))
+        value, shift = value << more, shift + more
+    return value, shift
+
+
+def _upper_bits(found: Any, a: Any, d: Any) -> Any:
+    """With both shifted until d has its highest bit set, which loses no bit of either: the upper word of the
+    dividend, and half of that of the divisor, rounded up."""
+    divisor, shift = normalised(d)
+    kept = z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
+    half = _word(31, z3.LShR(divisor, 33)) + 1
+    return z3.And(kept, found == z3.Concat(_word(63, a << shift), half))
+
+
+RATIO = Contract(
+    _upper_bits,
+    requires=lambda a, d: z3.And(d != 0, z3.ULE(a, d)),
+    uses={
+        "leading_zeros": WORDS["leading_zeros"].stands_in("leading_zeros"),
+        "upper": SHIFTS["upper"].stands_in("upper"),
+    },
+)
+
+
+def is_ratio(upper_a: Any, half_d: Any, a: Any, d: Any, scale: Any) -> Any:
+    """The same in whole numbers, ``scale`` being the power of two that the shift multiplies by."""
+    return z3.And(
+        *(scale >= 1, a * scale < 2**64, d * scale >= 2**63, d * scale < 2**64),
+        *(2**32 * upper_a <= a * scale, a * scale < 2**32 * (upper_a + 1)),
+        *(2**33 * (half_d - 1) <= d * scale, d * scale < 2**33 * half_d),
+    )
+
+
+def _ratio_in_integers(machine: Machine, a: Any, d: Any) -> Any:
+    """ratio() for quotient(), which only takes its two words apart."""
+    machine.claim(z3.And(d.term > 0, a.term <= d.term), "what ratio requires")
+    upper_a, half_d, scale = (machine.unknown("ratio", Type(bits)) for bits in (32, 32, 64))
+    machine.know(is_ratio(upper_a.term, half_d.term, a.term, d.term, scale.term))
+    return {"high": upper_a, "low": half_d}
+
+
+def quotient_ensures(found: Any, a: Any, d: Any) -> Any:
+    """At most 7 units of 2^-32 too small, never too large."""
+    return z3.And(found * d <= 2**32 * a, 2**32 * a <= (found + 7) * d, found < 2**32)
+
+
+def is_tried(variant: Variant, name: str) -> bool:
+    """Whether every argument is tried instead of a proof."""
+    return name == "prepare" and variant.divide in PREPARED
+
+
+def contracts(variant: Variant) -> dict[str, Contract]:
+    """All of them, for one variant of the header."""
+    quotients = _by_bits() if variant.divide == BITS else _by_digits(variant.divide)
+    uses: dict[str, Summary] = {
+        "ratio": _ratio_in_integers,
+        "high_word": lambda _, found: found["high"],
+        "low_word": lambda _, found: found["low"],
+        "divide_31": quotients["divide_31"].stands_in("divide_31"),
+    }
+    quotient = Contract(
+        quotient_ensures,
+        Integers,
+        requires=lambda a, d: z3.And(d > 0, a <= d),
+        uses=uses,
+    )
+    products = SPLIT_PRODUCTS if variant.digits[1] == "1" else PRODUCTS
+    return {**WORDS, **SHIFTS, **products, **quotients, "ratio": RATIO, "quotient": quotient}

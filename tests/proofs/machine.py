@@ -1,0 +1,511 @@
+"""Runs a function of the firmware on unknown numbers: every path at once, each value a term of the solver.
+
+A small part of C, that of the firmware's arithmetic: what is not in it raises an error. Where paths meet, a
+variable becomes a choice between its values. A loop is unrolled until the solver shows that no path goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import z3
+from pycparser import c_ast
+
+from proofs.numbers import Arithmetic, Number, Type, known
+from proofs.source import Program, nodes, stated_turns
+
+INTEGERS = {
+    "_Bool": Type(1),
+    **{f"uint{bits}_t": Type(bits) for bits in (8, 16, 32, 64)},
+    **{f"int{bits}_t": Type(bits, signed=True) for bits in (8, 16, 32, 64)},
+}
+TURNS_MOST = 256
+"""A loop without a stated bound is given up after so many turns."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a value is: a variable, and members or elements on the way down from it."""
+
+    variable: tuple[int, str]
+    path: tuple[str, ...] = ()
+
+
+Fields = dict[str, Any]
+"""A structure: values by the names of its members."""
+
+
+@dataclass(frozen=True)
+class Obligation:
+    """A formula that must hold, under everything known when the program was there."""
+
+    known: tuple[Any, ...]
+    claim: Any
+    about: str
+
+
+@dataclass
+class Frame:
+    """A call: its number, the function, and what it returned under which condition."""
+
+    number: int
+    definition: Any = None
+    types: dict[str, Any] = field(default_factory=dict)
+    returned: list[tuple[Any, Any]] = field(default_factory=list)
+
+
+Summary = Callable[..., Any]
+"""Stands for a called function: takes the machine and the arguments, returns the result."""
+
+
+class Machine:
+    """One run.
+
+    Attributes:
+        facts: What is known of the unknown numbers.
+        obligations: What was met on the way and must be proved.
+        given: Terms of the function's arguments, by name.
+        after_turn: Called after each turn of a loop that has none within it.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        arithmetic: Callable[..., Arithmetic],
+        summaries: Mapping[str, Summary] | None = None,
+    ) -> None:
+        self.program = program
+        self.arithmetic = arithmetic(self.claim)
+        self.summaries = summaries or {}
+        self.int = Type(program.variant.int_bits, signed=True)
+        self.facts: list[Any] = []
+        self.obligations: list[Obligation] = []
+        self.given: dict[str, Any] = {}
+        self.after_turn: Callable[[Machine], None] | None = None
+        self._path: list[Any] = []
+        self._memory: dict[tuple[int, str], Any] = {}
+        self._frames: list[Frame] = [Frame(0)]
+        self._names = 0
+
+    # --- What proofs use ---
+
+    def unknown(self, name: str, type_: Type) -> Number:
+        """A number of which nothing is known but its type."""
+        self._names += 1
+        number, fact = self.arithmetic.unknown(f"{name}_{self._names}", type_)
+        self.facts.append(fact)
+        return number
+
+    def unknown_of(self, declared: Any, name: str) -> Any:
+        """An unknown value of a declared type: a number, or a structure of them."""
+        kind = self._resolve(declared)
+        if kind == "void":
+            return None
+        if isinstance(kind, Type):
+            return self.unknown(name, kind)
+        if isinstance(kind, c_ast.PtrDecl):
+            return self.at(name, self.unknown_of(kind.type, name))
+        if not isinstance(kind, c_ast.Struct):
+            return None
+        return {each.name: self.unknown_of(each.type, each.name) for each in kind.decls}
+
+    def constant_of(self, declared: Any, value: int) -> Number:
+        """A known number of a declared type."""
+        return self.arithmetic.constant(value, self._resolve(declared))
+
+    def variable(self, name: str) -> Place:
+        """A variable of the function that runs."""
+        return Place((self._frames[-1].number, name))
+
+    def declare(self, declaration: Any) -> None:
+        """A variable of which nothing is known but its type."""
+        self._declare(declaration.name, declaration.type, self.unknown_of(declaration.type, declaration.name))
+
+    def at(self, name: str, value: Any) -> Place:
+        """A pointer to a new variable with this value."""
+        self._names += 1
+        place = Place((0, f"{name}_{self._names}"))
+        self._memory[place.variable] = value
+        return place
+
+    def load(self, place: Place) -> Any:
+        value = self._memory[place.variable]
+        for step in place.path:
+            value = value[step]
+        return value
+
+    def know(self, formula: Any) -> None:
+        """Something that holds wherever the program gets here."""
+        self.facts.append(z3.Implies(z3.And(self._path), formula) if self._path else formula)
+
+    def claim(self, formula: Any, about: str) -> None:
+        """Something that must hold here."""
+        if not z3.is_true(z3.simplify(formula)):
+            self.obligations.append(Obligation((*self.facts, *self._path), formula, about))
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """What the function returns, None for none."""
+        if name in self.summaries:
+            return self.summaries[name](self, *arguments)
+        definition = self.program.functions[name]
+        self._names += 1
+        frame = Frame(self._names, definition)
+        self._frames.append(frame)
+        for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
+            self._declare(parameter.name, parameter.type, argument)
+        depth = len(self._path)
+        self.execute(definition.body)
+        del self._path[depth:]
+        self._frames.pop()
+        return self._chosen(frame.returned)
+
+    # --- Statements ---
+
+    def execute(self, node: Any) -> None:
+        getattr(self, f"_{type(node).__name__}", self._expression_statement)(node)
+
+    def _expression_statement(self, node: Any) -> None:
+        self.value(node)
+
+    def _Compound(self, node: Any) -> None:  # noqa: N802
+        for item in node.block_items or []:
+            self.execute(item)
+
+    def _DeclList(self, node: Any) -> None:  # noqa: N802
+        for each in node.decls:
+            self.execute(each)
+
+    def _Decl(self, node: Any) -> None:  # noqa: N802
+        kind = self._resolve(node.type)
+        if node.init is None:
+            value: Any = None
+        elif isinstance(node.init, c_ast.InitList):
+            value = self._initialised(kind, node.init)
+        else:
+            value = self.value(node.init)
+        self._declare(node.name, node.type, value)
+
+    def _Return(self, node: Any) -> None:  # noqa: N802
+        frame = self._frames[-1]
+        value = None if node.expr is None else self.value(node.expr)
+        kind = self._resolve(frame.definition.decl.type.type)
+        value = self._converted(value, kind)
+        frame.returned.append((z3.And(self._path), value))
+        self._path.append(z3.BoolVal(False))
+
+    def _If(self, node: Any) -> None:  # noqa: N802
+        self._branch(
+            self.truth(node.cond),
+            lambda: self.execute(node.iftrue),
+            lambda: None if node.iffalse is None else self.execute(node.iffalse),
+        )
+
+    def _For(self, node: Any) -> None:  # noqa: N802
+        if node.init is not None:
+            self.execute(node.init)
+        self._turn(node, 0)
+
+    def _While(self, node: Any) -> None:  # noqa: N802
+        self._turn(node, 0)
+
+    def _EmptyStatement(self, node: Any) -> None:  # noqa: N802
+        """Nothing."""
+
+    def _turn(self, node: Any, made: int) -> None:
+        condition = z3.simplify(self.truth(node.cond))
+        most = stated_turns(node)
+        if z3.is_false(condition):
+            return
+        if made == (TURNS_MOST if most is None else most):
+            self.claim(z3.Not(condition), f"at most {made} turns of the loop in line {node.coord.line}")
+            return
+
+        def go_on() -> None:
+            self.execute(node.stmt)
+            if self.after_turn is not None and not any(nodes(node.stmt, c_ast.For)):
+                self.after_turn(self)
+            if isinstance(node, c_ast.For):
+                self.value(node.next)
+            self._turn(node, made + 1)
+
+        self._branch(condition, go_on, lambda: None)
+
+    def _branch(self, condition: Any, then: Callable[[], None], otherwise: Callable[[], None]) -> None:
+        condition = z3.simplify(condition)
+        if z3.is_true(condition):
+            then()
+        elif z3.is_false(condition):
+            otherwise()
+        else:
+            before = dict(self._memory)
+            with self._under(condition) as after_first:
+                then()
+            after_then, self._memory = self._memory, before
+            with self._under(z3.Not(condition)) as after_second:
+                otherwise()
+            self._memory = {
+                key: _merged(condition, after_then[key], value)
+                for key, value in self._memory.items()
+                if key in after_then
+            }
+            self._path += after_first + after_second
+
+    @contextmanager
+    def _under(self, condition: Any) -> Iterator[list[Any]]:
+        """On a path of its own; the list says afterwards what is known behind it: where the condition holds,
+        that no return has ended the path."""
+        depth, behind = len(self._path), list[Any]()
+        self._path.append(condition)
+        yield behind
+        behind += [z3.Implies(condition, each) for each in self._path[depth + 1 :]]
+        del self._path[depth:]
+
+    # --- Expressions ---
+
+    def value(self, node: Any) -> Any:
+        """The value of an expression."""
+        return getattr(self, f"_value_{type(node).__name__}")(node)
+
+    def truth(self, node: Any) -> Any:
+        """Whether the expression is not 0, as a formula."""
+        if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
+            left = self.truth(node.left)
+            with self._under(left if node.op == "&&" else z3.Not(left)):
+                right = self.truth(node.right)
+            return z3.And(left, right) if node.op == "&&" else z3.Or(left, right)
+        if isinstance(node, c_ast.BinaryOp) and node.op in ("<", "<=", ">", ">=", "==", "!="):
+            return self.arithmetic.compare(
+                node.op, *self._common(self.value(node.left), self.value(node.right))
+            )
+        if isinstance(node, c_ast.UnaryOp) and node.op == "!":
+            return z3.Not(self.truth(node.expr))
+        number = self.value(node)
+        return number.term != 0
+
+    def _value_Constant(self, node: Any) -> Number:  # noqa: N802
+        digits = node.value.rstrip("uUlL")
+        value = int(digits, 0)
+        sizes = [Type(bits, signed) for bits in (self.int.bits, 32, 64) for signed in (True, False)]
+        unsigned_only, may_be_unsigned = "u" in node.value.lower(), digits.startswith("0x")
+        for type_ in sizes:
+            allowed = not type_.signed if unsigned_only else type_.signed or may_be_unsigned
+            if allowed and value <= type_.most:
+                return self.arithmetic.constant(value, type_)
+        raise NotImplementedError(node.value)
+
+    def _value_ID(self, node: Any) -> Any:  # noqa: N802
+        return self.load(self._place(node))
+
+    def _value_StructRef(self, node: Any) -> Any:  # noqa: N802
+        return self._member(
+            self.value(node.name) if node.type == "." else self.load(self.value(node.name)), node
+        )
+
+    def _member(self, whole: Any, node: Any) -> Any:
+        return whole[node.field.name]
+
+    def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
+        index = self.value(node.subscript)
+        if isinstance(node.name, c_ast.ID) and node.name.name in self.program.arrays:
+            return self._element(self.program.arrays[node.name.name], index)
+        return self.value(node.name)[known(index.term)]
+
+    def _element(self, array: list[int], index: Number) -> Number:
+        limit = self.arithmetic.constant(len(array), index.type)
+        self.claim(self.arithmetic.compare("<", index, limit), "index beyond the array")
+        found = self.arithmetic.constant(array[-1], INTEGERS["uint8_t"]).term
+        for i, each in enumerate(array[:-1]):
+            here = index.term == self.arithmetic.constant(i, index.type).term
+            found = z3.If(here, self.arithmetic.constant(each, INTEGERS["uint8_t"]).term, found)
+        return Number(found, INTEGERS["uint8_t"])
+
+    def _value_Cast(self, node: Any) -> Any:  # noqa: N802
+        if isinstance(node.expr, c_ast.UnaryOp) and node.expr.op == "!":
+            return self._truth_value(self.truth(node.expr))
+        kind, value = self._resolve(node.to_type.type), self.value(node.expr)
+        return as_binary32(value) if kind == "float" else self._converted(value, kind)
+
+    def _value_TernaryOp(self, node: Any) -> Any:  # noqa: N802
+        condition = z3.simplify(self.truth(node.cond))
+        if z3.is_true(condition) or z3.is_false(condition):
+            return self.value(node.iftrue if z3.is_true(condition) else node.iffalse)
+        with self._under(condition):
+            first = self.value(node.iftrue)
+        with self._under(z3.Not(condition)):
+            second = self.value(node.iffalse)
+        if isinstance(first, Number):
+            first, second = self._common(first, second)
+        return _merged(condition, first, second)
+
+    def _value_UnaryOp(self, node: Any) -> Any:  # noqa: N802
+        if node.op == "&":
+            return node.expr if isinstance(node.expr, c_ast.ArrayRef) else self._place(node.expr)
+        if node.op == "*":
+            pointer = self.value(node.expr)
+            return self.value(pointer) if isinstance(pointer, c_ast.ArrayRef) else self.load(pointer)
+        if node.op in ("++", "--", "p++", "p--"):
+            return self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
+        if node.op == "!":
+            return self._truth_value(self.truth(node))
+        number = self._promoted(self.value(node.expr))
+        zero, ones = (self.arithmetic.constant(value, number.type) for value in (0, -1))
+        return {
+            "-": lambda: self.arithmetic.binary("-", zero, number),
+            "~": lambda: self.arithmetic.binary("^", ones, number),
+        }[node.op]()
+
+    def _value_BinaryOp(self, node: Any) -> Number:  # noqa: N802
+        if node.op in ("&&", "||", "<", "<=", ">", ">=", "==", "!="):
+            return self._truth_value(self.truth(node))
+        return self._combined(node.op, self.value(node.left), self.value(node.right))
+
+    def _value_Assignment(self, node: Any) -> Any:  # noqa: N802
+        if node.op != "=":
+            return self._changed(node.lvalue, node.op[:-1], self.value(node.rvalue))
+        value = self.value(node.rvalue)
+        return self.store(self._place(node.lvalue), value)
+
+    def _value_FuncCall(self, node: Any) -> Any:  # noqa: N802
+        arguments = [self.value(each) for each in node.args.exprs]
+        name = node.name.name
+        if name == "__builtin_clz":
+            return self._count_leading_zeros(arguments[0])
+        kinds = [self._resolve(each.type) for each in self.program.parameters(name)]
+        given = zip(arguments, kinds, strict=True)
+        return self.call(name, *(self._converted(each, kind) for each, kind in given))
+
+    def _count_leading_zeros(self, number: Number) -> Number:
+        """gcc's and clang's, which leave it open for 0."""
+        self.claim(number.term != 0, "leading zeros of 0")
+        found = self.arithmetic.constant(31, self.int).term
+        for place in range(1, 32):
+            has = z3.Extract(place, place, number.term) == 1
+            found = z3.If(has, self.arithmetic.constant(31 - place, self.int).term, found)
+        return Number(found, self.int)
+
+    # --- Values and places ---
+
+    def _place(self, node: Any) -> Place:
+        if isinstance(node, c_ast.ID):
+            return self.variable(node.name)
+        if isinstance(node, c_ast.StructRef):
+            whole = self._place(node.name) if node.type == "." else self.value(node.name)
+            return Place(whole.variable, (*whole.path, node.field.name))
+        if isinstance(node, c_ast.UnaryOp) and node.op == "*":
+            place = self.value(node.expr)
+            assert isinstance(place, Place)
+            return place
+        raise NotImplementedError(f"{type(node).__name__} as a place")
+
+    def store(self, place: Place, value: Any) -> Any:
+        before = self.load(place)
+        if isinstance(before, Number):
+            value = self._converted(value, before.type)
+        elif before is None and not place.path:
+            value = self._converted(value, self._resolve(self._frames[-1].types[place.variable[1]]))
+        self._memory[place.variable] = _replaced(self._memory[place.variable], place.path, value)
+        return value
+
+    def _changed(self, target: Any, operator: str, by: Number) -> Any:
+        place = self._place(target)
+        return self.store(place, self._combined(operator, self.load(place), by))
+
+    def _combined(self, operator: str, left: Number, right: Number) -> Number:
+        if operator in ("<<", ">>"):
+            return self.arithmetic.binary(operator, self._promoted(left), self._promoted(right))
+        return self.arithmetic.binary(operator, *self._common(left, right))
+
+    def _promoted(self, number: Number) -> Number:
+        return number if number.type.bits >= self.int.bits else self.arithmetic.convert(number, self.int)
+
+    def _common(self, left: Number, right: Number) -> tuple[Number, Number]:
+        left, right = self._promoted(left), self._promoted(right)
+        bits = max(left.type.bits, right.type.bits)
+        signed = all(each.type.signed for each in (left, right) if each.type.bits == bits)
+        return self._converted(left, Type(bits, signed)), self._converted(right, Type(bits, signed))
+
+    def _converted(self, value: Any, kind: Any) -> Any:
+        """A number as one of this type; anything else as it is."""
+        if not isinstance(kind, Type) or not isinstance(value, Number) or value.type == kind:
+            return value
+        return self.arithmetic.convert(value, kind)
+
+    def _truth_value(self, condition: Any) -> Number:
+        one, zero = (self.arithmetic.constant(value, self.int).term for value in (1, 0))
+        return Number(z3.If(condition, one, zero), self.int)
+
+    def _declare(self, name: str, declared: Any, value: Any) -> None:
+        kind = self._resolve(declared)
+        if value is not None:
+            value = self._converted(value, kind)
+        self._frames[-1].types[name] = declared
+        self._memory[self._frames[-1].number, name] = value
+
+    def _initialised(self, kind: Any, node: Any) -> Any:
+        if isinstance(kind, c_ast.Union):
+            return self._union(node)
+        members = [(each.name, self._resolve(each.type)) for each in kind.decls]
+        values = [self.value(each) for each in node.exprs]
+        return {
+            name: self._converted(value, type_) for (name, type_), value in zip(members, values, strict=True)
+        }
+
+    def _union(self, node: Any) -> Fields:
+        """The header's two unions: a binary32 and its bits; a long word and its two halves on an AVR."""
+        (given,) = node.exprs
+        if isinstance(given, c_ast.Cast):
+            bits = z3.fpToIEEEBV(self.value(given))
+            return {"bits": Number(bits, INTEGERS["int32_t"])}
+        long, by = INTEGERS["uint64_t"], self.arithmetic.constant(32, self.int)
+        if given.name[0].name == "both":
+            both = self.value(given.expr)
+            halves = (both, self.arithmetic.binary(">>", both, by))
+            return {"word": [self._converted(each, INTEGERS["uint32_t"]) for each in halves]}
+        low, high = (self._converted(self.value(each), long) for each in given.expr.exprs)
+        return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, by), low)}
+
+    def _resolve(self, declared: Any) -> Any:
+        """The integer type, structure, union or pointer that is declared."""
+        if isinstance(declared, c_ast.TypeDecl):
+            return self._resolve(declared.type)
+        if isinstance(declared, c_ast.IdentifierType):
+            (*_, name) = declared.names
+            if name in INTEGERS:
+                return INTEGERS[name]
+            return self._resolve(self.program.types[name]) if name in self.program.types else name
+        return declared
+
+    def _chosen(self, returned: list[tuple[Any, Any]]) -> Any:
+        if not returned:
+            return None
+        found = returned[-1][1]
+        for condition, value in reversed(returned[:-1]):
+            found = _merged(condition, value, found)
+        return found
+
+
+def as_binary32(number: Number) -> Any:
+    """A signed word rounded to binary32, to nearest."""
+    return z3.fpSignedToFP(z3.RNE(), number.term, z3.Float32())
+
+
+def _merged(condition: Any, first: Any, second: Any) -> Any:
+    """The first where the condition holds, the second elsewhere."""
+    if first is second or first is None or second is None:
+        return second if first is None else first
+    if isinstance(first, Number):
+        same = first.term.eq(second.term)
+        return first if same else Number(z3.If(condition, first.term, second.term), first.type)
+    if isinstance(first, dict):
+        return {name: _merged(condition, first[name], second[name]) for name in first}
+    assert first == second, "pointers that depend on a condition"
+    return first
+
+
+def _replaced(whole: Any, path: tuple[str, ...], value: Any) -> Any:
+    if not path:
+        return value
+    return {**whole, path[0]: _replaced(whole[path[0]], path[1:], value)}

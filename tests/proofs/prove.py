@@ -1,0 +1,242 @@
+"""Contracts of functions, and their proof: what a caller owes, and what it gets for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Flag, auto
+from functools import reduce
+from operator import mul
+from typing import Any, Protocol
+
+import z3
+
+from proofs.machine import Machine, Place, Summary
+from proofs.numbers import Arithmetic, Number, Words
+from proofs.source import Program
+
+SECONDS = 20
+"""For one query; those here take well under one."""
+Formula = Callable[..., Any]
+
+
+class UnprovenError(AssertionError):
+    """A claim with values that break it, or one that the solver cannot settle."""
+
+
+def prove(claim: Any, *known: Any, about: str = "") -> None:
+    """That the claim holds for all values of which the rest is known."""
+    solver = z3.Solver()
+    solver.set("timeout", SECONDS * 1000)
+    solver.add(*known, z3.Not(claim))
+    answer = solver.check()
+    if answer == z3.sat:
+        raise UnprovenError(f"{about}: broken by {solver.model()}")
+    if answer == z3.unknown:
+        raise UnprovenError(f"{about}: not settled, {solver.reason_unknown()}")
+
+
+def prove_opaque(claim: Any, *known: Any, about: str = "") -> None:
+    """The same, whatever the products of unknown numbers are: all that is known of them stands in ``known``.
+    What holds of any numbers in their place holds of the products, and takes no time."""
+    formulas = [z3.simplify(each, som=True) if _has_integers(each) else each for each in (claim, *known)]
+    names: dict[tuple[int, ...], Any] = {}
+    named = [_with_names(each, names, {}) for each in formulas]
+    prove(*named, about=about)
+
+
+def _with_names(term: Any, names: dict[tuple[int, ...], Any], done: dict[int, Any]) -> Any:
+    """The term, with a name for each product of unknown factors."""
+    if term.get_id() not in done:
+        children = [_with_names(each, names, done) for each in term.children()]
+        if term.decl().kind() in (z3.Z3_OP_MUL, z3.Z3_OP_BMUL):
+            unknown = [each for each in children if not (z3.is_int_value(each) or z3.is_bv_value(each))]
+            key = tuple(sorted(each.get_id() for each in unknown))
+            if len(unknown) > 1:
+                name = names.setdefault(key, z3.FreshConst(term.sort()))
+                children = [each for each in children if each.get_id() not in key] + [name]
+            done[term.get_id()] = reduce(mul, children)
+        else:
+            done[term.get_id()] = term.decl()(*children) if children else term
+    return done[term.get_id()]
+
+
+def _has_integers(term: Any) -> bool:
+    """Multiplied out, products of whole numbers are alike where they are equal; those of words are not."""
+    return term.sort() == z3.IntSort() or any(_has_integers(each) for each in term.children())
+
+
+def refuse_contradiction(known: list[Any], name: str) -> None:
+    """Anything follows from what contradicts itself. The solver need not find an example."""
+    solver = z3.Solver()
+    solver.set("timeout", 200)
+    solver.add(*known)
+    if solver.check() == z3.unsat:
+        raise UnprovenError(f"{name}: what is known contradicts itself")
+
+
+def terms(value: Any) -> Any:
+    """The solver's terms in a value: of a number one, of a structure by name."""
+    if isinstance(value, Number):
+        return value.term
+    return {name: terms(each) for name, each in value.items()} if isinstance(value, dict) else value
+
+
+def always(*_: Any) -> Any:
+    return z3.BoolVal(True)
+
+
+class Invariant(Protocol):
+    """What stays true from turn to turn of a loop."""
+
+    def after_turn(self, machine: Machine) -> None:
+        """Claims it of what a turn left, and then knows nothing else of that."""
+
+    def at_end(self, machine: Machine, found: Any) -> None:
+        """Makes known what follows for the function's result."""
+
+
+class By(Flag):
+    """From what a claim follows, if not from all that is known."""
+
+    FACTS = 0
+    STEPS = auto()
+    """The steps before it alone."""
+    SUMS = auto()
+    """Whatever products are: what is known of them was said in steps."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A formula of the same arguments as ``ensures``, on the way to it."""
+
+    formula: Formula
+    by: By = By.FACTS
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a function promises; formulas take the terms of its arguments.
+
+    Attributes:
+        ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
+            is what it pointed to, and what it then points to stands behind the result. None: it is safe, and
+            that is all.
+        arithmetic: In which integers this is shown.
+        requires: What a caller owes for it.
+        safe: What a caller owes for the function to end without a trap; by default nothing.
+        result_matters: Whether callers are safe only for what it returns: to them its code is then known.
+        cases: The values of a parameter that is a constant wherever the function is called.
+        uses: What stands for called functions in the proof of ``ensures``.
+        steps: What leads to ``ensures``, each proved with what was proved before.
+        by: How ``ensures`` follows.
+        invariant: Makes what follows the turns of its loops, for one run.
+    """
+
+    ensures: Formula | None
+    arithmetic: Callable[..., Arithmetic] = Words
+    requires: Formula = always
+    safe: Formula = always
+    result_matters: bool = False
+    cases: tuple[str, Iterable[int]] = ("", (0,))
+    uses: Mapping[str, Summary] = field(default_factory=dict)
+    steps: tuple[Step, ...] = ()
+    by: By = By.FACTS
+    invariant: Callable[[], Invariant] | None = None
+
+    def stands_in(self, name: str) -> Summary:
+        """The function as its callers may see it."""
+
+        def summary(machine: Machine, *arguments: Any) -> Any:
+            assert self.ensures is not None
+            before = [_seen(machine, each) for each in arguments]
+            machine.claim(self.requires(*before), f"what {name} requires")
+            result = any_result(name)(machine, *arguments)
+            machine.know(self.ensures(*_results(machine, result, arguments), *before))
+            return result
+
+        return summary
+
+
+def prove_contract(program: Program, name: str, contract: Contract) -> None:
+    """That the function keeps its contract, and what its code relies on."""
+    if contract.ensures is None:
+        return
+    constant, values = contract.cases
+    for value in values:
+        machine = Machine(program, contract.arithmetic, contract.uses)
+        invariant = contract.invariant() if contract.invariant else None
+        machine.after_turn = invariant.after_turn if invariant else None
+        before, results = _run(machine, name, contract.requires, {constant: value})
+        if invariant:
+            invariant.at_end(machine, results[0])
+        prove_obligations(machine, name)
+        refuse_contradiction(machine.facts, name)
+        shown: list[Any] = []
+        for number, step in enumerate((*contract.steps, Step(contract.ensures, contract.by)), 1):
+            formula = step.formula(*results, *before)
+            known = shown if By.STEPS in step.by else [*machine.facts, *shown]
+            (prove_opaque if By.SUMS in step.by else prove)(formula, *known, about=f"{name}: step {number}")
+            shown.append(formula)
+
+
+def prove_safe(program: Program, name: str, contracts: Mapping[str, Contract]) -> None:
+    """That the function traps nowhere, and no loop makes more turns than its comment says, whatever it is
+    given."""
+    machine = Machine(program, Words, safe_callees(name, contracts))
+    _run(machine, name, contracts[name].safe, {})
+    prove_obligations(machine, name)
+
+
+def safe_callees(name: str, contracts: Mapping[str, Contract]) -> dict[str, Summary]:
+    """Functions that are safe for any arguments by their own lemmas: to this one, any of their results is."""
+    return {
+        each: any_result(each)
+        for each, contract in contracts.items()
+        if each != name and contract.safe is always and not contract.result_matters
+    }
+
+
+def any_result(name: str) -> Summary:
+    """Stands for a function of which nothing is known, neither what it returns nor what it writes."""
+
+    def summary(machine: Machine, *arguments: Any) -> Any:
+        for parameter, each in zip(machine.program.parameters(name), arguments, strict=True):
+            if isinstance(each, Place) and "const" not in parameter.type.type.quals:
+                machine.store(each, machine.unknown_of(parameter.type.type, name))
+        return machine.unknown_of(machine.program.functions[name].decl.type.type, name)
+
+    return summary
+
+
+def _run(
+    machine: Machine, name: str, requires: Formula, constants: Mapping[str, int]
+) -> tuple[list[Any], list[Any]]:
+    """Runs a function on unknown arguments of which ``requires`` is known; returns terms of the arguments
+    before, and of the result and what pointers point to after."""
+    parameters = machine.program.parameters(name)
+    arguments = [
+        machine.constant_of(each.type, constants[each.name])
+        if each.name in constants
+        else machine.unknown_of(each.type, each.name)
+        for each in parameters
+    ]
+    before = [_seen(machine, each) for each in arguments]
+    machine.given = {each.name: term for each, term in zip(parameters, before, strict=True)}
+    machine.facts.append(requires(*before))
+    result = machine.call(name, *arguments)
+    return before, _results(machine, result, arguments)
+
+
+def _seen(machine: Machine, argument: Any) -> Any:
+    return terms(machine.load(argument) if isinstance(argument, Place) else argument)
+
+
+def _results(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
+    pointed_to = [_seen(machine, each) for each in arguments if isinstance(each, Place)]
+    return [*([] if result is None else [terms(result)]), *pointed_to]
+
+
+def prove_obligations(machine: Machine, name: str) -> None:
+    for each in machine.obligations:
+        prove(each.claim, *each.known, about=f"{name}: {each.about}")

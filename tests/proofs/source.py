@@ -1,0 +1,133 @@
+"""The firmware's C as a syntax tree, once for every choice that a target can make."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from pycparser import c_ast, c_generator, c_parser
+
+from support import ROOT, run
+
+SOURCES = ROOT / "c_ref/src"
+HEADER = SOURCES / "mcp_asdf_arithmetic.h"
+INCLUDE = Path(__file__).parent / "include"
+CHOICES = {"DIVIDE": (1, 2, 3, 4), "SPLIT_MULTIPLY": (0, 1), "SHIFT_BYTES": (0, 1), "HAS_CLZ": (0, 1)}
+"""The macros, without their prefix, and their legal values."""
+HARDWARE, TABLE, BITS, LANES = CHOICES["DIVIDE"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What the preprocessor is told: the digits are values of ``CHOICES``, the macro names a target."""
+
+    digits: str
+    target: str = ""
+
+    def __str__(self) -> str:
+        return self.digits + self.target
+
+    @property
+    def divide(self) -> int:
+        return int(self.digits[0])
+
+    @property
+    def int_bits(self) -> int:
+        return 16 if self.target == "__AVR__" else 32
+
+    def flags(self) -> list[str]:
+        chosen = zip(CHOICES, self.digits, strict=True)
+        flags = [f"-DMCP_ASDF_{name}={digit}" for name, digit in chosen]
+        return [*flags, f"-D{self.target}"] if self.target else flags
+
+
+VARIANTS = (
+    *(Variant("".join(map(str, digits))) for digits in product(*CHOICES.values())),
+    Variant("3010", "__AVR__"),
+    Variant("1000", "__riscv"),
+)
+"""Every combination of choices; and the two targets that have code of their own, with what they choose."""
+
+
+class Program:
+    """One C file, preprocessed for one variant and parsed.
+
+    Attributes:
+        functions: Definitions by name.
+        types: What each typedef stands for, by name.
+        arrays: Constant arrays of numbers, by name.
+    """
+
+    def __init__(self, path: Path, variant: Variant) -> None:
+        text = run(
+            *("gcc", "-E", "-undef", "-nostdinc", f"-I{INCLUDE}", f"-I{SOURCES}", *variant.flags()),
+            *("-x", "c", path),
+        )
+        self.variant = variant
+        tree = c_parser.CParser().parse(re.sub(r"^# .*pragma.*$", "", text, flags=re.MULTILINE), str(path))
+        self.functions = {each.decl.name: each for each in tree.ext if isinstance(each, c_ast.FuncDef)}
+        self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
+        self.arrays = {
+            each.name: [int(item.value, 0) for item in each.init.exprs]
+            for each in tree.ext
+            if isinstance(each, c_ast.Decl) and isinstance(each.init, c_ast.InitList)
+        }
+
+    def defined_in(self, path: Path) -> list[str]:
+        """Names of the functions that this file defines."""
+        return [name for name, each in self.functions.items() if each.coord.file == str(path)]
+
+    def parameters(self, name: str) -> list[Any]:
+        """Declarations of a function's parameters."""
+        return list(self.functions[name].decl.type.args.params)
+
+    def callees(self, name: str) -> set[str]:
+        """Functions of the program that this one calls."""
+        return {
+            node.name.name
+            for node in nodes(self.functions[name], c_ast.FuncCall)
+            if node.name.name in self.functions
+        }
+
+    def closure(self, name: str, without: Collection[str] = ()) -> set[str]:
+        """This function and all that it calls, directly or not."""
+        found, new = set[str](), {name}
+        while new:
+            found |= new
+            new = set().union(*(self.callees(each) for each in new)) - found - set(without)
+        return found
+
+    def text(self, name: str, without: Collection[str] = ()) -> str:
+        """Everything that can change what the function does; equal texts need one proof."""
+        generator = c_generator.CGenerator()
+        parts = [generator.visit(self.functions[each]) for each in sorted(self.closure(name, without))]
+        return "\n".join([str(self.variant.int_bits), *parts])
+
+
+def nodes(root: Any, kind: type[Any]) -> Iterator[Any]:
+    """All nodes of one kind below this one, in the order of the text."""
+    if isinstance(root, kind):
+        yield root
+    for child in root:
+        yield from nodes(child, kind)
+
+
+@cache
+def program(variant: Variant, path: Path = HEADER) -> Program:
+    return Program(path, variant)
+
+
+@cache
+def _lines(path: str) -> list[str]:
+    return Path(path).read_text(encoding="utf-8").splitlines()
+
+
+def stated_turns(loop: Any) -> int | None:
+    """The bound in the comment beside a loop, ``at most 3 turns``."""
+    found = re.search(r"at most (\d+)", _lines(loop.coord.file)[loop.coord.line - 1])
+    return int(found[1]) if found else None

@@ -1,0 +1,77 @@
+"""Frama-C's Eva finds nothing in the whole firmware: no trap, no stray access, nothing that C leaves open,
+whatever the arguments, the table, the image and the robot's memory hold."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from proofs.source import INCLUDE, LANES, SOURCES, Variant
+from support import CORE, require, run
+
+CALLS = Path(__file__).with_name("any_calls.c")
+TARGETS = (
+    *(Variant(digits) for digits in ("1001", "2100", "1000", "3010", "4000", "2000")),
+    Variant("3010", "__AVR__"),
+    Variant("1000", "__riscv"),
+)
+"""The choices of each target, and the two targets with code of their own."""
+PRECISION = (
+    "-eva-precision",
+    "3",
+    "-eva-split-return",
+    "auto",
+    "-eva-domains",
+    "equality,symbolic-locations",
+)
+ALARM = re.compile(r"^\[eva:alarm\] .*: Warning: *\n  (.*?)(?:assert.*)?$", re.MULTILINE)
+PART = re.compile(r"^  (\w+): (\d+) stmts out of (\d+) ", re.MULTILINE)
+IN_LANES = "overflow in conversion from floating-point to integer."
+ASSUMED = {LANES: [IN_LANES]}
+"""Alarms by way of division. This one is lemma prepare's: ``every_divisor.c`` converts every word under the
+sanitizer."""
+UNREACHED = {
+    "divide_24": "a constant condition: only where a table has reciprocals is a short divisor doubled"
+}
+"""Functions of which a statement cannot be reached, and why."""
+FRAGILE = ("accuracy->g_shift & SHIFT_MAX", "accuracy->g_shift")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", TARGETS, ids=str)
+def test_any_call_is_safe(variant: Variant) -> None:
+    said = eva(variant)
+    assert alarms(said) == ASSUMED.get(variant.divide, [])
+    assert "neither code nor specification" not in said
+    parts = PART.findall(said)
+    assert {name for name, reached, of in parts if reached != of} <= set(UNREACHED)
+    called = {name for name, _, _ in parts}
+    assert called >= set(re.findall(r"\b(mcp_asdf_\w+)\(&", CALLS.read_text(encoding="utf-8")))
+
+
+@pytest.mark.slow
+def test_a_trap_is_found(tmp_path: Path) -> None:
+    """A shift by a count that damaged memory makes too large."""
+    shutil.copytree(SOURCES, tmp_path, dirs_exist_ok=True)
+    text = CORE.read_text(encoding="utf-8")
+    assert FRAGILE[0] in text
+    (tmp_path / CORE.name).write_text(text.replace(*FRAGILE), encoding="utf-8")
+    assert any("shift" in alarm for alarm in alarms(eva(TARGETS[0], tmp_path)))
+
+
+def alarms(said: str) -> list[str]:
+    """What each alarm is about."""
+    return sorted({about.strip() for about in ALARM.findall(said)})
+
+
+def eva(variant: Variant, sources: Path = SOURCES) -> str:
+    """What the analyser prints; an int of 16 or 32 bits, and a long of 32, as on the targets."""
+    flags = [f"-I{sources}", *variant.flags(), "-idirafter", str(INCLUDE)]
+    return run(
+        *(require("frama-c", "frama-c-base"), "-no-autoload-plugins"),
+        *("-load-module", "eva,from,inout,scope,metrics", "-machdep", f"gcc_x86_{variant.int_bits}"),
+        *(f"-cpp-extra-args={' '.join(flags)}", "-eva", *PRECISION, "-metrics-eva-cover", CALLS),
+    )

@@ -1,0 +1,106 @@
+"""Every function of the header keeps its contract for all arguments, in every variant that a target can
+choose."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import z3
+
+from proofs.arithmetic import PREPARED, contracts, is_ratio, is_tried
+from proofs.prove import UnprovenError, prove, prove_contract, prove_safe, safe_callees
+from proofs.source import HEADER, VARIANTS, Program, Variant, program
+from support import require, run
+
+LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+CITED = re.compile(r"Lemmas? (\w+(?:, \w+)*)\.")
+
+
+@pytest.mark.parametrize("name", LEMMAS)
+def test_lemma(name: str) -> None:
+    """Variants in which the function and what it calls, but for what has a lemma of its own, are the same
+    text are one."""
+    safe, kept = set(), set()
+    for variant in VARIANTS:
+        code, lemmas = program(variant), contracts(variant)
+        if name not in code.functions or is_tried(variant, name):
+            continue
+        text = code.text(name, safe_callees(name, lemmas))
+        if text not in safe:
+            prove_safe(code, name, lemmas)
+        safe.add(text)
+        text = code.text(name, lemmas[name].uses)
+        if text not in kept:
+            prove_contract(code, name, lemmas[name])
+        kept.add(text)
+    assert safe and kept
+
+
+@pytest.mark.parametrize("divide", PREPARED)
+def test_every_divisor_is_prepared(divide: int, tmp_path: Path) -> None:
+    """Where reciprocals come from a table or from binary32, too many operators for the solver; not too many
+    divisors for a computer. The sanitizer sees a conversion that does not fit."""
+    least, lost = PREPARED[divide]
+    bounds = {
+        "MCP_ASDF_DIVIDE": divide,
+        "LEAST": least,
+        "LOST_TIMES": lost.numerator,
+        "LOST_OVER": lost.denominator,
+    }
+    flags = ("-std=c99", "-O2", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+    chosen = [f"-D{name}={value}" for name, value in bounds.items()]
+    source = Path(__file__).with_name("every_divisor.c")
+    run(
+        require("gcc", "gcc"), *flags, *chosen, f"-I{HEADER.parent}", source, "-o", tmp_path / "every_divisor"
+    )
+    run(tmp_path / "every_divisor")
+
+
+def test_each_function_has_a_lemma_and_its_comment_names_it() -> None:
+    defined = {name for variant in VARIANTS for name in program(variant).defined_in(HEADER)}
+    comments = " ".join(COMMENT.findall(HEADER.read_text(encoding="utf-8"))).replace("\n * ", " ")
+    cited = [name for names in CITED.findall(comments) for name in names.split(", ")]
+    assert sorted(cited) == LEMMAS == sorted(defined)
+
+
+def test_what_a_ratio_loses() -> None:
+    """At most 2^-31 + 2^-30 a / d of it, and the quotient is never too large."""
+    a, d, upper_a, half_d, scale = z3.Ints("a d upper_a half_d scale")
+    known = (is_ratio(upper_a, half_d, a, d, scale), a >= 0, a <= d, d > 0, upper_a >= 0)
+    prove(upper_a * d <= a * 2 * half_d, *known, about="never more")
+    lost = a * 2 * half_d - upper_a * d
+    prove(lost * 2**31 <= d * 2 * half_d + 2 * a * 2 * half_d, *known, about="at most so much less")
+
+
+# --- Broken code has no proof ----------------------------------------------------------------------------
+
+BROKEN = {
+    "shift_left_wide": ("1000", "complement = masked ^ 31", "complement = masked ^ 15"),
+    "shift_right_64": ("1000", "(count & 32) != 0", "(count & 16) != 0"),
+    "leading_zeros": ("1000", "value >> 28 == 0", "value >> 27 == 0"),
+    "shift_right_by": ("1010", "count >= 8; count = (uint8_t)(count - 8)", "count >= 8; count = count"),
+    "multiply": ("1100", "middle2 << 16 |", "middle2 << 15 |"),
+    "prepare": ("1000", "(d >> 15) + 1", "(d >> 15)"),
+    "take_digit": ("1000", "- digit * d", "- (digit + 1) * d"),
+    "divide_by_bits": ("3000", "if (a >= d)", "if (a > d)"),
+    "divide_24": ("1000", "second + (a >= d)", "second + (a > d)"),
+    "ratio": ("1000", "(upper(d, shift) >> 1) + 1", "(upper(d, shift) >> 1)"),
+    "quotient": ("1000", "divide_31(high_word(found)", "divide_31(high_word(found) / 2"),
+}
+"""Functions, a variant, and a change of its code that breaks it."""
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_function_has_no_proof(name: str, tmp_path: Path) -> None:
+    digits, right, wrong = BROKEN[name]
+    text = HEADER.read_text(encoding="utf-8")
+    assert right in text
+    path = tmp_path / HEADER.name
+    path.write_text(text.replace(right, wrong), encoding="utf-8")
+    with pytest.raises(UnprovenError):
+        broken, lemmas = Program(path, Variant(digits)), contracts(Variant(digits))
+        prove_safe(broken, name, lemmas)
+        prove_contract(broken, name, lemmas[name])
