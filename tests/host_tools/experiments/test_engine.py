@@ -264,7 +264,7 @@ LANES_BUILD = (
     "-fno-trapping-math",  # as CMakeLists.txt has it
     "-DFOR_EACH_TARGET=",
     f"-I{LANES.parent}",
-    f"-I{ROOT / 'host_tools/arena'}",
+    f"-I{LANES.parents[2] / 'world/arena'}",
     f"-I{CORE.parent}",
 )
 VECTOR_BYTES = {"x86-64-v3": 32, "x86-64-v4": 64}
