@@ -135,7 +135,7 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: i
     figures = node.stop()
     assert_same_robot(figures, expected)
     rejected = figures["refused"] + figures["others"] + figures["error_frames"]
-    assert rejected == expected.traffic.rejected.total()
+    assert rejected == expected.reception.rejected.total()
     assert all(figures[name] > 50 for name in ("refused", "others", "error_frames", "collisions"))
     assert all(figures[name] > 50 for name in ("obeyed", "disobeyed", "unsettled", "repeated", "rejected"))
     assert figures["updates"] >= 5

@@ -12,6 +12,7 @@ from .frames import MAX_NODE as MAX_NODE
 from .frames import MIN_B_HAT as MIN_B_HAT
 from .frames import ONE as ONE
 from .frames import TELEMETRY as TELEMETRY
+from .frames import TRANSFER_IDS as TRANSFER_IDS
 from .frames import Action as Action
 from .frames import Command as Command
 from .frames import FrameFormat as FrameFormat
@@ -32,8 +33,8 @@ from .frames import encode_heartbeat as encode_heartbeat
 from .frames import encode_telemetry as encode_telemetry
 from .frames import float_of as float_of
 from .frames import frame_as_text as frame_as_text
-from .id_conflicts import Collision as Collision
-from .id_conflicts import CollisionWatch as CollisionWatch
+from .id_conflicts import IdConflict as IdConflict
+from .id_conflicts import IdConflictWatch as IdConflictWatch
 from .interfaces import BusChoice as BusChoice
 from .load import BIT_RATES as BIT_RATES
 from .load import LIMIT as LIMIT

@@ -35,6 +35,8 @@ MAX_SUBJECT = 6143
 MAX_PRIORITY = 7
 HEARTBEAT_SUBJECT = 7509
 FRAME_BYTES = 8
+TRANSFER_IDS = 32
+"""Different values of a transfer_id, which counts a node's messages of one kind modulo this."""
 
 MIN_B_HAT = 1 << 4
 """Smallest b_hat in telemetry, 2**-20 in units of 2**-24."""

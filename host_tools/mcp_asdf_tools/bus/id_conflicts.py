@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 from enum import Enum
 
-from mcp_asdf_tools.bus.frames import Command, Heartbeat, Message, Telemetry
+from mcp_asdf_tools.bus.frames import TRANSFER_IDS, Command, Heartbeat, Message, Telemetry
 
-_TRANSFERS = 32
 _WINDOW, _ENOUGH = 32, 12
 """Signs of two senders that it takes, among so many messages.
 
@@ -16,14 +15,14 @@ Measured over millions of messages: one sender gives at most 10, at any loss, wi
 """
 
 
-class Collision(Enum):
+class IdConflict(Enum):
     """Which rule found it; the value is for people."""
 
     OWN_ID = "another node sends under this node's own id"
     TWO_SENDERS = "two nodes send under one id"
 
 
-class CollisionWatch:
+class IdConflictWatch:
     """Listens for nodes with one id. O(1) time for each message, O(1) memory for each id and kind.
 
     Give it every legal message that the connection receives, but none that this node has sent itself:
@@ -40,23 +39,23 @@ class CollisionWatch:
 
     def __init__(self, own: int | None = None) -> None:
         """Watch for the node ``own``, 0 .. 127, or for a listener without an id."""
-        self.found: dict[int, Collision] = {}
+        self.found: dict[int, IdConflict] = {}
         self._own = own
         self._sequences: dict[tuple[int, type], _Sequence] = {}
 
-    def hear(self, message: Message | Heartbeat | Telemetry | Command) -> Collision | None:
+    def hear(self, message: Message | Heartbeat | Telemetry | Command) -> IdConflict | None:
         """Take in a message; returns what it proves if that is new."""
         sender = message.sender
         if sender in self.found:
             return None
         if sender == self._own:
-            return self._note(sender, Collision.OWN_ID)
+            return self._note(sender, IdConflict.OWN_ID)
         sequence = self._sequences.setdefault((sender, type(message)), _Sequence())
-        return self._note(sender, Collision.TWO_SENDERS) if sequence.is_shared(message) else None
+        return self._note(sender, IdConflict.TWO_SENDERS) if sequence.is_shared(message) else None
 
-    def _note(self, sender: int, collision: Collision) -> Collision:
-        self.found[sender] = collision
-        return collision
+    def _note(self, sender: int, conflict: IdConflict) -> IdConflict:
+        self.found[sender] = conflict
+        return conflict
 
 
 class _Sequence:
@@ -78,7 +77,7 @@ class _Sequence:
         if not self._heard:
             self._newest = place
         # At most 15 places ahead of the newest, else it is late.
-        ahead = (place - self._newest + _TRANSFERS // 2) % _TRANSFERS - _TRANSFERS // 2
+        ahead = (place - self._newest + TRANSFER_IDS // 2) % TRANSFER_IDS - TRANSFER_IDS // 2
         number = self._newest + ahead
         before = self._heard.get(place)
         if before == (number, message):

@@ -209,7 +209,7 @@ class _Watch:
             self._status.stop()
 
     def __call__(self) -> None:
-        for sender, what in self._node.traffic.collisions.items():
+        for sender, what in self._node.traffic.id_conflicts.items():
             self._warn(sender, f"{what.value}: {sender}; give one of them another")
         if self._link.last_failure is not None:
             self._warn(self._link.last_failure, f"the bus fails: {self._link.last_failure}; going on")
@@ -224,11 +224,11 @@ class _Watch:
 
 
 def _line(node: RobotNode) -> str:
-    robot, traffic = node.robot, node.traffic
+    robot, reception = node.robot, node.reception
     return (
         f"robot {node.settings.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
         f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
-        f"sent {traffic.estimates_sent}   heard {traffic.received}"
+        f"sent {node.sent.estimates}   heard {reception.delivered}"
     )
 
 
@@ -258,7 +258,7 @@ def _report(
             "steps": run.node.ticks,
             **vars(run.outcome),
             "robot": state_of(run.node),
-            "frames": run.node.traffic.figures(),
+            "frames": run.node.figures(),
             "bus_failures": run.link.failures,
         },
     }
@@ -293,11 +293,11 @@ def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
     table.add_row(
         "frames",
         f"{frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats and "
-        f"{frames['telemetry_sent']} telemetry sent {where}; {frames['received']} estimates heard, "
+        f"{frames['telemetry_sent']} telemetry sent {where}; {frames['delivered']} estimates heard, "
         f"{frames['refused']} of them refused, {sum(frames['rejected'].values())} other frames rejected",
     )
-    for sender, what in frames["collisions"].items():
-        table.add_row("id collision", f"{what}: {sender}; give one of them another")
+    for sender, what in frames["id_conflicts"].items():
+        table.add_row("node-id conflict", f"{what}: {sender}; give one of them another")
     if run.link.failures:
         table.add_row("bus", f"failed {run.link.failures} times, the last: {run.link.last_failure}")
     if lateness is not None:

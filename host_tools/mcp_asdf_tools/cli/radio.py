@@ -305,6 +305,6 @@ def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
     table.add_row("neighbours", f"mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}")
     for fault in results["faults"]:
         table.add_row("fault", f"{fault['fault']}: struck {fault['injected']} times")
-    for sender, what in results["collisions"].items():
-        table.add_row("id collision", f"{what}: {sender}; choose other ids with --first-id")
+    for sender, what in results["id_conflicts"].items():
+        table.add_row("node-id conflict", f"{what}: {sender}; choose other ids with --first-id")
     Console(soft_wrap=True).print(table)

@@ -13,7 +13,7 @@ import can
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.robots import NodeSettings, RobotNode, RobotRecord, Subjects
+from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, Subjects
 from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, Sent, SwarmSettings
 from mcp_asdf_tools.world import World
 
@@ -89,20 +89,20 @@ class Neighbourhood:
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
-        self.nodes = {record.id: self._node(record) for record in settings.neighbours}
+        decoder = Decoder(settings.subjects.estimates)
+        self.nodes = {each.id: BusRobot(each.id, each.make, decoder) for each in settings.neighbours}
         self.faults = Faults(settings.faults, settings.swarm.seed, settings.subjects.estimates)
         self.tick = 0
-        self._records = {record.id: record for record in settings.neighbours}
         self._ids = sorted([settings.controller.id, *self.nodes])
         self._world = World(settings.swarm)
         self._air = Air(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
-        self._forgetful: dict[int, bool] = {}
         self._sent: list[Sent] = []
 
     def begin(self) -> Observation | None:
         """Let all neighbours observe; returns what the controller's sensor would say. O(neighbours)."""
         seen = dict(zip(self._ids, self._world.step(), strict=True))
-        frames = [(robot, frame) for robot in self._living() for frame in self._frames_of(robot, seen[robot])]
+        alive = [node for node in self.nodes.values() if self.faults.survives(node, self.tick)]
+        frames = [(node.id, frame) for node in alive for frame in self._frames_of(node, seen[node.id])]
         self._sent = [each for robot, frame in frames for each in self.faults.leave(frame, robot, self.tick)]
         for robot in self.nodes:
             for frame in self.faults.babble(robot, self.tick, self.tick / self._steps_per_second):
@@ -118,35 +118,19 @@ class Neighbourhood:
         sent = [*self._sent, *(Sent(frame, controller, self.tick, n) for n, frame in enumerate(said))]
         for robot, node in self.nodes.items():
             for frame in self._air.arrivals(robot, self.tick, sent):
-                if robot not in self._forgetful:
-                    node.hear(frame)
-        for robot in self._living_now():
-            self.nodes[robot].settle()
+                node.hear(frame)
+        for node in self.nodes.values():
+            if node.is_alive:
+                node.settle()
         heard = self._air.arrivals(controller, self.tick, sent)
         self.tick += 1
         # Error frames are a driver's report: nobody can send one.
         return [frame for frame in heard if not frame.is_error_frame]
 
-    def _frames_of(self, robot: int, z: Observation | None) -> list[can.Message]:
-        node = self.nodes[robot]
-        return (node.start() if node.ticks == 0 else []) + node.observe(z)
-
-    def _living(self) -> list[int]:
-        """Those who live in this tick; some of them have just risen."""
-        for robot in self.nodes:
-            fault = self.faults.crash(robot, self.tick)
-            if fault is not None:
-                self._forgetful.setdefault(robot, fault.rejoin == "new")
-            elif self._forgetful.pop(robot, False):
-                self.nodes[robot] = self._node(self._records[robot])
-        return self._living_now()
-
-    def _living_now(self) -> list[int]:
-        return [robot for robot in self.nodes if robot not in self._forgetful]
-
-    def _node(self, record: RobotRecord) -> RobotNode:
-        settings = NodeSettings(record.id, self.settings.subjects, self._steps_per_second, telemetry_period=0)
-        return RobotNode(record.make(), settings)
+    def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:
+        now = node.ticks / self._steps_per_second
+        heartbeats = [node.heartbeat(now)] if node.ticks % self._steps_per_second == 0 else []
+        return heartbeats + node.observe(z, now)
 
     @property
     def _steps_per_second(self) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import Collision, CollisionWatch, Message, Telemetry, decode, decode_telemetry
+from mcp_asdf_tools.bus import IdConflict, IdConflictWatch, Message, Telemetry, decode, decode_telemetry
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.robots import Link, Outcome, RealTimeClock, Stopped
 
@@ -24,7 +24,7 @@ class RadioRun:
         heard: Estimates heard from it.
         strangers: Legal estimates from nodes that are neither the controller nor emulated.
         last: The last estimate and the last telemetry of the controller.
-        collisions: Finds nodes with one id.
+        id_conflicts: Finds nodes with one id.
         watch: Called after each tick.
     """
 
@@ -35,7 +35,7 @@ class RadioRun:
         self.outcome = Outcome("all ticks done")
         self.sent = self.heard = self.strangers = 0
         self.last: tuple[Message | None, Telemetry | None] = (None, None)
-        self.collisions = CollisionWatch()
+        self.id_conflicts = IdConflictWatch()
         self.watch: Callable[[], None] = lambda: None
         self._ticks = ticks
         self._said: list[can.Message] = []
@@ -67,7 +67,7 @@ class RadioRun:
             "frames_sent": self.sent,
             "estimates_heard": self.heard,
             "strangers": self.strangers,
-            "collisions": {str(sender): what.value for sender, what in self.collisions.found.items()},
+            "id_conflicts": {str(sender): what.value for sender, what in self.id_conflicts.found.items()},
             "bus_failures": self.link.failures,
             "faults": self.neighbours.faults.figures(),
             "mean_x": fmean(x),
@@ -96,9 +96,9 @@ class RadioRun:
 
     def _hear(self, estimate: Message, frame: can.Message) -> None:
         if estimate.sender in self.neighbours.nodes:
-            self.collisions.found.setdefault(estimate.sender, Collision.OWN_ID)
+            self.id_conflicts.found.setdefault(estimate.sender, IdConflict.OWN_ID)
             return
-        self.collisions.hear(estimate)
+        self.id_conflicts.hear(estimate)
         if estimate.sender != self.neighbours.settings.controller.id:
             self.strangers += 1
             return

@@ -77,7 +77,7 @@ PHASES = (
     Phase("crash and rejoin", "crash=0.05,ticks=5,robots={them}"),
     Phase("frozen neighbours", "freeze=0.8,robots={them}"),
     Phase("liar", "liar=1,x=1,alpha=1e38,robots={one}"),
-    Phase("id collision", "collide=0.5,id={me},robots={them}"),
+    Phase("node-id conflict", "collide=0.5,id={me},robots={them}"),
     Phase("bus-off", "busoff=0.1,ticks=5,robots={them}"),
     Phase("full send queues", "queue=0.5,frames=0,robots={them}"),
     Phase("malformed frames", odd="malformed"),

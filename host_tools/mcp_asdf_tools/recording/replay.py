@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import can
 
 from mcp_asdf_tools.bus import (
+    TRANSFER_IDS,
     Action,
     FrameFormat,
     Message,
@@ -24,7 +25,6 @@ from mcp_asdf_tools.recording.sidecar import SidecarReader
 from mcp_asdf_tools.robots import RESTART, SETTLE, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
-_TRANSFERS = 32
 _SLICE = 0.1
 _QUIET, _LONGEST_REST = 0.1, 2.0
 """Seconds."""
@@ -81,7 +81,7 @@ class Rerun:
     def _observe(self, action: Action) -> None:
         self._ticks += 1
         if self._robot.observe(action.observation):
-            transfer = self._transfers % _TRANSFERS
+            transfer = self._transfers % TRANSFER_IDS
             self._transfers += 1
             said = self._robot.port.x_hat_raw, binary32_of(self._robot.port.alpha_raw)
             self.broadcasts.append(Broadcast(self._ticks, transfer, *said))
@@ -247,7 +247,7 @@ class _Comparison:
 
 def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
     """Where the broadcast with the message's number is among the next ones; 0 in a log without gaps."""
-    ahead = range(min(len(broadcasts), _TRANSFERS))
+    ahead = range(min(len(broadcasts), TRANSFER_IDS))
     return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
 
 

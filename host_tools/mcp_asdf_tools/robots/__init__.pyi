@@ -1,5 +1,7 @@
 """One robot on a bus: firmware, population, node, clock, and how it is driven in lockstep."""
 
+from .bus_robot import BusRobot as BusRobot
+from .bus_robot import Participant as Participant
 from .clock import Clock as Clock
 from .clock import ClockKind as ClockKind
 from .clock import RealTimeClock as RealTimeClock
@@ -22,7 +24,6 @@ from .node import RobotNode as RobotNode
 from .node import Subjects as Subjects
 from .node import filters_for as filters_for
 from .node import send_all as send_all
-from .node import telemetry_of as telemetry_of
 from .node_run import Link as Link
 from .node_run import NodeRun as NodeRun
 from .node_run import Outcome as Outcome
@@ -43,6 +44,8 @@ from .population import Filtering as Filtering
 from .population import Population as Population
 from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
+from .reception import Decoder as Decoder
+from .reception import Reception as Reception
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig

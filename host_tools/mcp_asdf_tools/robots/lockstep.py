@@ -21,6 +21,7 @@ import can
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import (
+    TRANSFER_IDS,
     Action,
     Command,
     Heartbeat,
@@ -37,7 +38,6 @@ from mcp_asdf_tools.robots.node import Subjects, send_all
 DRIVER_ID = 126
 """Node id of whoever commands, unless chosen otherwise: the first that Cyphal keeps for tools."""
 
-_TRANSFERS = 32
 _SLICE = 0.1
 """Seconds between two looks whether waiting still makes sense."""
 
@@ -153,9 +153,9 @@ class Lockstep:
         if number != expected:
             raise LockstepError(
                 f"robot {robot} answered in tick {self.tick} with telemetry {number}, not {expected} "
-                f"(modulo {_TRANSFERS}): it restarted or sends telemetry of its own accord"
+                f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
             )
-        self._answers[robot] = (number + 1) % _TRANSFERS
+        self._answers[robot] = (number + 1) % TRANSFER_IDS
 
     def _order(self, orders: Mapping[int, Action]) -> None:
         self._orders = orders
@@ -164,7 +164,7 @@ class Lockstep:
     def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
         for robot, action in orders.items():
-            command = Command(self._settings.node, self.tick, robot, action, self._commands % _TRANSFERS)
+            command = Command(self._settings.node, self.tick, robot, action, self._commands % TRANSFER_IDS)
             frames.append(encode_command(command, self._settings.subjects.commands))
             self._commands += 1
         send_all(self._bus, frames, self._timeout)

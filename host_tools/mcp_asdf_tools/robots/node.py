@@ -8,46 +8,38 @@ from __future__ import annotations
 
 import errno
 import time
-from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import can
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import Counters, Observation, Robot, Status
+from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
-    MAX_B_HAT,
     MAX_NODE,
-    MIN_B_HAT,
-    ONE,
     TELEMETRY,
     Action,
-    Collision,
-    CollisionWatch,
     Command,
     FrameFormat,
-    Heartbeat,
+    IdConflict,
+    IdConflictWatch,
     Message,
     Rejection,
-    Telemetry,
     decode,
     decode_command,
-    encode,
-    encode_heartbeat,
-    encode_telemetry,
 )
 from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent
 from mcp_asdf_tools.robots.events import Recorder
+from mcp_asdf_tools.robots.reception import Decoder, Reception
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
 ACCEPTANCE_MASK = 0x039F_FF80
 """Of an identifier's bits, those that a receiver checks; see docs/frame.md."""
 
-_TRANSFERS = 32
 _PAUSE = 0.001
 """Seconds in which a bus sends several frames."""
 
@@ -75,51 +67,25 @@ class Subjects:
 
 
 def filters_for(*formats: FrameFormat) -> CanFilters:
-    """What a connection has to be told so that nothing but frames of these formats gets through."""
+    """Filters of a connection that let only frames of these formats through."""
     return [{"can_id": each.subject << 8, "can_mask": ACCEPTANCE_MASK, "extended": True} for each in formats]
-
-
-def telemetry_of(robot: Robot, robot_id: int, transfer: int) -> Telemetry:
-    """The robot's present state as its telemetry number ``transfer``."""
-    b_hat = min(max(int(robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
-    updates = robot.counters.updates % 256
-    return Telemetry(robot_id, int(robot.x * ONE), b_hat, updates, transfer % _TRANSFERS)
 
 
 @dataclass
 class NodeTraffic:
-    """What a node sent and heard, in frames.
+    """Commands that a node heard, ticks that they left open, and conflicts that it noticed.
 
     Attributes:
-        estimates_sent: Estimates.
-        heartbeats_sent: Heartbeats.
-        telemetry_sent: Telemetry frames.
-        received: Legal estimates of others, all given to the firmware.
-        refused: Those among them that the firmware did not accept (repeated or invalid).
         obeyed: Commands followed.
         disobeyed: Commands for this robot that the rules did not let it follow.
-        unsettled: Ticks that the next one ended, since no *settle* had come.
-        rejected: Other frames, by reason; no more than the connection's filters let through.
-        collisions: What is wrong with the id of a sender, by id.
+        unsettled: Ticks ended by the next one, since no *settle* had come.
+        id_conflicts: Evidence of two nodes with one id, by id.
     """
 
-    estimates_sent: int = 0
-    heartbeats_sent: int = 0
-    telemetry_sent: int = 0
-    received: int = 0
-    refused: int = 0
     obeyed: int = 0
     disobeyed: int = 0
     unsettled: int = 0
-    rejected: Counter[Rejection] = field(default_factory=Counter)
-    collisions: dict[int, Collision] = field(default_factory=dict)
-
-    def figures(self) -> dict[str, Any]:
-        """The counts as plain values, for JSON."""
-        return asdict(self) | {
-            "rejected": {reason.name: n for reason, n in self.rejected.items()},
-            "collisions": {str(sender): what.value for sender, what in sorted(self.collisions.items())},
-        }
+    id_conflicts: dict[int, IdConflict] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -150,75 +116,81 @@ class NodeSettings:
 
 
 class RobotNode:
-    """A robot that speaks in frames. Every method returns the frames to send now, in order.
+    """Robot node: a ``BusRobot`` with a schedule of its own that obeys commands.
+
+    Every method returns the frames to send now, in order.
 
     Attributes:
-        settings: What the node is told.
-        ticks: Control ticks begun: observations made.
+        settings: Id, subjects and periods.
         is_settled: Whether the last tick is over.
-        traffic: What was sent and heard so far.
+        traffic: Commands and conflicts so far.
     """
 
     def __init__(self, robot: TickedRobot, settings: NodeSettings, recorder: Recorder | None = None) -> None:
-        """Make a node of a robot that has done nothing yet; ``recorder`` is told what happens to it."""
+        """Make a node of a robot that has done nothing yet; ``recorder`` takes its events."""
         self.settings = settings
-        self.ticks = 0
         self.is_settled = True
-        self.traffic = NodeTraffic()
-        self._ticked = robot
-        self._recorder = recorder
-        self._watch = CollisionWatch(settings.id)
-        self.traffic.collisions = self._watch.found
+        self._watch = IdConflictWatch(settings.id)
+        self.traffic = NodeTraffic(id_conflicts=self._watch.found)
+        subjects = settings.subjects
+        decoder = Decoder(subjects.estimates)
+        # A node ends with its process: it is never asked to crash and start again.
+        self._bus_robot = BusRobot(settings.id, lambda: robot, decoder, recorder, subjects.telemetry)
         self._tick_of_command: int | None = None
 
     @property
     def robot(self) -> Robot:
         """The firmware."""
-        return self._ticked.robot
+        return self._bus_robot.robot
 
     @property
     def counters(self) -> Counters:
         """The firmware's diagnostics, in numbers that do not wrap."""
-        return self._ticked.counters
+        return self._bus_robot.counters
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks begun: observations made."""
+        return self._bus_robot.ticks
+
+    @property
+    def sent(self) -> FramesSent:
+        """Frames made so far."""
+        return self._bus_robot.sent
+
+    @property
+    def reception(self) -> Reception:
+        """Frames heard so far; none but estimates and commands are told apart."""
+        return self._bus_robot.reception
 
     def start(self) -> list[can.Message]:
-        """Say that the node is there."""
-        return [self._heartbeat()]
+        """Announce the node."""
+        return [self._bus_robot.heartbeat(self._now)]
 
     def observe(self, z: Observation | None) -> list[can.Message]:
         """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
-        frames = []
         if not self.is_settled:
             self.traffic.unsettled += 1
-            self._end()
-        if self.ticks and self.ticks % self.settings.steps_per_second == 0:
-            frames.append(self._heartbeat())
-        if self._recorder is not None:
-            self._recorder.observe(z)
-        if self._ticked.observe(z):
-            frames.append(self._estimate())
-        self.ticks += 1
+            self._bus_robot.settle()
         self.is_settled = False
-        return frames
+        is_second = self.ticks and self.ticks % self.settings.steps_per_second == 0
+        heartbeats = self.start() if is_second else []
+        return heartbeats + self._bus_robot.observe(z, self._now)
 
     def settle(self) -> list[can.Message]:
         """End the tick."""
-        self._end()
-        is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
-        return [self._telemetry()] if is_due else []
-
-    def _end(self) -> None:
-        self._ticked.settle()
-        if self._recorder is not None:
-            self._recorder.settle()
+        self._bus_robot.settle()
         self.is_settled = True
+        is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
+        return [self._bus_robot.telemetry_frame(self._now)] if is_due else []
 
     def hear(self, frame: can.Message) -> list[can.Message]:
-        """Take in any frame whatever, but none that this node has sent itself."""
+        """Take any frame that this node has not sent itself."""
         message = decode(frame, self.settings.subjects.estimates)
         if isinstance(message, Message):
-            if message.sender == self.settings.id and self._recorder is not None:
-                self._recorder.foreign(frame)
+            recorder = self._bus_robot.recorder
+            if message.sender == self.settings.id and recorder is not None:
+                recorder.foreign(frame)
             self._receive(message)
             return []
         if message is Rejection.SUBJECT:
@@ -226,23 +198,30 @@ class RobotNode:
             if isinstance(command, Command):
                 return self._obey(command)
             message = command
-        self.traffic.rejected[message] += 1
+        self.reception.rejected[message] += 1
         return []
 
     def lost(self, frame: can.Message) -> None:
-        """Note that ``frame``, which was to be sent, was not: the bus did not take it."""
-        if self._recorder is not None and isinstance(
-            decode(frame, self.settings.subjects.estimates), Message
-        ):
-            self._recorder.silent()
+        """Note that the bus did not take ``frame``, which was to be sent."""
+        recorder = self._bus_robot.recorder
+        if recorder is not None and isinstance(decode(frame, self.settings.subjects.estimates), Message):
+            recorder.silent()
+
+    def figures(self) -> dict[str, Any]:
+        """The frames sent and heard so far as plain values, for JSON."""
+        counts = {f"{kind}_sent": count for kind, count in vars(self.sent).items()}
+        conflicts = sorted(self.traffic.id_conflicts.items())
+        return counts | {
+            "delivered": self.reception.delivered,
+            "refused": self.reception.refused,
+            **vars(self.traffic),
+            "rejected": {reason.name: count for reason, count in self.reception.rejected.items()},
+            "id_conflicts": {str(sender): conflict.value for sender, conflict in conflicts},
+        }
 
     def _receive(self, message: Message) -> None:
         self._watch.hear(message)
-        if self._recorder is not None:
-            self._recorder.receive(message.sender, message.x_hat, message.alpha)
-        status = self._ticked.port.receive_raw(message.sender, message.x_hat, message.alpha)
-        self.traffic.received += 1
-        self.traffic.refused += status != Status.OK
+        self._bus_robot.receive(message)
 
     def _obey(self, command: Command) -> list[can.Message]:
         if command.target not in (self.settings.id, EVERY_ROBOT):
@@ -258,25 +237,7 @@ class RobotNode:
         self._tick_of_command = command.tick
         return self.observe(command.action.observation)
 
-    def _estimate(self) -> can.Message:
-        transfer = self.traffic.estimates_sent % _TRANSFERS
-        self.traffic.estimates_sent += 1
-        port = self._ticked.port
-        message = Message(self.settings.id, port.x_hat_raw, port.alpha_raw, transfer)
-        return encode(message, self.settings.subjects.estimates, self._now())
-
-    def _heartbeat(self) -> can.Message:
-        uptime = self.ticks // self.settings.steps_per_second
-        transfer = self.traffic.heartbeats_sent % _TRANSFERS
-        self.traffic.heartbeats_sent += 1
-        return encode_heartbeat(Heartbeat(self.settings.id, uptime, transfer), timestamp=self._now())
-
-    def _telemetry(self) -> can.Message:
-        transfer = self.traffic.telemetry_sent
-        self.traffic.telemetry_sent += 1
-        telemetry = telemetry_of(self.robot, self.settings.id, transfer)
-        return encode_telemetry(telemetry, self.settings.subjects.telemetry, self._now())
-
+    @property
     def _now(self) -> float:
         """The node's own time, seconds."""
         return self.ticks / self.settings.steps_per_second

@@ -89,12 +89,14 @@ class TickedRobot:
     Attributes:
         robot: The firmware.
         port: The firmware's side of the bus.
+        receive_raw: Hands over a neighbour's message, see ``mcp_asdf.robot.FixedPointRobot``.
     """
 
     def __init__(self, robot: Robot, comms_period: int = 1) -> None:
         """Drive a robot that has done nothing yet and broadcasts every ``comms_period`` ticks, 1 or more."""
         self.robot = robot
         self.port = port_of(robot)
+        self.receive_raw = self.port.receive_raw
         self._timer = RoundTimer(comms_period)
         self._ticks = 0
         self._counted = robot.counters

@@ -30,6 +30,7 @@ import can
 
 from mcp_asdf_tools.bus import FrameFormat
 from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.robots import BusRobot
 from mcp_asdf_tools.swarm.fault_injectors import (
     AT_SENDERS,
     ON_THE_WAY,
@@ -77,6 +78,15 @@ class Faults:
         """The fault that keeps ``robot`` dead in this tick; None while it lives."""
         lasting = [each.fault for each in self._spells if each.lasts(robot, tick)]
         return next((fault for fault in lasting if fault.kind is Kind.CRASH), None)
+
+    def survives(self, robot: BusRobot, tick: int) -> bool:
+        """Let ``robot`` crash or wake as this tick wants it; returns whether it lives."""
+        fault = self.crash(robot.id, tick)
+        if fault is None and not robot.is_alive:
+            robot.wake()
+        elif fault is not None and robot.is_alive:
+            robot.die(loses_state=fault.rejoin == "new")
+        return robot.is_alive
 
     def is_off(self, robot: int, tick: int) -> bool:
         """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``deliver`` heed it."""

@@ -12,9 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mcp_asdf_tools.bus import ONE, Telemetry, bus_load
-from mcp_asdf_tools.swarm.emulated_robot import Node
-from mcp_asdf_tools.swarm.remote_robot import RemoteNode
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
 
 _SECONDS_BETWEEN_PICTURES = 0.15
 _BIT_RATE = 125_000
@@ -64,7 +62,8 @@ def picture(swarm: Swarm) -> Group:
     for name in ("robot", "t", "n/t", "b_hat", "x_hat", "alpha", "x", "heard", "updates", "rejected"):
         table.add_column(name, justify="right")
     for node in swarm.nodes:
-        table.add_row(*_cells(node), style=_style(node))
+        is_flawed = swarm.settings.is_flawed(node.id)
+        table.add_row(*_cells(node, is_flawed), style=_style(node, is_flawed))
     own = {node.id for node in swarm.nodes}
     for sender, telemetry in sorted(swarm.traffic.telemetry.items()):
         if sender not in own:
@@ -72,11 +71,11 @@ def picture(swarm: Swarm) -> Group:
     return Group(_headline(swarm), table)
 
 
-def _cells(node: Node | RemoteNode) -> list[str]:
+def _cells(node: SwarmRobot, is_flawed: bool) -> list[str]:
     robot, counters = node.robot, node.counters
     share = robot.n / robot.t if robot.t else 0.0
     return [
-        f"{node.id}{'*' if node.is_flawed else ' '}",
+        f"{node.id}{'*' if is_flawed else ' '}",
         str(robot.t),
         f"{share:.4f}",
         f"{robot.b_hat:.4f}",
@@ -89,10 +88,10 @@ def _cells(node: Node | RemoteNode) -> list[str]:
     ]
 
 
-def _style(node: Node | RemoteNode) -> str:
+def _style(node: SwarmRobot, is_flawed: bool) -> str:
     if not node.is_alive:
         return _DEAD_STYLE
-    return _FLAWED_STYLE if node.is_flawed else _OTHER_STYLE
+    return _FLAWED_STYLE if is_flawed else _OTHER_STYLE
 
 
 def _cells_of_telemetry(telemetry: Telemetry) -> list[str]:

@@ -47,8 +47,8 @@ def _draw_lines(axes: Axes, run: Run, quantity: str) -> None:
     """Draw one line per robot, the flawed ones on top, in a colour of its own if all are equal."""
     ticks, values = run.history.ticks, run.history.values(quantity)
     are_equal = _are_equal(values)
-    for node in sorted(run.nodes, key=lambda each: each.is_flawed):
-        own_color = _FLAWED if node.is_flawed else _OTHER
+    for node in sorted(run.nodes, key=lambda each: run.settings.is_flawed(each.id)):
+        own_color = _FLAWED if run.settings.is_flawed(node.id) else _OTHER
         axes.plot(
             ticks,
             values[:, node.id],
@@ -109,7 +109,7 @@ def _topology(settings: SwarmSettings) -> str:
 
 
 def _legend(run: Run) -> list[Line2D]:
-    flawed = {node.is_flawed for node in run.nodes}
+    flawed = {run.settings.is_flawed(node.id) for node in run.nodes}
     lines = [Line2D([], [], color=_TRUTH, linestyle="--", label="true value")]
     if False in flawed:
         lines.insert(0, Line2D([], [], color=_OTHER, label="other robots"))

@@ -11,13 +11,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import can
 
 from mcp_asdf.fixed_point import word_to_alpha
-from mcp_asdf.robot import Counters, Observation
+from mcp_asdf.robot import Counters, Observation, Status
 from mcp_asdf_tools.bus import (
     MAX_NODE,
     ONE,
     FrameFormat,
     Message,
-    Rejection,
     Telemetry,
     decode,
     decode_telemetry,
@@ -25,18 +24,18 @@ from mcp_asdf_tools.bus import (
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import (
     DRIVER_ID,
+    Decoder,
     Lockstep,
     LockstepSettings,
+    Participant,
     Recorder,
     RobotRecord,
     RoundTimer,
     Subjects,
 )
-from mcp_asdf_tools.swarm.emulated_robot import Decoder
 from mcp_asdf_tools.swarm.fault_spec import Kind
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.swarm.traffic import Reception
 from mcp_asdf_tools.world import Topology
 
 ANSWER_TIMEOUT = 10.0
@@ -77,7 +76,7 @@ EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channe
 
 
 class RemoteRobot:
-    """What is known of a robot from what it was told and what it says. b_hat has 24 bits, x 23.
+    """State of a robot elsewhere, as far as commands and its frames reveal it. b_hat has 24 bits, x 23.
 
     Attributes:
         t: Observations commanded.
@@ -89,82 +88,51 @@ class RemoteRobot:
         counters: Only that of updates is known.
     """
 
-    def __init__(self, b_hat: float) -> None:
+    def __init__(self, record: RobotRecord) -> None:
         self.t = self.n = 0
-        self.b_hat = b_hat
+        self.b_hat = record.b_hat
         self.x_hat = self.x = 0.5
         self.alpha = 0.0
         self.counters = Counters()
+        self._timer = RoundTimer(record.config.comms_period)
 
-    def saw(self, z: Observation | None) -> None:
-        """It was told to observe this, or nothing."""
+    def observe(self, z: Observation | None) -> bool:
+        """The robot was commanded to observe; returns whether its broadcast is due."""
         self.t += z is not None
         self.n += z is Observation.BLACK
+        return self._timer.begin()
 
-    def said(self, message: Message) -> None:
-        """It has broadcast this."""
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """The robot hears this by itself."""
+        return Status.OK
+
+    def settle(self) -> None:
+        """The robot was commanded to settle."""
+        self._timer.end()
+
+    def take_estimate(self, message: Message) -> None:
+        """Note the robot's broadcast."""
         self.x_hat, self.alpha = message.x_hat / ONE, word_to_alpha(message.alpha)
 
-    def told(self, telemetry: Telemetry) -> None:
-        """It has answered this."""
+    def take_telemetry(self, telemetry: Telemetry) -> None:
+        """Note the robot's answer to a *settle*."""
         self.x, self.b_hat = telemetry.x / ONE, telemetry.b_hat / 2**24
         # Telemetry has 8 bits of the count, and comes after every tick.
         updates = self.counters.updates
         self.counters = Counters(updates=updates + (telemetry.updates - updates) % 256)
 
 
-class RemoteNode:
-    """The half of a remote robot that is here; ``emulated_robot.Node`` has the same members."""
+class RemoteNode(Participant):
+    """A robot whose firmware runs elsewhere.
 
-    def __init__(
-        self, record: RobotRecord, is_flawed: bool, decoder: Decoder, recorder: Recorder | None = None
-    ) -> None:
-        """Stand for the robot of ``record``; ``recorder`` is told what happens to it."""
-        self.id = record.id
-        self.is_flawed = is_flawed
-        self.is_alive = True
-        self.robot = RemoteRobot(record.b_hat)
-        self.heard = 0
-        self.reception = Reception()
-        self.recorder = recorder
-        self._timer = RoundTimer(record.config.comms_period)
-        self._decode = decoder
+    Attributes:
+        robot: What is known of the firmware here.
+    """
 
-    @property
-    def counters(self) -> Counters:
-        """The firmware's diagnostics, as far as they are known here."""
-        return self.robot.counters
-
-    def observe(self, z: Observation | None) -> bool:
-        """It is told to begin a tick; returns whether it broadcasts in it."""
-        self.robot.saw(z)
-        if self.recorder is not None:
-            self.recorder.observe(z)
-        is_due = self._timer.begin()
-        if is_due:
-            self.heard = 0
-        return is_due
-
-    def hear(self, frame: can.Message) -> None:
-        """It hears ``frame``."""
-        message = self._decode(frame)
-        if isinstance(message, Rejection):
-            self.reception.take_other(frame, message)
-            return
-        if self.recorder is not None:
-            self.recorder.receive(message.sender, message.x_hat, message.alpha)
-        self.reception.delivered += 1
-        self.heard += 1
-
-    def hear_stranger(self, frame: can.Message) -> None:
-        """What strangers say on its bus, it hears by itself."""
-
-    def settle(self, telemetry: Telemetry) -> None:
-        """It has ended the tick, and answered so."""
-        self._timer.end()
-        self.robot.told(telemetry)
-        if self.recorder is not None:
-            self.recorder.settle()
+    def __init__(self, record: RobotRecord, decoder: Decoder, recorder: Recorder | None = None) -> None:
+        """Stand for the robot of ``record``; ``recorder`` takes its events."""
+        self.robot = RemoteRobot(record)
+        super().__init__(record.id, self.robot, decoder, recorder)
 
 
 class Driver:
@@ -214,9 +182,9 @@ class Driver:
         self._estimates = {}
         sent, self._held = self._held, []
         self._lockstep.observe(observations)
-        due = [robot for robot, z in observations.items() if self.nodes[robot].observe(z)]
+        due = [robot for robot, z in observations.items() if self.nodes[robot].begin(z)]
         for robot, message in self._lockstep.estimates(due).items():
-            self.nodes[robot].robot.said(message)
+            self.nodes[robot].robot.take_estimate(message)
         return [(self.nodes[_sender(f)], f) for f in sent] + [
             (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
         ]
@@ -224,7 +192,8 @@ class Driver:
     def settle(self, robots: Collection[int]) -> None:
         """Let ``robots`` settle. Raises as ``Lockstep``."""
         for robot, telemetry in self._lockstep.settle(robots).items():
-            self.nodes[robot].settle(telemetry)
+            self.nodes[robot].robot.take_telemetry(telemetry)
+            self.nodes[robot].settle()
         self._held.sort(key=_sender)
 
     def _look_after(self) -> None:

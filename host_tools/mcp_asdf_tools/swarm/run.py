@@ -15,10 +15,9 @@ from mcp_asdf_tools.bus import BIT_RATES, bus_load
 from mcp_asdf_tools.common import software_versions
 from mcp_asdf_tools.robots import LockstepError
 from mcp_asdf_tools.swarm.connection import SwarmError
-from mcp_asdf_tools.swarm.emulated_robot import Node
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
 from mcp_asdf_tools.swarm.traffic import Traffic
 
 QUANTITIES = ("b_hat", "x_hat", "x")
@@ -76,7 +75,7 @@ class Run:
     """
 
     settings: SwarmSettings
-    nodes: Sequence[Node | RemoteNode]
+    nodes: Sequence[SwarmRobot]
     history: History
     results: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
@@ -121,6 +120,8 @@ def _results(swarm: Swarm, history: History) -> dict[str, Any]:
     x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
     counters = [node.counters for node in swarm.nodes]
     has_remote = any(isinstance(node, RemoteNode) for node in swarm.nodes)
+    flawed = [node.id for node in swarm.nodes if swarm.settings.is_flawed(node.id)]
+    other = [node.id for node in swarm.nodes if not swarm.settings.is_flawed(node.id)]
     tick = 1 / swarm.settings.steps_per_second
     return {
         "steps": swarm.ticks,
@@ -131,8 +132,8 @@ def _results(swarm: Swarm, history: History) -> dict[str, Any]:
         "tests": None if has_remote else sum(each.tests for each in counters),
         "updates": sum(each.updates for each in counters),
         "b_hat": {
-            "flawed": _before_and_after(history, [node.id for node in swarm.nodes if node.is_flawed]),
-            "other": _before_and_after(history, [node.id for node in swarm.nodes if not node.is_flawed]),
+            "flawed": _before_and_after(history, flawed),
+            "other": _before_and_after(history, other),
         },
         "frames": swarm.traffic.figures(),
         "faults": swarm.faults.figures(),
@@ -171,7 +172,7 @@ def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, 
     }
 
 
-def _robot_figures(node: Node | RemoteNode) -> dict[str, Any]:
+def _robot_figures(node: SwarmRobot) -> dict[str, Any]:
     """What one robot heard and made of it."""
     reception, counters = node.reception, node.counters
     return {

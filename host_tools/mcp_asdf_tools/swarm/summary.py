@@ -26,7 +26,7 @@ def summary_table(run: Run, bus: str, seconds: float) -> Table:
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     table.add_row("filter", f"{tests} tests, {results['updates']} updates")
     table.add_row("frames", _frames(run, bus))
-    for row in (*_faults(results), *_rejections(results), *_collisions(results), *_clock(results)):
+    for row in (*_faults(results), *_rejections(results), *_id_conflicts(results), *_clock(results)):
         table.add_row(*row)
     table.add_row("bus load", _loads(results))
     table.add_row("parameters", parameters(run))
@@ -125,10 +125,10 @@ def _rejections(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
             yield f"robot {robot['id']}", f"{robot['delivered']} messages delivered; {', '.join(reasons)}"
 
 
-def _collisions(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for robot_id, number in results["frames"]["collisions"].items():
+def _id_conflicts(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for robot_id, number in results["frames"]["id_conflicts"].items():
         yield (
-            "id collision",
+            "node-id conflict",
             f"another node sent {number} messages as robot {robot_id}; give it a free id",
         )
 

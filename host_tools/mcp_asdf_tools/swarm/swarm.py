@@ -15,10 +15,9 @@ import can
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import FrameFormat, Message, alpha_bits, decode, wire_bits
 from mcp_asdf_tools.recording import SidecarWriter
-from mcp_asdf_tools.robots import Filtering, make_clock
+from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Taker
-from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
 from mcp_asdf_tools.swarm.faults import Faults, Sent
 from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, Remote, SharedBus, Wiring
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
@@ -26,7 +25,8 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
 from mcp_asdf_tools.world import World
 
-__all__ = ["Filtering", "Swarm", "SwarmSettings"]
+SwarmRobot = BusRobot | RemoteNode
+"""A robot of a swarm, here or elsewhere."""
 
 
 class Swarm:
@@ -62,14 +62,8 @@ class Swarm:
         self.clock = make_clock(settings.clock, settings.steps_per_second)
         self._sidecar = sidecar
         decoder = Decoder(settings.frames)
-        self.nodes: list[Node | RemoteNode] = [
-            (RemoteNode if record.id in wiring.remote else Node)(
-                record,
-                settings.is_flawed(record.id),
-                decoder,
-                None if sidecar is None else sidecar.robots[record.id],
-            )
-            for record in settings.records()
+        self.nodes: list[SwarmRobot] = [
+            _robot_of(record, record.id in wiring.remote, decoder, sidecar) for record in settings.records()
         ]
         self.traffic = Traffic([node.reception for node in self.nodes])
         self._air = Air(self.world, self.faults, settings.latency)
@@ -112,9 +106,10 @@ class Swarm:
         """
         self.clock.begin(self.ticks)
         seen = self.world.step()
-        alive = [node for node in self.nodes if isinstance(node, Node) and self._survives(node)]
-        frames: list[tuple[Node | RemoteNode, can.Message]] = [*self._reports(alive)]
-        frames += self._broadcasts([node for node in alive if node.observe(seen[node.id])])
+        here = [node for node in self.nodes if isinstance(node, BusRobot)]
+        alive = [node for node in here if self.faults.survives(node, self.ticks)]
+        frames: list[tuple[SwarmRobot, can.Message]] = [*self._reports(alive)]
+        frames += self._estimates(alive, seen)
         frames += self._commanded(seen)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
         sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
@@ -135,16 +130,7 @@ class Swarm:
                 self.traffic.heartbeats_sent += not is_estimate
                 yield node, frame
 
-    def _survives(self, node: Node) -> bool:
-        """Whether the robot lives in this tick; wakes it if it was dead in the last."""
-        fault = self.faults.crash(node.id, self.ticks)
-        if fault is None and not node.is_alive:
-            node.wake()
-        elif fault is not None and node.is_alive:
-            node.die(fault.rejoin == "new")
-        return node.is_alive
-
-    def _reports(self, alive: list[Node]) -> Iterator[tuple[Node, can.Message]]:
+    def _reports(self, alive: list[BusRobot]) -> Iterator[tuple[BusRobot, can.Message]]:
         """Heartbeats, then telemetry of the state before this tick."""
         now = self._now
         period = self.settings.telemetry_period
@@ -155,22 +141,26 @@ class Swarm:
             self.traffic.telemetry_sent += len(alive)
             yield from ((node, node.telemetry_frame(now)) for node in alive)
 
-    def _broadcasts(self, due: list[Node]) -> Iterator[tuple[Node, can.Message]]:
-        """The estimates of this tick; they follow the other frames, which no robot waits for."""
+    def _estimates(
+        self, alive: list[BusRobot], seen: Sequence[Observation | None]
+    ) -> list[tuple[BusRobot, can.Message]]:
+        """Let robots observe; returns the estimates due. They follow frames that no robot waits for."""
+        now = self._now
+        due = [(node, frame) for node in alive for frame in node.observe(seen[node.id], now)]
         self.traffic.sent += len(due)
-        yield from ((node, node.broadcast(self._now)) for node in due)
+        return due
 
-    def _send(self, node: Node | RemoteNode, frame: can.Message, is_own: bool = True) -> list[Sent]:
+    def _send(self, node: SwarmRobot, frame: can.Message, is_own: bool = True) -> list[Sent]:
         """Let a robot send what the faults leave of a frame, its own or one that it babbles."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # What a robot elsewhere sends is on its bus, whatever the faults make of it here.
-        if self._sidecar is not None and isinstance(node, Node):
+        if self._sidecar is not None and isinstance(node, BusRobot):
             _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
         for sent in leaving:
             self._medium.send(sent)
         return leaving
 
-    def _babble(self, node: Node | RemoteNode) -> list[Sent]:
+    def _babble(self, node: SwarmRobot) -> list[Sent]:
         frames = self.faults.babble(node.id, self.ticks, self._now)
         return [sent for frame in frames for sent in self._send(node, frame, is_own=False)]
 
@@ -187,6 +177,15 @@ class Swarm:
         traffic.most_bits = max(traffic.most_bits, bits)
         traffic.in_range, traffic.arrived = self._air.in_range, self._air.arrived
         traffic.missed = self._medium.missed
+
+
+def _robot_of(
+    record: RobotRecord, is_remote: bool, decoder: Decoder, sidecar: SidecarWriter | None
+) -> SwarmRobot:
+    recorder = None if sidecar is None else sidecar.robots[record.id]
+    if is_remote:
+        return RemoteNode(record, decoder, recorder)
+    return BusRobot(record.id, record.make, decoder, recorder)
 
 
 def _as_received(log: Taker) -> Taker:

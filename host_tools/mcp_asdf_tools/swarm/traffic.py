@@ -4,55 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-import can
-
-from mcp_asdf_tools.bus import Heartbeat, Rejection, Telemetry, decode_heartbeat, decode_telemetry
-
-
-@dataclass
-class Reception:
-    """What one robot heard, in frames.
-
-    Attributes:
-        delivered: Messages of the swarm that reached the firmware.
-        refused: Those among them that the firmware did not accept (repeated or invalid).
-        heartbeats: Heartbeats.
-        telemetry: Telemetry, that of other processes' robots included.
-        errors: Error frames.
-        strays: Legal messages that nobody of the swarm has sent; another program uses the subject.
-        collisions: Messages under the robot's own id: another node has it, too.
-        rejected: Other frames, by the reason why they are no message.
-        last_telemetry: The last telemetry of each sender, by id.
-    """
-
-    delivered: int = 0
-    refused: int = 0
-    heartbeats: int = 0
-    telemetry: int = 0
-    errors: int = 0
-    strays: int = 0
-    collisions: int = 0
-    rejected: Counter[Rejection] = field(default_factory=Counter)
-    last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
-
-    def take_other(self, frame: can.Message, reason: Rejection) -> None:
-        """Count a frame that is no estimate, for this ``reason``."""
-        if reason is Rejection.ERROR_FRAME:
-            self.errors += 1
-            return
-        if reason is Rejection.SUBJECT:
-            if isinstance(decode_heartbeat(frame), Heartbeat):
-                self.heartbeats += 1
-                return
-            telemetry = decode_telemetry(frame)
-            if isinstance(telemetry, Telemetry):
-                self.telemetry += 1
-                self.last_telemetry[telemetry.sender] = telemetry
-                return
-        self.rejected[reason] += 1
+from mcp_asdf_tools.bus import Rejection, Telemetry
+from mcp_asdf_tools.robots import Reception
 
 
 @dataclass
@@ -88,9 +44,9 @@ class Traffic:
         return sum(getattr(each, name) for each in self.receptions)
 
     @property
-    def collisions(self) -> dict[int, int]:
+    def id_conflicts(self) -> dict[int, int]:
         """How many messages under its own id each robot heard, by id; robots that heard none left out."""
-        return {robot: each.collisions for robot, each in enumerate(self.receptions) if each.collisions}
+        return {robot: each.id_conflicts for robot, each in enumerate(self.receptions) if each.id_conflicts}
 
     @property
     def rejected(self) -> Counter[Rejection]:
@@ -112,6 +68,6 @@ class Traffic:
             "errors_heard": self.total("errors"),
             "refused": self.total("refused"),
             "strays": self.total("strays"),
-            "collisions": {str(robot): count for robot, count in self.collisions.items()},
+            "id_conflicts": {str(robot): count for robot, count in self.id_conflicts.items()},
             "rejected": {reason.name: count for reason, count in self.rejected.items()},
         }

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import pytest
 
 from mcp_asdf_tools.bus.frames import Heartbeat, Message
-from mcp_asdf_tools.bus.id_conflicts import Collision, CollisionWatch
+from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
 
 ID = 5
 SEED = 41
@@ -21,7 +21,7 @@ def broadcast(sender: int, number: int) -> Message:
 
 def first_noticed(messages: Iterable[Message]) -> int | None:
     """How many messages were heard when a collision was reported; None if none was."""
-    watch = CollisionWatch()
+    watch = IdConflictWatch()
     for count, message in enumerate(messages, 1):
         collision = watch.hear(message)
         assert (collision is None) == (not watch.found)
@@ -88,15 +88,15 @@ def test_two_senders_are_noticed_with_loss(offset: int) -> None:
 
 
 def test_own_id_is_noticed_at_once() -> None:
-    watch = CollisionWatch(own=ID)
+    watch = IdConflictWatch(own=ID)
     assert watch.hear(Message(ID + 1, 0, 0, 0)) is None
-    assert watch.hear(Heartbeat(ID, 0, 0)) is Collision.OWN_ID
-    assert watch.found == {ID: Collision.OWN_ID}
+    assert watch.hear(Heartbeat(ID, 0, 0)) is IdConflict.OWN_ID
+    assert watch.found == {ID: IdConflict.OWN_ID}
     assert watch.hear(Heartbeat(ID, 1, 1)) is None, "it was reported"
 
 
 def test_ids_and_kinds_are_told_apart() -> None:
-    watch = CollisionWatch(own=127)
+    watch = IdConflictWatch(own=127)
     for number in range(1000):
         for sender in range(3):
             assert watch.hear(Message(sender, 10 * number + sender, 0, number % 32)) is None
@@ -105,17 +105,17 @@ def test_ids_and_kinds_are_told_apart() -> None:
 
 
 def test_only_the_shared_id_is_reported() -> None:
-    watch = CollisionWatch()
+    watch = IdConflictWatch()
     for first, second in zip(*[iter(two_senders(9, True, 0.0))] * 2, strict=True):
         for message in (first, second):
             watch.hear(message)
         watch.hear(Message(ID + 1, first.x_hat, 0, first.transfer_id))
-    assert watch.found == {ID: Collision.TWO_SENDERS}
+    assert watch.found == {ID: IdConflict.TWO_SENDERS}
 
 
 def test_two_heartbeats_are_noticed() -> None:
-    watch = CollisionWatch()
+    watch = IdConflictWatch()
     for second in range(40):
         watch.hear(Heartbeat(ID, second, second % 32))
         watch.hear(Heartbeat(ID, 1000 + second, (second + 4) % 32))
-    assert watch.found == {ID: Collision.TWO_SENDERS}
+    assert watch.found == {ID: IdConflict.TWO_SENDERS}

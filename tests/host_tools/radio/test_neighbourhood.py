@@ -190,7 +190,7 @@ def test_stray_commands_are_not_obeyed(tick: int) -> None:
     for _ in range(200):
         for frame in stray_commands(draw, Subjects().commands, ID, 9, tick):
             assert robot.hear(frame) == []
-    assert (robot.robot.t, robot.traffic.rejected) == (1, {})
+    assert (robot.robot.t, robot.reception.rejected) == (1, {})
 
 
 # The verdict
@@ -329,7 +329,7 @@ class Controller(RobotNode):
     def give(self, message: Message, sender: int | None = None) -> Status:
         """Let the firmware have a message, under another id if one is given."""
         own = message.sender if sender is None else sender
-        return self._ticked.port.receive_raw(own, message.x_hat, message.alpha)
+        return self._bus_robot._receive_raw(own, message.x_hat, message.alpha)
 
     def lenient(self, frame: can.Message) -> None:
         """Read an estimate out of anything of 8 bytes."""
@@ -415,7 +415,7 @@ class ObservesTwice(Controller):
     def _obey(self, command: Any) -> list[can.Message]:
         is_repeated = not self.is_settled and command.tick == self._tick_of_command
         if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-            self._ticked.observe(command.action.observation)
+            self._bus_robot._ticked.observe(command.action.observation)
         return super()._obey(command)
 
 
@@ -473,7 +473,7 @@ class HangsAfterAWhile(Controller):
 class ForgetsAfterACollision(Controller):
     def _receive(self, message: Message) -> None:
         if message.sender == ID:
-            self._ticked = record(ID, "native", 0.55).make()
+            self._bus_robot._drive(record(ID, "native", 0.55).make())
         super()._receive(message)
 
 
@@ -522,8 +522,8 @@ WRONG: dict[str, tuple[Callable[[], RobotNode], str, str]] = {
         "the controller sent x_hat 0x",
     ),
     "counts repeated messages": (CountsRepeated, "delay", "telemetry"),
-    "hears itself": (HearsItself, "id collision", "telemetry"),
-    "forgets after a collision": (ForgetsAfterACollision, "id collision", ""),
+    "hears itself": (HearsItself, "node-id conflict", "telemetry"),
+    "forgets after a collision": (ForgetsAfterACollision, "node-id conflict", ""),
     "stops listening": (StopsListening, "flood", "telemetry"),
     "counts nothing as white": (CountsNothingAsWhite, "no observations", "estimate"),
     "rounds telemetry": (RoundsTelemetry, "nothing wrong", "telemetry: the controller sent x 0x"),
@@ -671,7 +671,7 @@ def test_neighbours_in_real_time_hear_and_are_heard(
     assert results["steps"] == 100
     assert results["estimates_heard"] > 0
     assert results["strangers"] == 1
-    assert list(results["collisions"]) == ["1"]
+    assert list(results["id_conflicts"]) == ["1"]
     lost = results["faults"][0]["injected"]
     assert results["frames_sent"] + lost == 4 * (100 + 1)  # with a heartbeat each
     heard = [m for f in read_log(node_log) if isinstance(m := decode(f, FrameFormat()), Message)]

@@ -117,7 +117,7 @@ def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
     assert robot.robot.state() == twin.state()
     assert twin.counters.updates > 0
     assert (robot.ticks, robot.traffic.unsettled) == (ticks, unsettled)
-    assert robot.traffic.telemetry_sent > 100 and unsettled > 50
+    assert robot.sent.telemetry > 100 and unsettled > 50
 
 
 def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
@@ -301,7 +301,7 @@ class Lossy(Wire):
             super().send(msg, timeout)
 
     def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
-        is_mute = node.traffic.telemetry_sent == self._mute and kinds(list(frames)) == "t"
+        is_mute = node.sent.telemetry == self._mute and kinds(list(frames)) == "t"
         super().say(node, [] if is_mute else frames)
 
 
@@ -359,7 +359,7 @@ def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
         play(wire)
     assert [robot.ticks for robot in wire.nodes] == [8] * 3
-    assert [robot.traffic.telemetry_sent for robot in wire.nodes] == [8] * 3
+    assert [robot.sent.telemetry for robot in wire.nodes] == [8] * 3
     assert [robot.traffic.disobeyed for robot in wire.nodes] == [1] * 3
 
 
@@ -427,7 +427,7 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
         results = nodes.reports[twin.settings.id]["results"]
         assert results["robot"] == state_of(twin)
         # Filters keep heartbeats and telemetry away from a process.
-        assert results["frames"] == twin.traffic.figures() | {"rejected": {}}
+        assert results["frames"] == twin.figures() | {"rejected": {}}
         assert (results["steps"], results["ending"]) == (60, "told to stop")
 
 

@@ -13,9 +13,10 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, Observation, Status
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.reception import Decoder
 from mcp_asdf_tools.robots.rounds import RoundTimer, TickConfig, TickedRobot
-from mcp_asdf_tools.swarm.emulated_robot import Decoder, Node
 from robots import ALPHA_ONE
 from wire import TABLE, record
 
@@ -104,14 +105,14 @@ def test_nodes_do_what_the_plain_firmware_does(comms: int, tau: int) -> None:
     plain, node, member = (
         Plain(comms, tau),
         RobotNode(own.make(), NodeSettings(5)),
-        Node(own, True, decoder()),
+        BusRobot(own.id, own.make, decoder()),
     )
     draw = random.Random(comms)
     for tick in range(300):
         z, replay = draw.choice(SEEN), f"random.Random({comms}), tick {tick}"
         expected = plain.begin(z)
         assert said(node.observe(z)) == expected, replay
-        assert ([said([member.broadcast(0)])[0]] if member.observe(z) else []) == expected, replay
+        assert said(member.observe(z, 0)) == expected, replay
         for sender in draw.sample(range(6, 20), 5):
             message = Message(sender, draw.randint(0, 1 << 20), ALPHA_ONE, 0)
             plain.robot.receive_raw(sender, message.x_hat, message.alpha)
@@ -132,7 +133,7 @@ def decoder() -> Decoder:
     return Decoder(FrameFormat())
 
 
-def state(node: RobotNode | Node) -> dict[str, int]:
+def state(node: RobotNode | BusRobot) -> dict[str, int]:
     assert isinstance(node.robot, MirrorRobot)
     return node.robot.state()
 

@@ -215,7 +215,7 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
             "for faults, latency or a topology write {robot}",
         ),
         (
-            {"density": 1.0},
+            {"topology": "dynamic"},
             (),
             Wiring(one_bus, True, frozenset(range(4))),
             "for faults, latency or a topology write",

@@ -118,7 +118,7 @@ def test_every_message_reaches_every_neighbour_once(firmware: str, robots: int) 
     assert figures["heartbeats_sent"] == 6 * robots
     assert figures["heartbeats_heard"] == 6 * robots * (robots - 1)
     assert (figures["refused"], figures["strays"], figures["rejected"]) == (0, 0, {})
-    assert figures["collisions"] == {}
+    assert figures["id_conflicts"] == {}
     assert len(frames) == 66 * robots
     for node in outcome.nodes:
         assert node.heard == robots - 1
@@ -212,7 +212,7 @@ def test_native_and_mirror_say_the_same_on_the_bus() -> None:
 def test_who_filters(deployment: Filtering, filtering: list[int]) -> None:
     outcome, _ = record(small(filter=deployment))
     assert [node.id for node in outcome.nodes if node.robot.counters.tests] == filtering
-    assert [node.id for node in outcome.nodes if node.is_flawed] == [0, 1]
+    assert [node.id for node in outcome.nodes if outcome.settings.is_flawed(node.id)] == [0, 1]
 
 
 def test_flawed_robots_recalibrate() -> None:
@@ -374,7 +374,7 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
         assert np.array_equal(disturbed.history.values(quantity), undisturbed.history.values(quantity))
     figures = disturbed.results["frames"]
     assert figures["strays"] == 2 * 5
-    assert figures["collisions"] == {"1": 1}
+    assert figures["id_conflicts"] == {"1": 1}
     reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
     assert figures["rejected"] == {reason.name: 5 for reason in reasons}
 
@@ -393,7 +393,7 @@ def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
         for turn in range(4):
             other.send(encode(Message(2, turn, turn, 30), FrameFormat()), timeout=1)
             swarm.tick()
-        assert swarm.traffic.collisions == {2: 4}
+        assert swarm.traffic.id_conflicts == {2: 4}
         run = run_swarm(swarm)
     text = io.StringIO()
     Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
@@ -542,7 +542,7 @@ def test_the_live_table_is_for_terminals(is_terminal: bool) -> None:
     last = screen.getvalue().split("tick 60 of 60")[-1]
     rows = [line.split() for line in last.splitlines()[3:8]]
     for row, node in zip(rows, outcome.nodes, strict=True):
-        assert row[0] == f"{node.id}*" if node.is_flawed else f"{node.id}"
+        assert row[0] == f"{node.id}*" if outcome.settings.is_flawed(node.id) else f"{node.id}"
         assert row[1] == "60"
         assert row[3:5] == [f"{node.robot.b_hat:.4f}", f"{node.robot.x_hat:.4f}"]
         assert row[7:] == ["4", str(node.robot.counters.updates), "0"]
@@ -869,7 +869,7 @@ def test_a_neighbour_of_this_computer_is_a_stranger_though_socketcan_calls_its_f
     ):
         other.send(encode(Message(2, 5, 5, 30), FrameFormat()), timeout=1)
         swarm.tick()
-        assert swarm.traffic.collisions == {2: 1}
+        assert swarm.traffic.id_conflicts == {2: 1}
         assert swarm.traffic.total("strays") == 5
     assert len(frames) == 1 + 5 + 5
     assert all(frame.is_rx for frame in frames)

@@ -293,7 +293,7 @@ def test_frozen_values_and_lies() -> None:
 def test_a_collision_of_ids_is_reported_and_the_first_message_counts() -> None:
     run, _ = record(make("collide,robots=3,id=2"))
     assert injected(run) == [66]
-    assert figures(run)["collisions"] == {"2": 60}
+    assert figures(run)["id_conflicts"] == {"2": 60}
     # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
     assert figures(run)["refused"] == 60 + 3 * 60
     text = io.StringIO()
