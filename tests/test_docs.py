@@ -314,9 +314,9 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
-def test_python_programs_of_the_page_run(page: Path) -> None:
+def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
     for code in blocks(page, "python"):
-        run(sys.executable, "-c", code)
+        run(sys.executable, "-c", code, cwd=tmp_path)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import (
+    E_MAX,
     Experiment,
-    Limits,
-    Report,
+    LimitsOf,
     Trials,
+    chosen_limits,
     default_workers,
-    found_limits,
-    score,
 )
 
 
@@ -53,60 +50,37 @@ def check_workers(workers: int) -> int:
     return workers
 
 
-FOUND = ("the largest found", "the largest found")
-WORST = ("the length of a trial", "the largest possible")
-
-
-def add_limits(parser: argparse.ArgumentParser, defaults: tuple[str, str] = FOUND) -> None:
-    """The options for what scores are relative to."""
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """The options for K_max and e_max."""
     group = parser.add_argument_group("scores")
     group.add_argument(
-        "--k-max", type=float, metavar="STEPS", help=f"K that scores 0 (default: {defaults[0]})"
+        "--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)"
     )
-    group.add_argument(
-        "--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {defaults[1]})"
-    )
+    group.add_argument("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
 
 
-def limits_of(args: argparse.Namespace, experiments: Sequence[Trials]) -> Limits:
-    """The limits given, or those found in ``experiments``. Raises UsageError for limits of 0 or less."""
-    found = [found_limits(trials.settled, trials.errors) for trials in experiments]
-    values = (
-        max(limits.k_max for limits in found) if args.k_max is None else args.k_max,
-        max(limits.e_max for limits in found) if args.e_max is None else args.e_max,
-    )
-    for name, value in zip(("--k-max", "--e-max"), values, strict=True):
-        if not 0 < value < float("inf"):
-            raise UsageError(f"{name} is {value}; it must be above 0")
-    return Limits(*values)
+def limits_of(args: argparse.Namespace) -> LimitsOf:
+    """The limits given, or else the paper's. Raises UsageError for limits of 0 or less."""
+    return chosen_limits(args.k_max, args.e_max)
 
 
-@contextmanager
-def progress(total: int, quiet: bool) -> Iterator[Report]:
-    """A bar that counts trials, on a terminal only."""
-    console = Console(stderr=True)
-    columns = (TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
-        task = bar.add_task("trials", total=total)
-        yield lambda trials: bar.advance(task, trials)
-
-
-def summary(experiments: Sequence[Trials], limits: Limits) -> list[dict[str, Any]]:
+def summary(experiments: Sequence[Trials], limits: LimitsOf) -> list[dict[str, Any]]:
     """For each experiment its parameters, and medians and quartiles over the trials, as plain values."""
     return [
         {
             "parameters": trials.experiment.parameters(),
             "trials": len(trials.numbers),
+            "limits": limits(trials.experiment)._asdict(),
             **_figures(trials, limits),
         }
         for trials in experiments
     ]
 
 
-def _figures(trials: Trials, limits: Limits) -> dict[str, Any]:
+def _figures(trials: Trials, limits: LimitsOf) -> dict[str, Any]:
     import numpy as np  # noqa: PLC0415
 
-    scores = score(trials.settled, trials.errors, limits)
+    scores = trials.scores(limits)
     values = {
         "H": scores.h,
         "h_K": scores.h_k,
@@ -121,14 +95,15 @@ def _figures(trials: Trials, limits: Limits) -> dict[str, Any]:
     }
 
 
-def show(experiments: Sequence[Trials], limits: Limits, title: str) -> None:
+def show(experiments: Sequence[Trials], limits: LimitsOf, title: str) -> None:
     """Print a table with a row for each experiment and a column for each parameter in which they differ."""
     rows = summary(experiments, limits)
     varying = [name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1]
     table = Table(title=title, title_justify="left", caption_justify="left")
-    table.caption = (
-        f"K_max {limits.k_max:g}, e_max {limits.e_max:.6g}; medians over the trials, H with quartiles"
-    )
+    chosen = {limits(trials.experiment) for trials in experiments}
+    k_max = f"{min(chosen).k_max:g}" if len(chosen) == 1 else "the length of a trial"
+    e_max = f"{min(chosen).e_max:.6g}"
+    table.caption = f"K_max {k_max}, e_max {e_max}; medians over the trials, H with quartiles"
     for name in (*varying, "trials", "H", "h_K", "h_e", "K", "e", "updates"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:

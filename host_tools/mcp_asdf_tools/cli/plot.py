@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Trials, experiments_in, read_table
+from mcp_asdf_tools.library import PLOTS, plot_trials
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,9 +26,7 @@ examples:
   mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy; needs no results
 exit code: 0 done, 2 bad usage"""
 
-_SCORES = ("boxes", "scatter")
-_ONE_EXPERIMENT = ("series", "trajectories", "network")
-KINDS = (*_SCORES, *_ONE_EXPERIMENT, "alpha")
+KINDS = (*PLOTS, "alpha")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,21 +64,12 @@ def _experiments_of(args: argparse.Namespace) -> list[Trials]:
     if (args.file is None) != (args.kind == "alpha"):
         needs = "no results" if args.kind == "alpha" else "results"
         raise UsageError(f"a picture of kind {args.kind} needs {needs}; see --help")
-    experiments = [] if args.file is None else experiments_in(read_table(args.file))
-    if args.kind in _ONE_EXPERIMENT and len(experiments) != 1:
-        raise UsageError(f"{args.file} holds {len(experiments)} experiments; {args.kind} is drawn of one")
-    return experiments
+    return [] if args.file is None else experiments_in(read_table(args.file))
 
 
 def _draw(args: argparse.Namespace, experiments: list[Trials]) -> Figure:
-    from mcp_asdf_tools.experiments import arena_plots, plots  # noqa: PLC0415
+    if args.kind != "alpha":
+        return plot_trials(experiments, args.kind, args.trial, args.step, options.limits_of(args))
+    from mcp_asdf_tools.experiments import plots  # noqa: PLC0415
 
-    if args.kind == "alpha":
-        return plots.confidence()
-    if args.kind == "series":
-        return plots.series(experiments[0], args.trial)
-    if args.kind in _ONE_EXPERIMENT:
-        draw_arena = arena_plots.network if args.kind == "network" else arena_plots.trajectories
-        return draw_arena(experiments[0].experiment, args.trial, args.step)
-    draw = plots.boxes if args.kind == "boxes" else plots.scatter
-    return draw(experiments, options.limits_of(args, experiments))
+    return plots.confidence()

@@ -7,12 +7,12 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments import describe, experiments_in, read_table, write_csv
+from mcp_asdf_tools.experiments import experiments_in, metadata_of, read_table, write_csv
 
 HELP = "score results: K, e, h_K, h_e and H"
 EPILOG = """\
 examples:
-  mcp-asdf score grid.parquet                       # K_max and e_max are the largest found, as in the paper
+  mcp-asdf score grid.parquet                       # K_max and e_max as in the paper: T and 0.45
   mcp-asdf score grid.parquet --k-max 40000 --e-max 0.45
   mcp-asdf score grid.parquet --csv grid.csv        # a line for every trial
 exit code: 0 done, 2 bad usage"""
@@ -29,12 +29,12 @@ def run(args: argparse.Namespace) -> int:
     """Score, keep and print."""
     table = read_table(args.file)
     experiments = experiments_in(table)
-    limits = options.limits_of(args, experiments)
+    limits = options.limits_of(args)
     if args.csv is not None:
-        write_csv(args.csv, [(trials, limits) for trials in experiments])
+        write_csv(args.csv, experiments, limits)
     if args.json:
-        result = {**describe(table), "limits": limits._asdict()}
-        print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
+        result = {**metadata_of(table), "experiments": options.summary(experiments, limits)}
+        print(json.dumps(result, indent=2))
     else:
         options.show(experiments, limits, str(args.file))
     return 0

@@ -8,12 +8,12 @@ import tempfile
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, progress
 from mcp_asdf_tools.experiments import (
     Experiment,
     Store,
-    describe,
     experiments_in,
+    metadata_of,
     read_experiments,
     run_sweep,
     write_authors_json,
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml, .yml"
     )
     options.add_parameters(parser)
-    options.add_limits(parser, options.WORST)
+    options.add_limits(parser)
     output = parser.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
     output.add_argument(
@@ -63,26 +63,18 @@ def run(args: argparse.Namespace) -> int:
         )
         store = Store(output, [experiment], thinning)
         missing = len(store.missing(experiment))
-        with options.progress(missing, args.json) as report:
+        with progress("trials", missing, args.json) as report:
             # A few seconds' work is done sooner than processes start.
             is_short = (
                 experiment.firmware == "native" and missing * experiment.robots * experiment.steps < 10**8
             )
             table = run_sweep(store, 1 if is_short else workers, thinning, report)
     experiments = experiments_in(table)
-    worst = max(experiment.fill_ratio, 1 - experiment.fill_ratio)
-    args.k_max = experiment.steps if args.k_max is None else args.k_max
-    args.e_max = worst if args.e_max is None else args.e_max
-    limits = options.limits_of(args, experiments)
+    limits = options.limits_of(args)
     if args.authors_json is not None:
         write_authors_json(args.authors_json, experiments[0])
     if args.json:
-        print(
-            json.dumps(
-                {**describe(table), "limits": limits._asdict(), **options.summary(experiments, limits)[0]},
-                indent=2,
-            )
-        )
+        print(json.dumps({**metadata_of(table), **options.summary(experiments, limits)[0]}, indent=2))
     else:
         options.show(experiments, limits, "one experiment")
     return 0

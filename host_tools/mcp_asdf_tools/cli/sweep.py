@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments import Store, describe, experiments_in, read_experiments, run_sweep
+from mcp_asdf_tools.common import progress
+from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
 HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
 EPILOG = """\
@@ -49,7 +50,7 @@ def run_stores(stores: Sequence[Store], workers: int, args: argparse.Namespace) 
     """Run what sweeps miss, one after the other, and return their tables. If interrupted say what is left."""
     missing = sum(store.left for store in stores)
     try:
-        with options.progress(missing, args.json) as report:
+        with progress("trials", missing, args.json) as report:
             return [run_sweep(store, workers, report=report, scheduler=args.scheduler) for store in stores]
     except KeyboardInterrupt:
         left = sum(store.left for store in stores)
@@ -65,9 +66,9 @@ def run(args: argparse.Namespace) -> int:
     missing = store.left
     (table,) = run_stores([store], workers, args)
     experiments = experiments_in(table)
-    limits = options.limits_of(args, experiments)
+    limits = options.limits_of(args)
     if args.json:
-        result = {**describe(table), "limits": limits._asdict(), "run": missing, "output": str(store.output)}
+        result = {**metadata_of(table), "run": missing, "output": str(store.output)}
         print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
     else:
         options.show(experiments, limits, str(store.output))

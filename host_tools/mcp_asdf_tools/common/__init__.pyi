@@ -26,6 +26,7 @@ from .parameters import member_of as member_of
 from .parameters import parameter as parameter
 from .parameters import plain_value as plain_value
 from .parameters import special_parameter as special_parameter
+from .progress_bar import progress as progress
 from .signals import has_ended as has_ended
 from .signals import standard_input as standard_input
 from .signals import stopping as stopping

@@ -5,8 +5,11 @@ Words and letters are the paper's; ``simulation`` runs experiments, ``experiment
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from itertools import product
+from typing import Any
 
 from mcp_asdf_tools.common import ParameterError, parameter
 from mcp_asdf_tools.robots import Population
@@ -38,3 +41,22 @@ class Experiment(Population):
         if self.conventions is Convention.AUTHORS and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
+
+
+def grid(**parameters: Any) -> list[Experiment]:
+    """Experiments with all combinations of parameters, of which lists have several values.
+
+    Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
+    """
+    return [Experiment.from_parameters(choice) for choice in combinations(parameters)]
+
+
+def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """One dictionary for each combination of the values in lists. Raises ParameterError as ``grid``."""
+    axes = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
+    size = 1
+    for key, axis in zip(parameters, axes, strict=True):
+        size *= len(axis)
+        if not 0 < size <= MAX_EXPERIMENTS:
+            raise ParameterError(key, f"{key} makes {size} experiments; give 1 to {MAX_EXPERIMENTS}")
+    return (dict(zip(parameters, values, strict=True)) for values in product(*axes))

@@ -16,14 +16,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.common import ParameterError, UsageError
 from mcp_asdf_tools.experiments.authors_formats import read_yaml
-from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, combinations
 
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
@@ -68,8 +66,11 @@ def _read_toml(path: Path, text: str) -> list[Experiment]:
     lines = _TomlLines(path, text)
     experiments: list[Experiment] = []
     for number, grid in enumerate(grids, start=1):
-        for choice in _combinations({**content, **grid}, lines, number):
-            experiments.append(_experiment(choice, lines, number))
+        try:
+            for choice in combinations({**content, **grid}):
+                experiments.append(Experiment.from_parameters(_from_folder(choice, path.parent)))
+        except ParameterError as error:
+            raise lines.error(number, error.key, str(error)) from error
     return experiments
 
 
@@ -91,23 +92,10 @@ class _TomlLines:
         return UsageError(f"{self.path}{'' if line is None else f', line {line}'}: {message}")
 
 
-def _combinations(grid: dict[str, Any], lines: _TomlLines, number: int) -> Iterator[dict[str, Any]]:
-    axes = [value if isinstance(value, list) else [value] for value in grid.values()]
-    size = 1
-    for key, axis in zip(grid, axes, strict=True):
-        size *= len(axis)
-        if not 0 < size <= MAX_EXPERIMENTS:
-            raise lines.error(number, key, f"{key} makes {size} experiments; give 1 to {MAX_EXPERIMENTS}")
-    for values in product(*axes):
-        yield dict(zip(grid, values, strict=True))
-
-
-def _experiment(parameters: dict[str, Any], lines: _TomlLines, number: int) -> Experiment:
+def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The parameters with paths as this process needs them."""
     given = dict(parameters)
     for key in ("picture", "graph"):
-        if isinstance(given.get(key), str) and (lines.path.parent / given[key]).is_file():
-            given[key] = str(lines.path.parent / given[key])
-    try:
-        return Experiment.from_parameters(given)
-    except ParameterError as error:
-        raise lines.error(number, error.key, str(error)) from error
+        if isinstance(given.get(key), str) and (folder / given[key]).is_file():
+            given[key] = str(folder / given[key])
+    return given

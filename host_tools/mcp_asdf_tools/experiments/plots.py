@@ -16,7 +16,7 @@ from mcp_asdf.reference import local_confidence
 from mcp_asdf_tools.common import COLOURS, FLAWED, GREY, INK, OTHER, UsageError, clean, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
 from mcp_asdf_tools.robots import Filtering
 
 _NO_FILTER = GREY
@@ -44,7 +44,7 @@ Name = Callable[[Experiment], str]
 # --- Scores ----------------------------------------------------------------------------------------------
 
 
-def boxes(experiments: Sequence[Trials], limits: Limits, name: Name | None = None) -> Figure:
+def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None) -> Figure:
     """H over the proportion of flawed robots P and their accuracy b_hat: a panel for each f and b, as in the
     paper's figures 4 and 6; a colour for each ``name``, by default made of all else that varies.
 
@@ -68,7 +68,9 @@ def boxes(experiments: Sequence[Trials], limits: Limits, name: Name | None = Non
     return figure
 
 
-def scatter(experiments: Sequence[Trials], limits: Limits, name: Name | None = None) -> Figure:
+def scatter(
+    experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None
+) -> Figure:
     """h_e against h_K, as the paper's figure 5: a row for each series, a column for each f and b, a colour
     for each P and a shape for each b_hat; a point for each trial, a larger one for the medians."""
     series = _by_series(experiments, name)
@@ -91,7 +93,7 @@ def scatter(experiments: Sequence[Trials], limits: Limits, name: Name | None = N
 
 
 def _draw_boxes(
-    axes: Axes, series: Sequence[Sequence[Trials]], limits: Limits, colours: Sequence[str]
+    axes: Axes, series: Sequence[Sequence[Trials]], limits: LimitsOf, colours: Sequence[str]
 ) -> None:
     """Groups of boxes side by side: P after P, within it b_hat after b_hat, within it the series."""
     slots = sorted({_slot(trials) for own in series for trials in own})
@@ -99,7 +101,7 @@ def _draw_boxes(
     for index, (own, colour) in enumerate(zip(series, colours, strict=True)):
         for trials in own:
             axes.boxplot(
-                score(trials.settled, trials.errors, limits).h,
+                trials.scores(limits).h,
                 positions=[slots.index(_slot(trials)) + (index + 0.5) * width - 0.43],
                 widths=0.85 * width,
                 manage_ticks=False,
@@ -150,10 +152,10 @@ def _mark_shares(axes: Axes, slots: Sequence[Slot]) -> None:
         axes.axvline(start - 0.5, color="#bbbbbb", linewidth=0.8)
 
 
-def _draw_points(axes: Axes, own: Sequence[Trials], limits: Limits, shares: Sequence[float]) -> None:
+def _draw_points(axes: Axes, own: Sequence[Trials], limits: LimitsOf, shares: Sequence[float]) -> None:
     offs = sorted({_slot(trials)[1] for trials in own if _slot(trials)[0]}, key=abs)
     for trials in own:
-        scores, (share, off) = score(trials.settled, trials.errors, limits), _slot(trials)
+        scores, (share, off) = trials.scores(limits), _slot(trials)
         colour, marker = _shade(share, shares), _MARKERS[offs.index(off) if share else 0]
         axes.plot(scores.h_k, scores.h_e, marker, color=colour, markersize=3, alpha=0.35, markeredgewidth=0)
         middle = np.median(scores.h_k), np.median(scores.h_e)

@@ -3,7 +3,8 @@
 A Parquet file has a row for every trial: the experiment's parameters, a column each, and
 
 - ``trial``, its number;
-- ``k`` and ``e``, lists over the robots;
+- ``H``, ``h_K`` and ``h_e``, its scores with the paper's K_max and e_max (``scores.paper_limits``);
+- ``k`` and ``e``, lists over the robots: convergence steps and errors;
 - ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
 - ``tests`` and ``updates``, lists over the robots;
 - ``record_t`` to ``record_b_hat``, where recorded: values after steps 0, ``thinning``, 2 ``thinning``, ... in
@@ -31,10 +32,11 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common import UsageError, software_versions, write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
-from mcp_asdf_tools.experiments.scores import DELTA, Limits, score
+from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
 
-FORMAT = 3
+FORMAT = 4
 _KEY = b"mcp-asdf"
+SCORES = ("H", "h_K", "h_e")
 _LISTS = {
     "k": pa.int32(),
     "e": pa.float64(),
@@ -53,6 +55,8 @@ def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> p
         name: pa.array([value] * count, _kind(name)) for name, value in experiment.parameters().items()
     }
     columns["trial"] = pa.array(range(measured.first, measured.first + count), pa.int64())
+    scores = score(measured.settled, measured.errors, paper_limits(experiment))
+    columns |= dict(zip(SCORES, scores.values, strict=True))
     values = (measured.settled, measured.errors, measured.b_hat, measured.tests, measured.updates)
     for (name, kind), array in zip(_LISTS.items(), values, strict=True):
         columns[name] = _rows(array, kind)
@@ -89,14 +93,27 @@ def read_table(path: Path) -> pa.Table:
         raise UsageError(f"cannot read {path}: {error}") from error
     known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
     if known.get("format") != FORMAT:
-        raise UsageError(f"{path} holds no results in format {FORMAT}; make some with mcp-asdf sweep")
+        holds = "no results" if "format" not in known else f"results in format {known['format']}"
+        raise UsageError(f"{path} holds {holds}; format {FORMAT} is needed: run mcp-asdf sweep again")
     return table
 
 
-def describe(table: pa.Table) -> dict[str, Any]:
-    """What the file says about itself."""
-    description: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
-    return description
+def metadata_of(table: pa.Table) -> dict[str, Any]:
+    """Format, versions, delta and thinning of a table."""
+    metadata: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
+    return metadata
+
+
+def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
+    """The table with scores for other limits. O(rows)."""
+    scores = np.empty((len(SCORES), len(table)))
+    for index, row in enumerate(table.select([*_PARAMETERS, "k", "e"]).to_pylist()):
+        experiment = Experiment.from_parameters({name: row[name] for name in _PARAMETERS})
+        own = score([row["k"]], [row["e"]], limits_of(experiment))
+        scores[:, index] = [values[0] for values in own.values]
+    for name, values in zip(SCORES, scores, strict=True):
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    return table
 
 
 @dataclass(frozen=True)
@@ -122,6 +139,10 @@ class Trials:
     tests: NDArray[np.int64]
     updates: NDArray[np.int64]
     records: dict[str, NDArray[np.float64]]
+
+    def scores(self, limits_of: LimitsOf = paper_limits) -> Scores:
+        """Scores of each trial."""
+        return score(self.settled, self.errors, limits_of(self.experiment))
 
 
 def experiments_in(table: pa.Table) -> list[Trials]:
@@ -159,23 +180,22 @@ def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
 
 # --- CSV -------------------------------------------------------------------------------------------------
 
-_SCORES = ("h_K", "h_e", "H")
 _MEANS = ("mean_K", "mean_e", "mean_b_hat", "tests", "updates")
 
 
-def write_csv(path: Path, experiments: Iterable[tuple[Trials, Limits]]) -> None:
+def write_csv(path: Path, experiments: Iterable[Trials], limits_of: LimitsOf = paper_limits) -> None:
     """Write a line a trial: parameters, scores, means over the robots, sums of tests and updates.
 
     Raises UsageError if that cannot be done.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_PARAMETERS, "trial", *_SCORES, *_MEANS, "K_max", "e_max"])
-    for trials, limits in experiments:
-        scores = score(trials.settled, trials.errors, limits)
+    writer.writerow([*_PARAMETERS, "trial", *SCORES, *_MEANS, "K_max", "e_max"])
+    for trials in experiments:
+        scores, limits = trials.scores(limits_of), limits_of(trials.experiment)
         parameters = list(trials.experiment.parameters().values())
         for index, number in enumerate(trials.numbers):
-            values = (scores.h_k[index], scores.h_e[index], scores.h[index], *_means(trials, index), *limits)
+            values = (*(score[index] for score in scores.values), *_means(trials, index), *limits)
             writer.writerow([*parameters, number, *(f"{value:.10g}" for value in values)])
     write_atomically(path, text.getvalue())
 

@@ -5,14 +5,21 @@ Section "Metrics" of the paper and its equations of the separate, the scaled and
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+
 DELTA = 0.01
 """Threshold within which an estimate has settled."""
+
+E_MAX = 0.45
+"""e_max of all the paper's figures."""
 
 _CHUNK = 1024
 
@@ -47,15 +54,37 @@ def _from_the_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
 
 
 class Limits(NamedTuple):
-    """What stands for the worst: ``k_max`` steps and the error ``e_max``, both above 0."""
+    """K_max in steps and e_max, both above 0: the values that score 0."""
 
     k_max: float
     e_max: float
 
 
+LimitsOf = Callable[[Experiment], Limits]
+"""Chooses the limits for the trials of an experiment."""
+
+
+def paper_limits(experiment: Experiment) -> Limits:
+    """K_max and e_max of the paper's figures: the length of a trial, and 0.45."""
+    return Limits(experiment.steps, E_MAX)
+
+
+def chosen_limits(k_max: float | None, e_max: float | None) -> LimitsOf:
+    """These limits, and the paper's for None. Raises UsageError for limits of 0 or less."""
+    for name, value in (("K_max", k_max), ("e_max", e_max)):
+        if value is not None and not 0 < value < float("inf"):
+            raise UsageError(f"{name} is {value}; it must be above 0")
+
+    def limits_of(experiment: Experiment) -> Limits:
+        given = zip((k_max, e_max), paper_limits(experiment), strict=True)
+        return Limits(*(other if value is None else value for value, other in given))
+
+    return limits_of
+
+
 @dataclass(frozen=True)
 class Scores:
-    """Of each trial, shape (trials,), in 0 .. 100 if no K and e is above its limit."""
+    """Scores of each trial, shape (trials,): 0 .. 100 if no K and e is above its limit."""
 
     h_k: NDArray[np.float64]
     h_e: NDArray[np.float64]
@@ -65,13 +94,10 @@ class Scores:
         """H, the mean of the two."""
         return 0.5 * (self.h_k + self.h_e)
 
-
-def found_limits(settled: ArrayLike, errors: ArrayLike) -> Limits:
-    """The largest K and e found, as the paper takes them for a set of trials under one analysis.
-
-    If all are 0, which leaves nothing to compare with, 1.
-    """
-    return Limits(float(np.max(settled)) or 1.0, float(np.nanmax(errors)) or 1.0)
+    @property
+    def values(self) -> tuple[NDArray[np.float64], ...]:
+        """H, h_K and h_e."""
+        return self.h, self.h_k, self.h_e
 
 
 def score(settled: ArrayLike, errors: ArrayLike, limits: Limits) -> Scores:

@@ -25,7 +25,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from mcp_asdf_tools.common import UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import describe, read_table, table_of, write_table
+from mcp_asdf_tools.experiments.results import metadata_of, read_table, table_of, write_table
 from mcp_asdf_tools.experiments.simulation import Job
 
 _MOST_TRIALS = 32
@@ -108,7 +108,7 @@ class Store:
 
     def _take_file(self, path: Path) -> None:
         table = read_table(path)
-        said = describe(table)
+        said = metadata_of(table)
         rows = [json.dumps(row) for row in table.select(list(Experiment().parameters())).to_pylist()]
         own = {
             row: identity(Experiment.from_parameters(json.loads(row)), self._thinning) for row in set(rows)

@@ -27,7 +27,6 @@ from mcp_asdf_tools.reproduction.study import (
     Study,
     cells_of,
     experiment_of,
-    limits,
 )
 from mcp_asdf_tools.robots import Filtering
 
@@ -55,7 +54,7 @@ def _boxes(part: Part, mode: Filtering) -> ReportFigure:
         shown = _of_modes(study, part, (NONE, mode))
         if mode is MINUS:
             shown = [each for each in shown if each.experiment.flawed_robots < each.experiment.robots]
-        return plots.boxes(shown, limits(shown[0]))
+        return plots.boxes(shown)
 
     caption = f"H of {PART_NAMES[part]} swarms without filter and with {MODE_NAMES[mode]} (paper: figure 4)."
     return ReportFigure(f"{part.value}_{mode.value}", caption, frozenset({part}), draw)
@@ -66,7 +65,7 @@ def _points(part: Part) -> ReportFigure:
 
     def draw(study: Study, scale: Scale) -> Figure:
         shown = [each for each in study.of(part) if each.experiment.filter_period == PERIODS[0]]
-        return plots.scatter(shown, limits(shown[0]))
+        return plots.scatter(shown)
 
     words = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {PERIODS[0]}"
     caption = f"{words} (paper: figure 5)."
@@ -86,7 +85,7 @@ def _topologies(mode: Filtering) -> ReportFigure:
             for each in _of_modes(study, part, (NONE, mode))
             if each.experiment.filter_period == PERIODS[0]
         ]
-        return plots.boxes(shown, limits(shown[0]), name)
+        return plots.boxes(shown, name=name)
 
     words = f"H in both topologies without filter and with {MODE_NAMES[mode]}, tau = {PERIODS[0]}"
     caption = f"{words} (paper: figure 6)."

@@ -21,19 +21,14 @@ from mcp_asdf_tools.experiments import (
     STUDIES,
     Convention,
     Experiment,
-    Limits,
     Scores,
     Trials,
     read_experiments,
-    score,
 )
 from mcp_asdf_tools.robots import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)
-
-E_MAX = 0.45
-"""Of all the paper's analyses; K_max is the length of a trial."""
 
 
 class Part(Enum):
@@ -179,7 +174,7 @@ class Study:
     def __init__(self, trials: Mapping[Cell, Trials]) -> None:
         """``trials`` of cells in their normal form."""
         self._trials = dict(trials)
-        self._scores = {cell: score(each.settled, each.errors, limits(each)) for cell, each in trials.items()}
+        self._scores = {cell: each.scores() for cell, each in trials.items()}
 
     @property
     def parts(self) -> set[Part]:
@@ -193,11 +188,6 @@ class Study:
     def of(self, part: Part) -> list[Trials]:
         """All results of a part."""
         return [trials for cell, trials in self._trials.items() if cell.part is part]
-
-
-def limits(trials: Trials) -> Limits:
-    """K_max and e_max of the paper's analyses."""
-    return Limits(trials.experiment.steps, E_MAX)
 
 
 def study_of(parts: Iterable[tuple[Part, Sequence[Trials]]], scale: Scale) -> Study:

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mcp_asdf_tools.common import save_figure, software_versions, write_atomically
+from mcp_asdf_tools.experiments import E_MAX
 from mcp_asdf_tools.reproduction.comparisons import Claim
 from mcp_asdf_tools.reproduction.paper_claims import CLAIMS
 from mcp_asdf_tools.reproduction.paper_figures import FIGURES
-from mcp_asdf_tools.reproduction.study import E_MAX, PART_NAMES, Part, Scale, Study, cells_of, experiment_of
+from mcp_asdf_tools.reproduction.study import PART_NAMES, Part, Scale, Study, cells_of, experiment_of
 from mcp_asdf_tools.reproduction.verdicts import CONFIDENCE, MARGIN, Comparison, Expectation, Finding, Verdict
 from mcp_asdf_tools.robots import Filtering
 

@@ -55,7 +55,7 @@ def panels(figure: Figure) -> dict[str, Axes]:
 
 
 def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
-    found = panels(boxes(grid, LIMITS))
+    found = panels(boxes(grid, lambda _: LIMITS))
     assert list(found) == ["$f = 0.55$, $b = 0.95$", "$f = 0.95$, $b = 0.95$"]
     for f, axes in zip((0.55, 0.95), found.values(), strict=True):
         medians = sorted(_levels(axes, 12))
@@ -93,15 +93,15 @@ def _levels(axes: Axes, count: int) -> list[tuple[float, float]]:
 
 
 def test_series_are_named_by_what_varies(grid: list[Trials]) -> None:
-    (legend,) = boxes(grid, LIMITS).legends
+    (legend,) = boxes(grid, lambda _: LIMITS).legends
     names = [text.get_text() for text in legend.get_texts()]
     assert names == ["no filter", r"ASDF+, $\tau$ = 100", r"ASDF+, $\tau$ = 150"]
-    (legend,) = boxes(grid, LIMITS, lambda experiment: "all of them").legends
+    (legend,) = boxes(grid, lambda _: LIMITS, lambda experiment: "all of them").legends
     assert [text.get_text() for text in legend.get_texts()] == ["all of them"]
 
 
 def test_points_are_the_trials_and_their_medians(grid: list[Trials]) -> None:
-    figure = scatter(grid, LIMITS)
+    figure = scatter(grid, lambda _: LIMITS)
     found = [axes for axes in figure.axes if axes.get_title().startswith("no filter\n$f = 0.95")]
     own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
     assert len(found[0].lines) == 2 * len(own)
@@ -117,7 +117,7 @@ def test_what_does_not_fit_a_picture_is_refused(grid: list[Trials]) -> None:
     many = [replace(grid[0], experiment=replace(GRID[0], seed=seed)) for seed in range(9)]
     for draw in (boxes, scatter):
         with pytest.raises(UsageError, match="9 series do not fit"):
-            draw(many, LIMITS)
+            draw(many)
 
 
 # --- Over time, confidence -------------------------------------------------------------------------------
@@ -218,7 +218,7 @@ def test_the_command_draws(kind: str, suffix: str, tmp_path: Path) -> None:
     [
         (["x.png"], "boxes needs results"),
         (["r.parquet", "x.png", "--kind", "alpha"], "needs no results"),
-        (["two.parquet", "x.png", "--kind", "network"], "holds 2 experiments; network is drawn of one"),
+        (["two.parquet", "x.png", "--kind", "network"], "there are 2 experiments; network shows one"),
     ],
 )
 def test_bad_usage_is_told(

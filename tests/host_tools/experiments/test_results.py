@@ -19,9 +19,10 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
-    describe,
     experiments_in,
+    metadata_of,
     read_table,
+    rescored,
     table_of,
     write_csv,
     write_table,
@@ -74,7 +75,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert len(row["b_hat"]) == 3 * 4
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
     assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "thinning": 10}
-    assert said == describe(read_table(path))
+    assert said == metadata_of(read_table(path))
 
 
 def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
@@ -89,9 +90,36 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
         read_table(tmp_path / "other.parquet")
 
 
+def test_a_file_of_an_older_format_is_named(path: Path) -> None:
+    older = read_table(path).replace_schema_metadata({b"mcp-asdf": json.dumps({"format": FORMAT - 1})})
+    pq.write_table(older, path)
+    message = f"holds results in format {FORMAT - 1}; format {FORMAT} is needed: run mcp-asdf sweep again"
+    with pytest.raises(UsageError, match=message):
+        read_table(path)
+
+
+def test_a_table_holds_the_scores_with_the_papers_limits(path: Path) -> None:
+    table = read_table(path)
+    for start, trials in zip((0, 3), experiments_in(table), strict=True):
+        expected = score(trials.settled, trials.errors, Limits(300, 0.45))
+        for name, values in (("H", expected.h), ("h_K", expected.h_k), ("h_e", expected.h_e)):
+            assert table[name].to_pylist()[start : start + 3] == values.tolist(), name
+
+
+def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:
+    table, limits = read_table(path), Limits(1000, 0.7)
+    other = rescored(table, lambda experiment: limits)
+    assert other.schema.equals(table.schema, check_metadata=True)
+    kept = [name for name in table.column_names if name not in ("H", "h_K", "h_e")]
+    assert other.select(kept).equals(table.select(kept))
+    assert not other["H"].equals(table["H"])
+    trials = experiments_in(table)[1]
+    assert other["h_K"].to_pylist()[3:] == score(trials.settled, trials.errors, limits).h_k.tolist()
+
+
 def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
     found, limits = experiments_in(read_table(path)), Limits(300, 0.55)
-    write_csv(tmp_path / "results.csv", [(trials, limits) for trials in found])
+    write_csv(tmp_path / "results.csv", found, lambda _: limits)
     with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["filter"], row["trial"], row["seed"]) for row in rows] == [

@@ -11,9 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks import fidelity
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import scores
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import Limits, found_limits, score, settling_step
+from mcp_asdf_tools.experiments.scores import Limits, chosen_limits, paper_limits, score, settling_step
 
 
 def settling_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
@@ -89,9 +90,20 @@ def test_no_number_counts_as_the_worst() -> None:
     assert score([[1, 1]], [[math.nan, math.nan]], Limits(10, 0.5)).h_e[0] == 0
 
 
-def test_limits_are_the_largest_found() -> None:
-    assert found_limits([[1, 7], [3, 2]], [[0.1, 0.2], [math.nan, 0.3]]) == Limits(7, 0.3)
-    assert found_limits([[0]], [[0.0]]) == Limits(1, 1)
+def test_limits_are_the_papers_unless_given() -> None:
+    """Figures 4 to 7 of the paper: K_max = 40000 = T, e_max = 0.45 for every fill ratio."""
+    experiment = Experiment(steps=40_000, fill_ratio=0.95)
+    assert paper_limits(experiment) == chosen_limits(None, None)(experiment) == Limits(40_000, 0.45)
+    assert chosen_limits(7, None)(experiment) == Limits(7, 0.45)
+    assert chosen_limits(None, 0.3)(experiment) == Limits(40_000, 0.3)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, math.inf, math.nan])
+def test_limits_that_are_none_are_refused(wrong: float) -> None:
+    with pytest.raises(UsageError, match=f"K_max is {wrong}; it must be above 0"):
+        chosen_limits(wrong, 0.3)
+    with pytest.raises(UsageError, match=f"e_max is {wrong}; it must be above 0"):
+        chosen_limits(None, wrong)
 
 
 # --- The reference study ---------------------------------------------------------------------------------

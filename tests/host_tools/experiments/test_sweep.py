@@ -226,7 +226,9 @@ def test_sweep_score_and_plot(grid_file: Path, capsys: pytest.CaptureFixture[str
 
 def test_given_limits_are_used(grid_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = answer(capsys, "sweep", grid_file, "--workers", "1", "--k-max", "300", "--e-max", "0.5")
-    assert found["limits"] == {"k_max": 300, "e_max": 0.5}
+    experiments = found["experiments"]
+    assert isinstance(experiments, list)
+    assert all(each["limits"] == {"k_max": 300, "e_max": 0.5} for each in experiments)
 
 
 def test_simulate_is_the_sweep_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -235,7 +237,7 @@ def test_simulate_is_the_sweep_of_one(tmp_path: Path, capsys: pytest.CaptureFixt
     parameters = found["parameters"]
     assert isinstance(parameters, dict)
     assert (parameters["flawed"], parameters["filter_period"], parameters["omega"]) == (2, 50, 0.1)
-    assert found["limits"] == {"k_max": 200, "e_max": 0.55}
+    assert found["limits"] == {"k_max": 200, "e_max": 0.45}
     assert list(tmp_path.iterdir()) == []
 
 
