@@ -219,8 +219,10 @@ def _is_accuracy(after: Any, _: Any, b_hat: Any) -> Any:
     half = b_hat == 1 << 31
     c = z3.If(z3.ULT(b_hat, 1 << 31), b_hat, -b_hat)
     says_nothing = z3.UGT(c, C_MOST)
+    is_scaled = z3.LShR((-2 * c) << held["g_shift"], 31) == 1
     return z3.And(
         held["b_hat"] == b_hat,
+        z3.Or(half, is_scaled),
         held["c"] == z3.If(says_nothing, z3.BitVecVal(2**32 - 1, 32), c),
         z3.Or(half, z3.ULE(held["g_shift"], 11) == z3.Not(says_nothing)),
         z3.Or(z3.ULE(held["g_shift"], 30), z3.And(half, held["g_shift"] == 31)),
@@ -304,6 +306,14 @@ def _estimate_possible(t: Any, n: Any, accuracy: Any) -> Any:
     return z3.And(observed, z3.Or(c == 2**32 - 1, says_something))
 
 
+def _square(machine: Machine, g: Number, p: Number) -> Number:
+    """square_of_ratio(), of which estimate() takes for known that it is at least 2^28, as it is by its lemma
+    if b_hat is not 1/2."""
+    is_long = z3.And(z3.ULE(1 << 31, g.term), z3.ULE(1 << 31, p.term))
+    machine.claim(z3.Or(is_long, machine.given["b_hat"] == 1 << 31), "what square_of_ratio requires")
+    return machine.unknown("square", WORD)
+
+
 def _b_hat_in_range(_: Any, b_hat: Any) -> Any:
     return z3.And(z3.UGE(b_hat, 1 << 12), z3.ULE(b_hat, 2**32 - 2**12))
 
@@ -363,7 +373,7 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
         "set_b_hat": Contract(
             _is_accuracy,
             requires=_b_hat_in_range,
-            uses={**words, "square_of_ratio": lambda machine, *_: machine.unknown("square", WORD)},
+            uses={**words, "square_of_ratio": _square},
         ),
         "estimate": Contract(always, requires=_estimate_possible, uses={**words, **estimate_uses}),
     }
