@@ -176,6 +176,11 @@ def _nearly(_: Any, __: Any, closed: Any, x_hat: Any, ___: Any) -> Any:
     return z3.Implies(alpha != 0, z3.And(x * alpha <= total, total < x * alpha + 2 * alpha))
 
 
+def _are_units(found: Any, alpha: Any) -> Any:
+    mantissa, shift = z3.LShR(alpha, 8), alpha & 31
+    return z3.Concat(found["high"], found["low"]) == z3.ZeroExt(32, mantissa) << z3.ZeroExt(32, shift)
+
+
 def _own_units(machine: Machine, _: Number) -> Any:
     machine.know(z3.And(OWN_HIGH >= 0, OWN_HIGH < ONE, OWN_LOW >= 0, OWN_LOW < 2**32))
     return {"high": Number(OWN_HIGH, WORD), "low": Number(OWN_LOW, WORD)}
@@ -214,8 +219,10 @@ def _is_accuracy(after: Any, _: Any, b_hat: Any) -> Any:
     half = b_hat == 1 << 31
     c = z3.If(z3.ULT(b_hat, 1 << 31), b_hat, -b_hat)
     says_nothing = z3.UGT(c, C_MOST)
+    is_scaled = z3.LShR((-2 * c) << held["g_shift"], 31) == 1
     return z3.And(
         held["b_hat"] == b_hat,
+        z3.Or(half, is_scaled),
         held["c"] == z3.If(says_nothing, z3.BitVecVal(2**32 - 1, 32), c),
         z3.Or(half, z3.ULE(held["g_shift"], 11) == z3.Not(says_nothing)),
         z3.Or(z3.ULE(held["g_shift"], 30), z3.And(half, held["g_shift"] == 31)),
@@ -299,77 +306,83 @@ def _estimate_possible(t: Any, n: Any, accuracy: Any) -> Any:
     return z3.And(observed, z3.Or(c == 2**32 - 1, says_something))
 
 
+def _square(machine: Machine, g: Number, p: Number) -> Number:
+    """square_of_ratio(), of which estimate() takes for known that it is at least 2^28, as it is by its lemma
+    if b_hat is not 1/2."""
+    is_long = z3.And(z3.ULE(1 << 31, g.term), z3.ULE(1 << 31, p.term))
+    machine.claim(z3.Or(is_long, machine.given["b_hat"] == 1 << 31), "what square_of_ratio requires")
+    return machine.unknown("square", WORD)
+
+
 def _b_hat_in_range(_: Any, b_hat: Any) -> Any:
     return z3.And(z3.UGE(b_hat, 1 << 12), z3.ULE(b_hat, 2**32 - 2**12))
 
 
-def contracts(variant: Variant) -> dict[str, Contract]:
-    """Of one variant. Those that say nothing but "safe" ensure nothing."""
-    lower = arithmetic_contracts(variant)
+def _of_sums() -> dict[str, Contract]:
+    halves = Halves()
+    informed = Contract(
+        _is_informed,
+        Integers,
+        _closed_possible,
+        steps=(
+            Step(_ranges),
+            Step(_products_fit),
+            Step(_are_totals, By.SUMS),
+            Step(_has_mean, By.SUMS),
+            Step(_nearly, By.STEPS),
+            Step(_is_split),
+            Step(_are_halves, By.SUMS),
+            Step(_is_rest, By.STEPS | By.SUMS),
+            Step(_is_corrected, By.STEPS | By.SUMS),
+        ),
+        by=By.STEPS,
+        uses={
+            **{"units": _own_units, "mean": _mean, "multiply": _product},
+            **{"high_word": halves.part(0), "low_word": halves.part(1)},
+        },
+    )
+    mean = Contract(
+        _is_mean,
+        Integers,
+        _sums_possible,
+        steps=(Step(_is_scaled), Step(_is_quotient)),
+        by=By.STEPS,
+        uses={"quotient": _quotient},
+    )
+    return {"units": Contract(_are_units), "mean": mean, "informed_estimate": informed}
 
+
+def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
     def stand_in(*names: str) -> dict[str, Summary]:
         return {name: lower[name].stands_in(name) for name in names}
 
-    halves = Halves()
     shifts = ("shift_left", "shift_right", "shift_right_64", "upper", "leading_zeros")
     words = stand_in("join", "high_word", "low_word", *shifts)
-    square_uses = {**stand_in("divide_24"), "multiply_high": _upper_product}
+    estimate_uses = {
+        **{"multiply": _bounded_product, "multiply_high": _bounded_high},
+        **{"divide_24": _bounded_quotient, "alpha_word": _alpha_word},
+    }
     return {
-        "units": Contract(
-            lambda found, alpha: (
-                z3.Concat(found["high"], found["low"])
-                == z3.ZeroExt(32, z3.LShR(alpha, 8)) << z3.ZeroExt(32, alpha & 31)
-            )
-        ),
-        "mean": Contract(
-            _is_mean,
-            Integers,
-            _sums_possible,
-            uses={"quotient": _quotient},
-            steps=(Step(_is_scaled), Step(_is_quotient)),
-            by=By.STEPS,
-        ),
-        "informed_estimate": Contract(
-            _is_informed,
-            Integers,
-            _closed_possible,
-            steps=(
-                Step(_ranges),
-                Step(_products_fit),
-                Step(_are_totals, By.SUMS),
-                Step(_has_mean, By.SUMS),
-                Step(_nearly, By.STEPS),
-                Step(_is_split),
-                Step(_are_halves, By.SUMS),
-                Step(_is_rest, By.STEPS | By.SUMS),
-                Step(_is_corrected, By.STEPS | By.SUMS),
-            ),
-            by=By.STEPS,
-            uses={
-                **{"units": _own_units, "mean": _mean, "multiply": _product},
-                **{"high_word": halves.part(0), "low_word": halves.part(1)},
-            },
-        ),
         "square_of_ratio": Contract(
-            lambda found, g, p: z3.And(found >= 2**28, found < 2**32), Integers, _are_normal, uses=square_uses
+            lambda found, g, p: z3.And(found >= 2**28, found < 2**32),
+            Integers,
+            requires=_are_normal,
+            uses={**stand_in("divide_24"), "multiply_high": _upper_product},
         ),
         "alpha_word": Contract(_is_on_grid, requires=_is_normal, uses=words),
         "set_b_hat": Contract(
             _is_accuracy,
             requires=_b_hat_in_range,
-            uses={**words, "square_of_ratio": lambda machine, *_: machine.unknown("square", WORD)},
+            uses={**words, "square_of_ratio": _square},
         ),
-        "estimate": Contract(
-            always,
-            requires=_estimate_possible,
-            uses={
-                **words,
-                **{"multiply": _bounded_product, "multiply_high": _bounded_high},
-                **{"divide_24": _bounded_quotient, "alpha_word": _alpha_word},
-            },
-        ),
-        "reestimate": Contract(None),
+        "estimate": Contract(always, requires=_estimate_possible, uses={**words, **estimate_uses}),
     }
+
+
+def contracts(variant: Variant) -> dict[str, Contract]:
+    """All of them, for one variant. estimate() keeps what it owes the functions it calls; of reestimate() no
+    more is shown than that it is safe."""
+    return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), "reestimate": Contract(None)}
 
 
 def _upper_product(_: Machine, a: Number, b: Number) -> Number:
