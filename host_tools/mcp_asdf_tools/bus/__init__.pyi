@@ -2,13 +2,13 @@
 
 from . import interfaces as interfaces
 from .dbc import ANY_NODE_MASK as ANY_NODE_MASK
+from .dbc import dbc_entries as dbc_entries
 from .dbc import dbc_text as dbc_text
-from .dbc import entries as entries
 from .frames import COMMANDS as COMMANDS
 from .frames import EVERY_ROBOT as EVERY_ROBOT
 from .frames import FRAME_BYTES as FRAME_BYTES
 from .frames import MAX_B_HAT as MAX_B_HAT
-from .frames import MAX_NODE as MAX_NODE
+from .frames import MAX_NODE_ID as MAX_NODE_ID
 from .frames import MIN_B_HAT as MIN_B_HAT
 from .frames import ONE as ONE
 from .frames import TELEMETRY as TELEMETRY

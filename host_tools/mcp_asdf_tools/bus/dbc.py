@@ -11,7 +11,7 @@ from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     INFINITE_ALPHA,
     MAX_B_HAT,
-    MAX_NODE,
+    MAX_NODE_ID,
     MIN_B_HAT,
     ONE,
     TELEMETRY,
@@ -104,7 +104,7 @@ _COMMAND = (
 )
 
 
-def entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> list[Entry]:
+def dbc_entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> list[Entry]:
     """The messages of a file: all kinds from each of ``nodes`` or, if None, one entry a kind for any node.
 
     Raises ValueError if a node is not 0 .. 127 or listed twice, or if the subject of ``estimates`` is that
@@ -118,8 +118,8 @@ def entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> list[
     if nodes is None:
         return _kinds(estimates, 0, "", "Robot")
     for node in nodes:
-        if not 0 <= node <= MAX_NODE:
-            raise ValueError(f"node {node} does not exist; ids are 0 to {MAX_NODE}")
+        if not 0 <= node <= MAX_NODE_ID:
+            raise ValueError(f"node {node} does not exist; ids are 0 to {MAX_NODE_ID}")
         if nodes.count(node) > 1:
             raise ValueError(f"node {node} is listed twice; each id belongs to one node")
     return [entry for node in nodes for entry in _kinds(estimates, node, f"_{node}", f"Robot_{node}")]

@@ -29,7 +29,7 @@ _FRACTION, _IMPLICIT = 0x7F_FFFF, 0x80_0000
 _UNIT_EXPONENT = 126
 """Biased exponent of the binary32 numbers whose last bit is worth 2**-24."""
 
-MAX_NODE = 127
+MAX_NODE_ID = 127
 MAX_SUBJECT = 6143
 """Largest subject identifier that Cyphal leaves to applications; the 8191 of the field are the others."""
 MAX_PRIORITY = 7
@@ -328,7 +328,7 @@ def encode_command(
     """
     _check("tick", command.tick, 0xFFFF_FFFF)
     if command.target != EVERY_ROBOT:
-        _check("target", command.target, MAX_NODE)
+        _check("target", command.target, MAX_NODE_ID)
     payload = command.tick | command.target << 32 | command.action.value << 40
     return _frame(frame_format.identifier(command.sender), payload, command.transfer_id, timestamp)
 
@@ -342,7 +342,7 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> 
     if reason is not None:
         return reason
     tick, target, action, _, tail = struct.unpack("<IBBBB", frame.data)
-    if target > MAX_NODE and target != EVERY_ROBOT:
+    if target > MAX_NODE_ID and target != EVERY_ROBOT:
         return Rejection.TARGET
     if action > Action.SETTLE.value:
         return Rejection.ACTION
@@ -414,7 +414,7 @@ def _what_is_special(frame: can.Message) -> Rejection:
 
 
 def _identifier(priority: int, subject: int, node: int) -> int:
-    _check("sender", node, MAX_NODE)
+    _check("sender", node, MAX_NODE_ID)
     return priority << 26 | 3 << 21 | subject << 8 | node
 
 

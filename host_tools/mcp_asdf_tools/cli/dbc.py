@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from mcp_asdf_tools.bus import ANY_NODE_MASK, MAX_NODE, FrameFormat, dbc_text, entries
+from mcp_asdf_tools.bus import ANY_NODE_MASK, MAX_NODE_ID, FrameFormat, dbc_entries, dbc_text
 from mcp_asdf_tools.common import UsageError, write_atomically
 
 HELP = "write a DBC file, so that CAN tools show the frames' content"
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the file."""
     nodes = None if args.per_node is None else [node for text in args.per_node for node in _ids(text)]
     try:
-        messages = entries(FrameFormat(args.subject, args.priority), nodes)
+        messages = dbc_entries(FrameFormat(args.subject, args.priority), nodes)
     except ValueError as error:
         raise UsageError(str(error)) from error
     text = dbc_text(messages)
@@ -76,8 +76,8 @@ def _ids(text: str) -> Iterable[int]:
     if len(parts) > 2 or not all(part.isascii() and part.isdigit() for part in parts):
         raise UsageError(f"--per-node {text}: give ids and ranges such as 3 or 0-19")
     first, last = int(parts[0]), int(parts[-1])
-    if last > MAX_NODE:
-        raise UsageError(f"--per-node {text}: node {last} does not exist; ids are 0 to {MAX_NODE}")
+    if last > MAX_NODE_ID:
+        raise UsageError(f"--per-node {text}: node {last} does not exist; ids are 0 to {MAX_NODE_ID}")
     if last < first:
         raise UsageError(f"--per-node {text}: the range ends before it begins; give {last}-{first}")
     return range(first, last + 1)

@@ -27,17 +27,17 @@ from mcp_asdf_tools.common import (
     stopping,
     write_atomically,
 )
-from mcp_asdf_tools.recording import Header, logging_to
+from mcp_asdf_tools.recording import SidecarHeader, logging_to
 from mcp_asdf_tools.robots import (
+    BusLink,
+    FrameTaker,
     LineSource,
-    Link,
     NodeRun,
     NodeSettings,
+    ObservationSource,
     RobotNode,
     RobotRecord,
-    Source,
     Subjects,
-    Taker,
     WorldSource,
     add_robot_options,
     add_subject_options,
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("observations from standard input end with it anyway; leave out --until-eof")
     record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
     results = None if args.log is None else results_beside(args.log)
-    header = Header([record], args.seed, settings.subjects.estimates, _parameters(args))
+    header = SidecarHeader([record], args.seed, settings.subjects.estimates, _parameters(args))
     with ExitStack() as ending:
         with logging_to(args.log, header) as (log, events):
             recorder = None if events is None else events.robots[record.id]
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _go(
-    args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: Taker | None
+    args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: FrameTaker | None
 ) -> NodeRun:
     """Run the node until it ends."""
     console = Console(stderr=True, quiet=args.quiet)
@@ -113,7 +113,7 @@ def _go(
         bus = stack.enter_context(choice.open())
         bus.set_filters(_filters(node.settings, args.lockstep))
         is_told_to_stop = _ending(stack.enter_context(stopping()), args.until_eof)
-        link = Link(bus, is_told_to_stop, endures=not args.lockstep, log=log)
+        link = BusLink(bus, is_told_to_stop, endures=not args.lockstep, log=log)
         run = NodeRun(node, link, args.steps, stack.enter_context(_Watch(console, node, link)))
         if source is None:
             run.in_lockstep()
@@ -182,7 +182,7 @@ def _filters(settings: NodeSettings, lockstep: bool) -> CanFilters:
     return filters_for(subjects.estimates, *([subjects.commands] if lockstep else []))
 
 
-def _source_of(args: argparse.Namespace) -> Source:
+def _source_of(args: argparse.Namespace) -> ObservationSource:
     if args.observations is not None:
         return LineSource(args.observations)
     return WorldSource(args.id, args.fill_ratio, args.true_accuracy, args.seed)
@@ -191,7 +191,7 @@ def _source_of(args: argparse.Namespace) -> Source:
 class _Watch:
     """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
 
-    def __init__(self, console: Console, node: RobotNode, link: Link) -> None:
+    def __init__(self, console: Console, node: RobotNode, link: BusLink) -> None:
         self._console = console
         self._status = console.status("") if console.is_terminal and not console.quiet else None
         self._node = node

@@ -20,21 +20,21 @@ from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
 from mcp_asdf_tools.radio import (
     COLUMNS,
-    Bench,
+    ControllerBench,
     Neighbourhood,
     RadioRun,
     RadioSettings,
     Verification,
     check_report_path,
     choose_ids,
+    configured_like,
     headline,
-    like,
-    write_report,
+    write_verification_report,
 )
-from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
 from mcp_asdf_tools.robots import (
-    Link,
-    Taker,
+    BusLink,
+    FrameTaker,
     add_robot_options,
     add_subject_options,
     filters_for,
@@ -159,7 +159,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     world = parameter_options.settings_from(args, SwarmSettings, steps=_PHASE_TICKS)
     ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
-    neighbours = tuple(like(controller, robot, b_hat) for robot in ids)
+    neighbours = tuple(configured_like(controller, robot, b_hat) for robot in ids)
     faults = tuple(parse_fault(text) for text in args.faults)
     return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
 
@@ -191,7 +191,7 @@ def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
     report = _report(args, settings, choice)
-    header = Header(
+    header = SidecarHeader(
         [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
     )
     with ExitStack() as ending:
@@ -201,7 +201,7 @@ def _verify(
             report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
             ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
         if args.report is not None:
-            write_report(args.report, report)
+            write_verification_report(args.report, report)
     return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
 
 
@@ -210,12 +210,12 @@ def _judge(
     settings: RadioSettings,
     choice: interfaces.BusChoice,
     console: Console,
-    outputs: Outputs,
+    outputs: LogOutputs,
 ) -> Verification:
     """Take the controller through all phases; returns the verification that is over."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
-        bench = Bench(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+        bench = ControllerBench(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
         log, events = outputs
         bench.log = bench.log if log is None else log
         bench.recorder = None if events is None else events.robots[settings.controller.id]
@@ -266,13 +266,13 @@ def _go(
     settings: RadioSettings,
     choice: interfaces.BusChoice,
     console: Console,
-    log: Taker | None,
+    log: FrameTaker | None,
 ) -> RadioRun:
     """Tick until all is done, or until told to stop; returns the run that is over."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
         bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
-        link = Link(bus, stack.enter_context(stopping()), endures=True, log=log)
+        link = BusLink(bus, stack.enter_context(stopping()), endures=True, log=log)
         status = stack.enter_context(console.status("")) if console.is_terminal else None
         run = RadioRun(Neighbourhood(settings), link, args.steps)
         if status is not None:

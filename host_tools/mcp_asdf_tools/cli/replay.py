@@ -13,9 +13,17 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mcp_asdf_tools.bus import MAX_NODE, interfaces
+from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
 from mcp_asdf_tools.common import UsageError, stopping
-from mcp_asdf_tools.recording import Playback, Player, SidecarReader, Verdict, read_log, sidecar_path, verify
+from mcp_asdf_tools.recording import (
+    Playback,
+    Player,
+    ReplayVerdict,
+    SidecarReader,
+    read_log,
+    sidecar_path,
+    verify,
+)
 
 HELP = "check a log by running its robots again, or play it onto a bus"
 EPILOG = """\
@@ -78,8 +86,8 @@ def _check(args: argparse.Namespace) -> None:
     if not 0 <= args.speed < float("inf"):
         raise UsageError(f"speed is {args.speed}; it must be 0 (flat out) or a positive factor")
     for robot in args.leave_out:
-        if not 0 <= robot <= MAX_NODE:
-            raise UsageError(f"leave-out is {robot}; ids are 0 to {MAX_NODE}")
+        if not 0 <= robot <= MAX_NODE_ID:
+            raise UsageError(f"leave-out is {robot}; ids are 0 to {MAX_NODE_ID}")
 
 
 def _play(args: argparse.Namespace) -> int:
@@ -112,7 +120,7 @@ def _print(args: argparse.Namespace, report: dict[str, Any], text: str | Table) 
         Console(soft_wrap=True).print(text)
 
 
-def _table_of(verdict: Verdict) -> Table:
+def _table_of(verdict: ReplayVerdict) -> Table:
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(justify="right", style="bold")
     table.add_column()

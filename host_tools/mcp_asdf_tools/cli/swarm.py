@@ -19,14 +19,14 @@ from rich.table import Table
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import Header, Outputs, logging_to
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
 from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
-    Hook,
     LiveTable,
-    Run,
     Swarm,
+    SwarmHook,
+    SwarmRun,
     SwarmSettings,
     Wiring,
     load_warning,
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     draw = _drawer(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
-    header = Header(settings.records(), settings.seed, settings.frames, settings.plain())
+    header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     began = time.monotonic()
     try:
         with ExitStack() as ending:
@@ -95,8 +95,8 @@ def _emulate(
     settings: SwarmSettings,
     choice: interfaces.BusChoice,
     wiring: Wiring,
-    outputs: Outputs,
-) -> tuple[Run, dict[str, Any]]:
+    outputs: LogOutputs,
+) -> tuple[SwarmRun, dict[str, Any]]:
     """Run the swarm; returns what came out, and all of it with all settings as plain values.
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
@@ -144,7 +144,7 @@ def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces
     return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
-def _drawer(path: Path | None) -> Callable[[Run], bytes]:
+def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
     """Function that draws a run for the picture ``path``. Raises UsageError if it cannot be written."""
     if path is None:
         return lambda run: b""
@@ -157,7 +157,7 @@ def _drawer(path: Path | None) -> Callable[[Run], bytes]:
 
 
 @contextmanager
-def _interruptible() -> Iterator[Hook]:
+def _interruptible() -> Iterator[SwarmHook]:
     """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
     A second Ctrl-C, if the first finds a tick that does not end, acts at once.
@@ -171,7 +171,7 @@ def _interruptible() -> Iterator[Hook]:
         yield obey
 
 
-def _print(args: argparse.Namespace, outcome: Run, report: dict[str, Any], table: Table) -> None:
+def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], table: Table) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
     elif args.quiet:
@@ -183,7 +183,7 @@ def _print(args: argparse.Namespace, outcome: Run, report: dict[str, Any], table
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
 
 
-def _exit_code(outcome: Run) -> int:
+def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1

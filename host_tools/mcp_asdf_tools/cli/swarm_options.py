@@ -12,7 +12,7 @@ from mcp_asdf_tools.bus import FrameFormat, interfaces
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import ClockKind
-from mcp_asdf_tools.swarm import Kind, SwarmSettings, Wiring, check_remote
+from mcp_asdf_tools.swarm import FaultKind, SwarmSettings, Wiring, check_remote
 
 _DEFAULTS = SwarmSettings()
 
@@ -26,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_faults(parser: argparse.ArgumentParser) -> None:
     kinds = "\n".join(
-        f"  {kind.value:10}{kind.text}" + "".join(f"; {option}=" for option in kind.options) for kind in Kind
+        f"  {kind.value:10}{kind.text}" + "".join(f"; {option}=" for option in kind.options)
+        for kind in FaultKind
     )
     group = parser.add_argument_group(
         "faults and clock",

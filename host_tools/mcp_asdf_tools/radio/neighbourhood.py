@@ -14,7 +14,7 @@ import can
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, Subjects
-from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, Sent, SwarmSettings
+from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, SentFrame, SwarmSettings
 from mcp_asdf_tools.world import World
 
 
@@ -59,7 +59,7 @@ class RadioSettings:
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
 
 
-def like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
+def configured_like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
     """A neighbour configured as the controller is."""
     return replace(controller, id=robot, b_hat=b_hat)
 
@@ -96,7 +96,7 @@ class Neighbourhood:
         self._ids = sorted([settings.controller.id, *self.nodes])
         self._world = World(settings.swarm)
         self._air = Air(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
-        self._sent: list[Sent] = []
+        self._sent: list[SentFrame] = []
 
     def begin(self) -> Observation | None:
         """Let all neighbours observe; returns what the controller's sensor would say. O(neighbours)."""
@@ -115,7 +115,7 @@ class Neighbourhood:
         Returns what the controller hears, in order. O(neighbours**2).
         """
         controller = self.settings.controller.id
-        sent = [*self._sent, *(Sent(frame, controller, self.tick, n) for n, frame in enumerate(said))]
+        sent = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(said))]
         for robot, node in self.nodes.items():
             for frame in self._air.arrivals(robot, self.tick, sent):
                 node.hear(frame)

@@ -10,7 +10,7 @@ import can
 
 from mcp_asdf_tools.bus import IdConflict, IdConflictWatch, Message, Telemetry, decode, decode_telemetry
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
-from mcp_asdf_tools.robots import Link, Outcome, RealTimeClock, Stopped
+from mcp_asdf_tools.robots import BusLink, RealTimeClock, RunOutcome, Stopped
 
 
 class RadioRun:
@@ -28,11 +28,11 @@ class RadioRun:
         watch: Called after each tick.
     """
 
-    def __init__(self, neighbours: Neighbourhood, link: Link, ticks: int | None = None) -> None:
+    def __init__(self, neighbours: Neighbourhood, link: BusLink, ticks: int | None = None) -> None:
         """Prepare for ``ticks`` ticks, or for any number if None."""
         self.neighbours = neighbours
         self.link = link
-        self.outcome = Outcome("all ticks done")
+        self.outcome = RunOutcome("all ticks done")
         self.sent = self.heard = self.strangers = 0
         self.last: tuple[Message | None, Telemetry | None] = (None, None)
         self.id_conflicts = IdConflictWatch()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import can
 
 from mcp_asdf_tools.bus import (
-    MAX_NODE,
+    MAX_NODE_ID,
     Message,
     Rejection,
     Telemetry,
@@ -112,7 +112,7 @@ class PhaseResult:
 
 
 @dataclass
-class Verdict:
+class ControllerVerdict:
     """What came out.
 
     Attributes:
@@ -161,7 +161,7 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
 
 
 @dataclass
-class Bench:
+class ControllerBench:
     """What a controller is tried on.
 
     Attributes:
@@ -188,7 +188,9 @@ class Bench:
 class Verification:
     """A controller under test. It must have been started anew and have done nothing yet."""
 
-    def __init__(self, settings: RadioSettings, bench: Bench, phases: Sequence[Phase] = PHASES) -> None:
+    def __init__(
+        self, settings: RadioSettings, bench: ControllerBench, phases: Sequence[Phase] = PHASES
+    ) -> None:
         """Prepare the phases, with one more for each fault of the settings."""
         self._phases, faults = planned(settings, phases, bench.ticks)
         self._bench = bench
@@ -207,9 +209,9 @@ class Verification:
         self._said: list[can.Message] = []
         self._expected: list[can.Message] = []
         self._tick_number = 0
-        self.verdict = Verdict([PhaseResult(phase.name, phase.fault) for phase in self._phases])
+        self.verdict = ControllerVerdict([PhaseResult(phase.name, phase.fault) for phase in self._phases])
 
-    def run(self) -> Verdict:
+    def run(self) -> ControllerVerdict:
         """Go through the phases up to the first difference."""
         phase, result = self._phases[0], self.verdict.phases[0]
         try:
@@ -279,7 +281,7 @@ class Verification:
             frame.timestamp = time.time()
             self._expected += self.model.hear(frame)
         self._bench.log(frame)
-        if frame.is_rx and frame.is_extended_id and frame.arbitration_id & MAX_NODE == self._id:
+        if frame.is_rx and frame.is_extended_id and frame.arbitration_id & MAX_NODE_ID == self._id:
             self._said.append(frame)
 
     def _listen_on(self, result: PhaseResult) -> None:

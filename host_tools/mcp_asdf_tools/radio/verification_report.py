@@ -32,7 +32,7 @@ def check_report_path(path: Path | None) -> None:
     check_target(path)
 
 
-def write_report(path: Path, report: dict[str, Any]) -> None:
+def write_verification_report(path: Path, report: dict[str, Any]) -> None:
     """Write a report whose suffix tells the format. Raises UsageError if that is impossible."""
     text = json.dumps(report, indent=2) + "\n" if path.suffix == ".json" else markdown(report)
     write_atomically(path, text)

@@ -11,11 +11,11 @@ import can
 from can.io.generic import FileIOMessageWriter
 
 from mcp_asdf_tools.common import FileSet, UsageError, explaining, refusal
-from mcp_asdf_tools.recording.sidecar import Header, SidecarWriter, sidecar_path
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidecar_path
 
 _LOSSY = ".db"
 
-Outputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
+LogOutputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
 """What takes frames and what takes events, if anything."""
 
 
@@ -62,7 +62,7 @@ class FrameLog:
 
 
 @contextmanager
-def logging_to(path: Path | None, header: Header | None) -> Iterator[Outputs]:
+def logging_to(path: Path | None, header: SidecarHeader | None) -> Iterator[LogOutputs]:
     """Keep the log ``path``, if there is one, and with a ``header`` its sidecar, too.
 
     Both appear on a regular end, or neither. Raises UsageError if one of them cannot be written.

@@ -108,7 +108,7 @@ class Rerun:
 
 
 @dataclass(frozen=True)
-class Difference:
+class LogDifference:
     """The first broadcast of a log that is not what the robot would have sent.
 
     Attributes:
@@ -144,7 +144,7 @@ def _values(said: Message | Broadcast, bits: int) -> str:
 
 
 @dataclass
-class Verdict:
+class ReplayVerdict:
     """What came out of a comparison.
 
     Attributes:
@@ -161,7 +161,7 @@ class Verdict:
     foreign: int = 0
     not_logged: int = 0
     other: int = 0
-    difference: Difference | None = None
+    difference: LogDifference | None = None
 
     def plain(self) -> dict[str, Any]:
         """The verdict as plain values, for JSON."""
@@ -170,7 +170,7 @@ class Verdict:
 
 def verify(
     log: Iterable[can.Message], sidecar: SidecarReader, progress: Callable[[], None] = lambda: None
-) -> Verdict:
+) -> ReplayVerdict:
     """Run every robot of ``sidecar`` again and compare its broadcasts with those of ``log``.
 
     Calls ``progress`` after each line of the sidecar, which takes most of the time. Stops at the first
@@ -206,7 +206,7 @@ def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[di
 
 class _Comparison:
     def __init__(self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat) -> None:
-        self.verdict = Verdict()
+        self.verdict = ReplayVerdict()
         self._robots = robots
         self._foreign = foreign
         self._frames = frames
@@ -231,7 +231,7 @@ class _Comparison:
             self._pass(broadcasts, place)
             return True
         expected = broadcasts[place or 0] if broadcasts else None
-        self.verdict.difference = Difference(number, frame.timestamp, message, said[1], expected)
+        self.verdict.difference = LogDifference(number, frame.timestamp, message, said[1], expected)
         return False
 
     def _pass(self, broadcasts: deque[Broadcast], place: int) -> None:

@@ -1,7 +1,7 @@
 """What each robot saw, heard and did in a run, beside the log of the bus: enough to run every robot again.
 
 The sidecar of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
-run (:class:`Header`). Every other line is either
+run (:class:`SidecarHeader`). Every other line is either
 
 - ``[robot, event, ...]``: what happened to one robot next, in order. Lines of different robots may come in
   any order, for robots share no state. An event is
@@ -50,7 +50,7 @@ def sidecar_path(log: Path | str) -> Path:
 
 
 @dataclass(frozen=True)
-class Header:
+class SidecarHeader:
     """What a run is made of.
 
     Attributes:
@@ -92,7 +92,7 @@ class SidecarWriter:
         robots: The recorder of each robot of the header, by id.
     """
 
-    def __init__(self, path: Path | str, header: Header, files: FileSet) -> None:
+    def __init__(self, path: Path | str, header: SidecarHeader, files: FileSet) -> None:
         """Begin a sidecar, one of ``files``.
 
         Raises UsageError if it cannot be written or two robots have one id.
@@ -199,7 +199,7 @@ class SidecarReader:
         except (ValueError, RecursionError) as error:
             raise self.wrong(f"not JSON ({error}); was the file cut?") from error
 
-    def _read_header(self) -> Header:
+    def _read_header(self) -> SidecarHeader:
         plain = self._parse(self._next_line())
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'it does not say "format": "{FORMAT}"')
@@ -211,7 +211,7 @@ class SidecarReader:
         try:
             robots = tuple(_robot_of(each) for each in plain["robots"])
             frames = FrameFormat(**plain["frames"])
-            return Header(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
+            return SidecarHeader(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
         except KeyError as error:
             raise self.wrong(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:

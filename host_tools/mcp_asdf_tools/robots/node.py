@@ -19,7 +19,7 @@ from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
-    MAX_NODE,
+    MAX_NODE_ID,
     TELEMETRY,
     Action,
     Command,
@@ -106,7 +106,7 @@ class NodeSettings:
 
     def __post_init__(self) -> None:
         for name, least, most in (
-            ("id", 0, MAX_NODE),
+            ("id", 0, MAX_NODE_ID),
             ("steps_per_second", 1, 10**6),
             ("telemetry_period", 0, MAX_PERIOD),
         ):

@@ -12,7 +12,7 @@ import can
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.observations import Source
+from mcp_asdf_tools.robots.observations import ObservationSource
 
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame has failed."""
@@ -26,7 +26,7 @@ _MOST_AT_ONCE = 4096
 _RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
-Taker = Callable[[can.Message], None]
+FrameTaker = Callable[[can.Message], None]
 
 
 class Stopped(Exception):  # noqa: N818 (no error)
@@ -34,7 +34,7 @@ class Stopped(Exception):  # noqa: N818 (no error)
 
 
 @dataclass
-class Link:
+class BusLink:
     """A node's connection to its bus.
 
     Attributes:
@@ -49,7 +49,7 @@ class Link:
     bus: can.BusABC
     is_told_to_stop: Callable[[], bool] = lambda: False
     endures: bool = False
-    log: Taker | None = None
+    log: FrameTaker | None = None
     failures: int = 0
     last_failure: str | None = None
 
@@ -88,7 +88,7 @@ class Link:
             self.log(frame)
         return frame
 
-    def catch_up(self, take: Taker) -> None:
+    def catch_up(self, take: FrameTaker) -> None:
         """Hand over the frames that wait, which a clock that is late leaves no time to listen for."""
         for _ in range(_MOST_AT_ONCE):
             frame = self.receive(0)
@@ -104,7 +104,7 @@ class Link:
 
 
 @dataclass
-class Outcome:
+class RunOutcome:
     """How a node's run went.
 
     Attributes:
@@ -130,12 +130,16 @@ class NodeRun:
     """
 
     def __init__(
-        self, node: RobotNode, link: Link, ticks: int | None = None, watch: Callable[[], None] = lambda: None
+        self,
+        node: RobotNode,
+        link: BusLink,
+        ticks: int | None = None,
+        watch: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare for ``ticks`` ticks, or for any number if None; ``watch`` is called now and then."""
         self.node = node
         self.link = link
-        self.outcome = Outcome("all ticks done")
+        self.outcome = RunOutcome("all ticks done")
         self._ticks = ticks
         self._watch = watch
 
@@ -143,7 +147,7 @@ class NodeRun:
         """Follow commands until all is done or something ends it."""
         self._run(self._follow)
 
-    def in_real_time(self, source: Source) -> None:
+    def in_real_time(self, source: ObservationSource) -> None:
         """Tick at the node's rate until all is done, the observations end or something else ends it.
 
         A tick lasts until the next one begins: what comes in meanwhile belongs to its round. A tick whose
@@ -174,7 +178,7 @@ class NodeRun:
             self._listen(_SLICE)
             self._watch()
 
-    def _tick_by(self, clock: RealTimeClock, source: Source) -> None:
+    def _tick_by(self, clock: RealTimeClock, source: ObservationSource) -> None:
         while not self._is_over():
             clock.begin(self.node.ticks)
             self.link.catch_up(self._take)
@@ -191,7 +195,7 @@ class NodeRun:
         self.link.catch_up(self._take)
         self._settle()
 
-    def _observation(self, source: Source) -> Observation | None:
+    def _observation(self, source: ObservationSource) -> Observation | None:
         """The next one, waited for if need be. Raises EOFError if there are no more."""
         while True:
             try:

@@ -15,7 +15,7 @@ from mcp_asdf_tools.world import World, WorldSettings
 _OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
 
 
-class Source(Protocol):
+class ObservationSource(Protocol):
     """Where a robot's observations come from, tick by tick."""
 
     def next(self, seconds: float) -> Observation | None:
@@ -68,7 +68,7 @@ class LineSource:
         self._number = 0
 
     def next(self, seconds: float) -> Observation | None:
-        """The next line's observation. Raises as ``Source``, and UsageError for a line that is none."""
+        """The next line's observation. Raises as ``ObservationSource``, and UsageError for a line that is none."""
         if not self._lines and not self._has_ended:
             self._read(seconds)
         if not self._lines:

@@ -2,16 +2,16 @@
 
 from .air import Air as Air
 from .fault_spec import Fault as Fault
-from .fault_spec import Kind as Kind
+from .fault_spec import FaultKind as FaultKind
 from .fault_spec import parse_fault as parse_fault
 from .faults import Faults as Faults
-from .faults import Sent as Sent
+from .faults import SentFrame as SentFrame
 from .live_table import LiveTable as LiveTable
 from .medium import Wiring as Wiring
 from .plot import draw as draw
 from .remote_robot import check_remote as check_remote
-from .run import Hook as Hook
-from .run import Run as Run
+from .run import SwarmHook as SwarmHook
+from .run import SwarmRun as SwarmRun
 from .run import run_swarm as run_swarm
 from .settings import MAX_ROBOTS_AND_TOOLS as MAX_ROBOTS_AND_TOOLS
 from .settings import SwarmSettings as SwarmSettings

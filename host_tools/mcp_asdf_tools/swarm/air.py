@@ -9,7 +9,7 @@ from typing import Protocol
 
 import can
 
-from mcp_asdf_tools.swarm.faults import Faults, Sent
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame
 
 
 class Hearer(Protocol):
@@ -42,12 +42,12 @@ class Air:
         self.in_range = self.arrived = 0
         self._world = world
         self._is_late = latency > 0
-        self._held: dict[int, Sequence[Sent]] = {}
+        self._held: dict[int, Sequence[SentFrame]] = {}
         self._faults = faults
         self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
         self._order = count()
 
-    def arrivals(self, receiver: int, tick: int, sent: Sequence[Sent]) -> list[can.Message]:
+    def arrivals(self, receiver: int, tick: int, sent: Sequence[SentFrame]) -> list[can.Message]:
         """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
 
         Ask once a tick. O((sent + late) log late).
@@ -61,7 +61,7 @@ class Air:
         self.arrived += len(heard)
         return heard
 
-    def _heard(self, receiver: int, tick: int, in_range: Sequence[Sent]) -> list[can.Message]:
+    def _heard(self, receiver: int, tick: int, in_range: Sequence[SentFrame]) -> list[can.Message]:
         late = self._late.setdefault(receiver, [])
         for each in in_range:
             for way in self._faults.deliver(each, receiver):

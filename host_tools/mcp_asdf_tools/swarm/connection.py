@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import can
 
-from mcp_asdf_tools.swarm.faults import Sent
+from mcp_asdf_tools.robots import FrameTaker
+from mcp_asdf_tools.swarm.faults import SentFrame
 from mcp_asdf_tools.swarm.transmission import Key
 
 TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""
-
-Taker = Callable[[can.Message], None]
 
 _MOST_RETURNED = 256
 """Frames sent of which it is remembered that they may be returned."""
@@ -33,11 +32,16 @@ class Connection:
     """
 
     def __init__(
-        self, bus: can.BusABC, who: str, what: str, stranger: Taker | None = None, every: Taker | None = None
+        self,
+        bus: can.BusABC,
+        who: str,
+        what: str,
+        stranger: FrameTaker | None = None,
+        every: FrameTaker | None = None,
     ) -> None:
         """``stranger`` takes each frame that nobody expects, ``every`` all frames.
 
-        ``who`` listens for frames called ``what``, a format for a ``Sent``, where people read of them.
+        ``who`` listens for frames called ``what``, a format for a ``SentFrame``, where people read of them.
         """
         self.bus = bus
         self.missed = 0
@@ -45,7 +49,7 @@ class Connection:
         self._what = what
         self._stranger = stranger
         self._every = every
-        self._late: list[Sent] = []
+        self._late: list[SentFrame] = []
         self._own: deque[Key] = deque(maxlen=_MOST_RETURNED)
 
     def send(self, frame: can.Message) -> None:
@@ -53,7 +57,7 @@ class Connection:
         self.bus.send(frame, timeout=TIMEOUT)
         self._own.append((frame.arbitration_id, bytes(frame.data), frame.is_error_frame))
 
-    def take(self, expected: Sequence[Sent], patience: float | None) -> Sequence[Sent]:
+    def take(self, expected: Sequence[SentFrame], patience: float | None) -> Sequence[SentFrame]:
         """Read until all ``expected`` have come, or for ``patience`` seconds; returns those that have.
 
         They are in the order given, after late ones of earlier calls. Raises SwarmError if one is missing
@@ -69,7 +73,7 @@ class Connection:
             return wanted
         if patience is None:
             raise self._error([each for each in wanted if each.key in left])
-        come: list[Sent] = []
+        come: list[SentFrame] = []
         for each in reversed(wanted):  # of frames that are the same those sent last are missing
             (self._late if _took(left, each.key) else come).insert(0, each)
         self.missed += sum(each in expected for each in self._late)
@@ -106,7 +110,7 @@ class Connection:
         if frame.is_rx or key not in self._own:
             self._stranger(frame)
 
-    def _error(self, missing: Sequence[Sent]) -> SwarmError:
+    def _error(self, missing: Sequence[SentFrame]) -> SwarmError:
         names = ", ".join(dict.fromkeys(self._what.format(each) for each in missing[:8]))
         return SwarmError(
             f"{self._who} did not hear {names}{', ...' * (len(missing) > 8)} within {TIMEOUT:g} s on "

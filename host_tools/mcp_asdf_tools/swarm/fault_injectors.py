@@ -12,9 +12,9 @@ from typing import TypeVar
 
 import can
 
-from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE, ONE, FrameFormat, Message, bits_of, decode, encode
-from mcp_asdf_tools.swarm.fault_spec import Fault, Kind
-from mcp_asdf_tools.swarm.transmission import Delivery, Sent
+from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE_ID, ONE, FrameFormat, Message, bits_of, decode, encode
+from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
+from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
 
 Words = tuple[int, ...]
 """Eight random words of 64 bits: the first decides whether a fault strikes, the others how."""
@@ -33,7 +33,7 @@ _Subject = TypeVar("_Subject")
 class Draws:
     """The random words of one fault; ``number`` tells apart faults of one kind."""
 
-    def __init__(self, seed: int, kind: Kind, number: int) -> None:
+    def __init__(self, seed: int, kind: FaultKind, number: int) -> None:
         person = f"{kind.value} {number}".encode()
         self._hash = hashlib.blake2b(digest_size=64, key=seed.to_bytes(16, "little"), person=person)
 
@@ -45,7 +45,7 @@ class Draws:
         """Those of a sender and a receiver in a tick."""
         return self._words(tick, 0, 0, *link, 0)
 
-    def of_frame(self, sent: Sent, receiver: int = _NOBODY, version: int = 0) -> Words:
+    def of_frame(self, sent: SentFrame, receiver: int = _NOBODY, version: int = 0) -> Words:
         """Those of a frame, or of one of several that have become of it on its way to a receiver."""
         return self._words(
             sent.tick, sent.number, sent.frame.arbitration_id, sent.sender, receiver, version % 256
@@ -136,10 +136,10 @@ class AtSender(Injector, ABC):
         self._frames = frames
 
     @abstractmethod
-    def act(self, sent: Sent) -> list[Sent]:
+    def act(self, sent: SentFrame) -> list[SentFrame]:
         """What becomes of the frame. Error frames stay what they are."""
 
-    def _say(self, sent: Sent, own: Message, x_hat: int, alpha: int) -> list[Sent]:
+    def _say(self, sent: SentFrame, own: Message, x_hat: int, alpha: int) -> list[SentFrame]:
         """The estimate ``own`` with another content."""
         message = replace(own, x_hat=x_hat, alpha=alpha)
         return [replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))]
@@ -148,13 +148,13 @@ class AtSender(Injector, ABC):
 class _InItsTicks(AtSender):
     """Knows nothing of frames out of the fault's schedule."""
 
-    def act(self, sent: Sent) -> list[Sent]:
+    def act(self, sent: SentFrame) -> list[SentFrame]:
         if sent.frame.is_error_frame or not self.fault.is_on(sent.tick, sent.sender):
             return [sent]
         return self._act(sent)
 
     @abstractmethod
-    def _act(self, sent: Sent) -> list[Sent]:
+    def _act(self, sent: SentFrame) -> list[SentFrame]:
         """What becomes of a frame that the fault may befall."""
 
 
@@ -165,7 +165,7 @@ class _Freeze(AtSender):
         super().__init__(fault, draws, frames)
         self._regular: dict[int, Message] = {}
 
-    def act(self, sent: Sent) -> list[Sent]:
+    def act(self, sent: SentFrame) -> list[SentFrame]:
         own = decode(sent.frame, self._frames)
         if not isinstance(own, Message):
             return [sent]
@@ -178,7 +178,7 @@ class _Freeze(AtSender):
 
 
 class _Liar(_InItsTicks):
-    def _act(self, sent: Sent) -> list[Sent]:
+    def _act(self, sent: SentFrame) -> list[SentFrame]:
         own = decode(sent.frame, self._frames)
         if not (isinstance(own, Message) and self._strikes(self._draws.of_frame(sent))):
             return [sent]
@@ -189,16 +189,16 @@ class _Liar(_InItsTicks):
 
 
 class _Collide(_InItsTicks):
-    def _act(self, sent: Sent) -> list[Sent]:
+    def _act(self, sent: SentFrame) -> list[SentFrame]:
         if self.fault.id is None or not self._strikes(self._draws.of_frame(sent)):
             return [sent]
         frame = copy.copy(sent.frame)
-        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE | self.fault.id
+        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.fault.id
         return [replace(sent, frame=frame)]
 
 
 class _Error(_InItsTicks):
-    def _act(self, sent: Sent) -> list[Sent]:
+    def _act(self, sent: SentFrame) -> list[SentFrame]:
         if not self._strikes(self._draws.of_frame(sent)):
             return [sent]
         error = can.Message(
@@ -217,7 +217,7 @@ class _Queue(_InItsTicks):
         super().__init__(fault, draws, frames)
         self._taken: dict[int, tuple[int, int]] = {}
 
-    def _act(self, sent: Sent) -> list[Sent]:
+    def _act(self, sent: SentFrame) -> list[SentFrame]:
         tick, taken = self._taken.get(sent.sender, (sent.tick, 0))
         taken = taken if tick == sent.tick else 0
         is_short = _below(self._draws.of_node(sent.sender, sent.tick), self.fault.rate)
@@ -231,7 +231,7 @@ class _Queue(_InItsTicks):
 class OnTheWay(Injector, ABC):
     """What happens to a frame on its way to one receiver."""
 
-    def act(self, ways: Sequence[Delivery], sent: Sent, receiver: int) -> Sequence[Delivery]:
+    def act(self, ways: Sequence[Delivery], sent: SentFrame, receiver: int) -> Sequence[Delivery]:
         """What becomes of it, where it has become ``ways`` so far."""
         chosen = self.fault.receivers
         if not self.fault.is_on(sent.tick, sent.sender) or (chosen is not None and receiver not in chosen):
@@ -241,14 +241,14 @@ class OnTheWay(Injector, ABC):
         ]
 
     @abstractmethod
-    def _act(self, way: Delivery, sent: Sent, receiver: int, version: int) -> Sequence[Delivery]:
+    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
         """The same for one ``way`` in a tick of the fault, to a receiver that it may befall."""
 
 
 class _ByDraw(OnTheWay):
     """Strikes each frame by a draw of its own."""
 
-    def _act(self, way: Delivery, sent: Sent, receiver: int, version: int) -> Sequence[Delivery]:
+    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
         words = self._draws.of_frame(sent, receiver, version)
         return self._struck(way, words) if self._strikes(words) else (way,)
 
@@ -269,7 +269,7 @@ class _Burst(OnTheWay):
         super().__init__(fault, draws)
         self._is_bad: _Course[tuple[int, int]] = _Course(fault.start, self._step)
 
-    def _act(self, way: Delivery, sent: Sent, receiver: int, version: int) -> Sequence[Delivery]:
+    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
         is_bad = self._is_bad.at((sent.sender, receiver), sent.tick)
         self.injected += is_bad
         return () if is_bad else (way,)
@@ -309,21 +309,21 @@ class _Corrupt(_ByDraw):
         return (replace(way, frame=frame),)
 
 
-AT_SENDERS: dict[Kind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
-    Kind.FREEZE: _Freeze,
-    Kind.LIAR: _Liar,
-    Kind.COLLIDE: _Collide,
-    Kind.ERROR: _Error,
-    Kind.QUEUE: _Queue,
+AT_SENDERS: dict[FaultKind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
+    FaultKind.FREEZE: _Freeze,
+    FaultKind.LIAR: _Liar,
+    FaultKind.COLLIDE: _Collide,
+    FaultKind.ERROR: _Error,
+    FaultKind.QUEUE: _Queue,
 }
 
-ON_THE_WAY: dict[Kind, Callable[[Fault, Draws], OnTheWay]] = {
-    Kind.LOSS: _Loss,
-    Kind.BURST: _Burst,
-    Kind.DELAY: _Delay,
-    Kind.DUPLICATE: _Duplicate,
-    Kind.REORDER: _Reorder,
-    Kind.CORRUPT: _Corrupt,
+ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
+    FaultKind.LOSS: _Loss,
+    FaultKind.BURST: _Burst,
+    FaultKind.DELAY: _Delay,
+    FaultKind.DUPLICATE: _Duplicate,
+    FaultKind.REORDER: _Reorder,
+    FaultKind.CORRUPT: _Corrupt,
 }
 
 

@@ -2,7 +2,7 @@
 
 A fault is its kind, with a rate unless it is certain, then any options, all apart by commas:
 ``loss=0.2,from=100,to=500,robots=3-5`` loses each frame that robots 3, 4 and 5 send from tick 100 on, until
-before tick 500, with probability 0.2 on its way to each neighbour. ``Kind`` lists the kinds.
+before tick 500, with probability 0.2 on its way to each neighbour. ``FaultKind`` lists the kinds.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
-from mcp_asdf_tools.bus import MAX_NODE, float_of
+from mcp_asdf_tools.bus import MAX_NODE_ID, float_of
 from mcp_asdf_tools.common import UsageError
 
 _MAX_TICK = 2**32 - 1
 _MAX_ALPHA = float_of(0x7F7FFFFF)
 
 
-class Kind(Enum):
+class FaultKind(Enum):
     """What goes wrong. The value is the name in texts.
 
     Attributes:
@@ -46,7 +46,7 @@ class Kind(Enum):
     BUSOFF = "busoff", ("ticks",), "a node neither sends nor hears for ticks, while its robot goes on"
     QUEUE = "queue", ("frames",), "a node's send queue takes frames a tick and refuses more"
 
-    def __new__(cls, name: str, options: tuple[str, ...], text: str) -> Kind:
+    def __new__(cls, name: str, options: tuple[str, ...], text: str) -> FaultKind:
         """Make a member."""
         member = object.__new__(cls)
         member._value_, member.options, member.text = name, options, text
@@ -76,7 +76,7 @@ class Fault:
         id: Under which a node sends, 0 .. 127; must be given for ``collide``.
     """
 
-    kind: Kind
+    kind: FaultKind
     rate: float = 1.0
     start: int = 0
     stop: int | None = None
@@ -99,16 +99,16 @@ class Fault:
                 raise self._error(name, value, f"{least:g} to {most:g}")
         if self.stop is not None and self.stop <= self.start:
             raise self._error("stop", self.stop, f"above from, {self.start}")
-        if self.ticks == 0 and self.kind is not Kind.DUPLICATE:
+        if self.ticks == 0 and self.kind is not FaultKind.DUPLICATE:
             raise self._error("ticks", 0, "at least 1")
         if self.rejoin not in ("new", "restored"):
             raise self._error("rejoin", self.rejoin, "new or restored")
-        if self.kind is Kind.BURST and self.rate * (self.length + 1) > self.length:
+        if self.kind is FaultKind.BURST and self.rate * (self.length + 1) > self.length:
             most = self.length / (self.length + 1)
             raise self._error("rate", self.rate, f"at most length / (length + 1), {most:.6g}")
 
     def _check_options(self) -> None:
-        if self.kind is Kind.COLLIDE and self.id is None:
+        if self.kind is FaultKind.COLLIDE and self.id is None:
             raise UsageError(f"fault {self.kind.value} needs the id to send under, such as id=3")
         for item in fields(self)[_COMMON:]:
             if getattr(self, item.name) != item.default and item.name not in self.kind.options:
@@ -146,7 +146,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "frames": (0, 10_000),
     "x": (0, 1),
     "alpha": (0, _MAX_ALPHA),
-    "id": (0, MAX_NODE),
+    "id": (0, MAX_NODE_ID),
 }
 
 
@@ -173,7 +173,7 @@ def parse_fault(text: str) -> Fault:
     return Fault(kind, **values)
 
 
-_KINDS: dict[str, Kind] = {kind.value: kind for kind in Kind}
+_KINDS: dict[str, FaultKind] = {kind.value: kind for kind in FaultKind}
 _ALWAYS = ("from", "to", "robots")
 _FIELDS = {spelling: name for name, spelling in _SPELLING.items()}
 
@@ -184,7 +184,7 @@ def _ids(text: str) -> frozenset[int]:
     for item in text.split("+"):
         first, dash, last = item.partition("-")
         low, high = int(first), int(last if dash else first)
-        if not 0 <= low <= high <= MAX_NODE:
+        if not 0 <= low <= high <= MAX_NODE_ID:
             raise ValueError
         chosen.update(range(low, high + 1))
     return frozenset(chosen)
@@ -200,7 +200,7 @@ def _finite(text: str) -> float:
 _READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     **dict.fromkeys(("rate", "length", "x", "alpha"), (_finite, "a number")),
     **dict.fromkeys(("from", "to", "ticks", "bits", "frames", "id"), (int, "a whole number")),
-    **dict.fromkeys(("robots", "receivers"), (_ids, f"ids 0 to {MAX_NODE} such as 0+3-5")),
+    **dict.fromkeys(("robots", "receivers"), (_ids, f"ids 0 to {MAX_NODE_ID} such as 0+3-5")),
     "rejoin": (str, "new or restored"),
 }
 
@@ -221,5 +221,5 @@ def _text_of(value: object) -> str:
     return "+".join(f"{a}-{b}" if a < b else str(a) for a, b in zip(firsts, lasts, strict=True))
 
 
-def _offer(kind: Kind) -> str:
+def _offer(kind: FaultKind) -> str:
     return f"its options are {', '.join((*_ALWAYS, *kind.options))}"

@@ -41,10 +41,10 @@ from mcp_asdf_tools.swarm.fault_injectors import (
     OnTheWay,
     Spells,
 )
-from mcp_asdf_tools.swarm.fault_spec import Fault, Kind, parse_fault
-from mcp_asdf_tools.swarm.transmission import Delivery, Sent
+from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
+from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
 
-__all__ = ["Delivery", "Fault", "Faults", "Kind", "Sent", "parse_fault"]
+__all__ = ["Delivery", "Fault", "FaultKind", "Faults", "SentFrame", "parse_fault"]
 
 
 class Faults:
@@ -77,7 +77,7 @@ class Faults:
     def crash(self, robot: int, tick: int) -> Fault | None:
         """The fault that keeps ``robot`` dead in this tick; None while it lives."""
         lasting = [each.fault for each in self._spells if each.lasts(robot, tick)]
-        return next((fault for fault in lasting if fault.kind is Kind.CRASH), None)
+        return next((fault for fault in lasting if fault.kind is FaultKind.CRASH), None)
 
     def survives(self, robot: BusRobot, tick: int) -> bool:
         """Let ``robot`` crash or wake as this tick wants it; returns whether it lives."""
@@ -107,18 +107,18 @@ class Faults:
             for data in each.contents(robot, tick)
         ]
 
-    def leave(self, frame: can.Message, sender: int, tick: int) -> list[Sent]:
+    def leave(self, frame: can.Message, sender: int, tick: int) -> list[SentFrame]:
         """What gets onto the bus where a node sends ``frame``. Ask once for each frame, in the order sent."""
         if not self.faults:
-            return [Sent(frame, sender, tick)]
+            return [SentFrame(frame, sender, tick)]
         if self.is_off(sender, tick):
             return []
-        leaving = [Sent(frame, sender, tick, self._number(frame, sender, tick))]
+        leaving = [SentFrame(frame, sender, tick, self._number(frame, sender, tick))]
         for each in self._at_senders:
             leaving = [after for sent in leaving for after in each.act(sent)]
         return leaving
 
-    def deliver(self, sent: Sent, receiver: int) -> Sequence[Delivery]:
+    def deliver(self, sent: SentFrame, receiver: int) -> Sequence[Delivery]:
         """What ``receiver`` hears of a frame. Ask once for each; error frames reach everybody on the bus."""
         if self.is_off(receiver, sent.tick):
             return ()
@@ -136,9 +136,9 @@ class Faults:
         return [{"fault": str(each.fault), "injected": each.injected} for each in self._all]
 
     def _injector(self, fault: Fault, draws: Draws) -> Injector:
-        if fault.kind in (Kind.CRASH, Kind.BUSOFF):
+        if fault.kind in (FaultKind.CRASH, FaultKind.BUSOFF):
             return Spells(fault, draws)
-        if fault.kind is Kind.BABBLE:
+        if fault.kind is FaultKind.BABBLE:
             return Babbler(fault, draws)
         if fault.kind in AT_SENDERS:
             return AT_SENDERS[fault.kind](fault, draws, self._frames)

@@ -4,7 +4,7 @@
 
 - ``SharedBus``: all robots are on one bus, which hands every frame to everybody, and each robot's radio lets
   through what the air would. Another program on the bus sees what was sent.
-- ``Remote``: the same with robots that are not in this process.
+- ``RemoteBus``: the same with robots that are not in this process.
 - ``ChannelPerRobot``: every robot has a bus to itself, with the medium at its other end, which reads what the
   robot sends and writes what it hears. Another program on that bus sees what this robot sees.
 
@@ -20,10 +20,10 @@ from typing import Protocol
 
 import can
 
-from mcp_asdf_tools.robots import Clock
+from mcp_asdf_tools.robots import Clock, FrameTaker
 from mcp_asdf_tools.swarm.air import Air, Hearer
-from mcp_asdf_tools.swarm.connection import Connection, Taker
-from mcp_asdf_tools.swarm.faults import Sent
+from mcp_asdf_tools.swarm.connection import Connection
+from mcp_asdf_tools.swarm.faults import SentFrame
 
 OpenBus = Callable[[int], can.BusABC]
 """Joins the bus of a robot, by id."""
@@ -47,7 +47,7 @@ class Wiring:
 class Medium(Protocol):
     """Carries frames. A context manager: leaving it closes the buses."""
 
-    def send(self, sent: Sent) -> None:
+    def send(self, sent: SentFrame) -> None:
         """Let the sender put a frame on its bus. Raises can.CanError if that does not take it."""
 
     def carry(self, tick: int) -> None:
@@ -69,7 +69,7 @@ class SharedBus:
     """All robots on one bus. O(robots) a frame."""
 
     def __init__(
-        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: Taker | None
+        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: FrameTaker | None
     ) -> None:
         """Let every robot join. With ``log`` one more connection does, and hands over every frame."""
         self._hearers = hearers
@@ -84,10 +84,10 @@ class SharedBus:
             for robot, (bus, hearer) in enumerate(zip(buses, hearers, strict=True))
         ]
         self._logs = [] if log_bus is None else [Connection(log_bus, "the log", _FRAME, every=log)]
-        self._come: list[list[Sent]] = [[] for _ in hearers]
-        self._unread: list[Sent] = []
+        self._come: list[list[SentFrame]] = [[] for _ in hearers]
+        self._unread: list[SentFrame] = []
 
-    def send(self, sent: Sent) -> None:
+    def send(self, sent: SentFrame) -> None:
         """Let the sender put a frame on the bus."""
         self._radios[sent.sender].send(sent.frame)
         self._unread.append(sent)
@@ -123,7 +123,7 @@ class SharedBus:
         self._stack.close()
 
 
-class Remote:
+class RemoteBus:
     """Robots that are all elsewhere and on one bus, where they hear each other without anybody's help.
 
     Attributes:
@@ -136,9 +136,9 @@ class Remote:
         self.end = wiring.open_bus(0)
         self._hearers = hearers
         self._air = air
-        self._sent: list[Sent] = []
+        self._sent: list[SentFrame] = []
 
-    def send(self, sent: Sent) -> None:
+    def send(self, sent: SentFrame) -> None:
         """It is on the bus already."""
         self._sent.append(sent)
 
@@ -150,7 +150,7 @@ class Remote:
                 hearer.hear(frame)
         self._sent.clear()
 
-    def __enter__(self) -> Remote:
+    def __enter__(self) -> RemoteBus:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -165,7 +165,7 @@ class ChannelPerRobot:
     """
 
     def __init__(
-        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: Taker | None
+        self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: FrameTaker | None
     ) -> None:
         """Let the medium join every robot's bus, and robots that are here theirs.
 
@@ -185,9 +185,9 @@ class ChannelPerRobot:
             robot: Connection(bus, f"robot {robot}", _FRAME, hearers[robot].hear_stranger)
             for robot, bus in zip(here, radios, strict=True)
         }
-        self._come: list[Sent] = []
+        self._come: list[SentFrame] = []
 
-    def send(self, sent: Sent) -> None:
+    def send(self, sent: SentFrame) -> None:
         """Let the sender put a frame on its bus, where that of a remote robot is already, and read it."""
         radio = self._radios.get(sent.sender)
         if radio is None:
@@ -218,7 +218,7 @@ class ChannelPerRobot:
             end.send(frame)
         if radio is None:
             return frames
-        carried = [Sent(frame, robot, tick) for frame in frames]
+        carried = [SentFrame(frame, robot, tick) for frame in frames]
         heard = radio.take(carried, self._clock.patience(tick))
         if len(frames) == _BATCH:
             end.drain(_BATCH)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import plain_value
 from mcp_asdf_tools.robots import Filtering
-from mcp_asdf_tools.swarm.run import Run
+from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.world import Graph
 
@@ -27,7 +27,7 @@ _PANELS = (
 )
 
 
-def draw(run: Run) -> Figure:
+def draw(run: SwarmRun) -> Figure:
     """Return a figure of three panels that share the time axis."""
     figure = Figure(figsize=(9, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -43,7 +43,7 @@ def draw(run: Run) -> Figure:
     return figure
 
 
-def _draw_lines(axes: Axes, run: Run, quantity: str) -> None:
+def _draw_lines(axes: Axes, run: SwarmRun, quantity: str) -> None:
     """Draw one line per robot, the flawed ones on top, in a colour of its own if all are equal."""
     ticks, values = run.history.ticks, run.history.values(quantity)
     are_equal = _are_equal(values)
@@ -91,7 +91,7 @@ def _limits(values: NDArray[np.float64], truth: float) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _title(run: Run) -> str:
+def _title(run: SwarmRun) -> str:
     settings = run.settings
     deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
     return (
@@ -108,7 +108,7 @@ def _topology(settings: SwarmSettings) -> str:
     return str(plain_value(settings.topology)).replace("-", " ")
 
 
-def _legend(run: Run) -> list[Line2D]:
+def _legend(run: SwarmRun) -> list[Line2D]:
     flawed = {run.settings.is_flawed(node.id) for node in run.nodes}
     lines = [Line2D([], [], color=_TRUTH, linestyle="--", label="true value")]
     if False in flawed:

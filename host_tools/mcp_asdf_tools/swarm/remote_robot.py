@@ -13,7 +13,7 @@ import can
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation, Status
 from mcp_asdf_tools.bus import (
-    MAX_NODE,
+    MAX_NODE_ID,
     ONE,
     FrameFormat,
     Message,
@@ -33,7 +33,7 @@ from mcp_asdf_tools.robots import (
     RoundTimer,
     Subjects,
 )
-from mcp_asdf_tools.swarm.fault_spec import Kind
+from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.world import Topology
@@ -56,7 +56,7 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
         raise UsageError(f"robot {max(remote)} is to run elsewhere, but ids are 0 to {settings.robots - 1}")
     Subjects(estimates=settings.frames)
     for fault in settings.faults:
-        if fault.kind is Kind.CRASH and not set(remote).isdisjoint(fault.robots or remote):
+        if fault.kind is FaultKind.CRASH and not set(remote).isdisjoint(fault.robots or remote):
             raise UsageError(
                 f"fault {fault} cannot befall robots that run elsewhere; name others, or use busoff"
             )
@@ -212,4 +212,4 @@ class Driver:
 
 
 def _sender(frame: can.Message) -> int:
-    return frame.arbitration_id & MAX_NODE
+    return frame.arbitration_id & MAX_NODE_ID

@@ -26,7 +26,7 @@ QUANTITIES = ("b_hat", "x_hat", "x")
 MAX_SAMPLES = 2000
 """About as many as a picture can show."""
 
-Hook = Callable[[Swarm], None]
+SwarmHook = Callable[[Swarm], None]
 """Called after every tick."""
 
 
@@ -62,7 +62,7 @@ class History:
 
 
 @dataclass
-class Run:
+class SwarmRun:
     """A run, finished or not.
 
     Attributes:
@@ -93,14 +93,14 @@ class Run:
         }
 
 
-def run_swarm(swarm: Swarm, hooks: Sequence[Hook] = ()) -> Run:
+def run_swarm(swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
     """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
 
     KeyboardInterrupt (from a hook, say) and a failing bus end the run early; what was done counts.
     """
     history = History(swarm.settings.steps)
     history.add(swarm)
-    outcome = Run(swarm.settings, swarm.nodes, history)
+    outcome = SwarmRun(swarm.settings, swarm.nodes, history)
     try:
         while swarm.ticks < swarm.settings.steps:
             swarm.tick()

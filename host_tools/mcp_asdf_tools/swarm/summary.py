@@ -9,11 +9,11 @@ from typing import Any
 from rich.table import Table
 
 from mcp_asdf_tools.bus import LIMIT
-from mcp_asdf_tools.swarm.run import Run
+from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
-def summary_table(run: Run, bus: str, seconds: float) -> Table:
+def summary_table(run: SwarmRun, bus: str, seconds: float) -> Table:
     """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
     results, settings = run.results, run.settings
     table = Table(box=None, padding=(0, 1), show_header=False)
@@ -33,7 +33,7 @@ def summary_table(run: Run, bus: str, seconds: float) -> Table:
     return table
 
 
-def one_line(run: Run) -> str:
+def one_line(run: SwarmRun) -> str:
     """The outcome in one line, for quiet runs."""
     results = run.results
     return (
@@ -42,7 +42,7 @@ def one_line(run: Run) -> str:
     )
 
 
-def parameters(run: Run) -> str:
+def parameters(run: SwarmRun) -> str:
     """The options to type for the same run: the seed, and those that differ from their defaults."""
     given, usual = _options(run.settings), _options(SwarmSettings())
     words = [
@@ -69,13 +69,13 @@ def load_warning(results: dict[str, Any]) -> str | None:
     )
 
 
-def _ending(run: Run) -> str:
+def _ending(run: SwarmRun) -> str:
     if run.failure is not None:
         return f"; failed in {run.failure}"
     return "; interrupted" if run.interrupted else ""
 
 
-def _estimate(run: Run) -> str:
+def _estimate(run: SwarmRun) -> str:
     results, f = run.results, run.settings.fill_ratio
     return (
         f"mean x {results['mean_x']:.5f}, f {f:g}, mean error {results['mean_error']:.5f}, "
@@ -92,7 +92,7 @@ def _change(group: dict[str, float] | None, truth: float) -> str:
     )
 
 
-def _frames(run: Run, bus: str) -> str:
+def _frames(run: SwarmRun, bus: str) -> str:
     frames = run.results["frames"]
     rejected = sum(frames["rejected"].values())
     return (

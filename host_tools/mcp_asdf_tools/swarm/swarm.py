@@ -15,11 +15,10 @@ import can
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import FrameFormat, Message, alpha_bits, decode, wire_bits
 from mcp_asdf_tools.recording import SidecarWriter
-from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, make_clock
+from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.air import Air
-from mcp_asdf_tools.swarm.connection import Taker
-from mcp_asdf_tools.swarm.faults import Faults, Sent
-from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, Remote, SharedBus, Wiring
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame
+from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, RemoteBus, SharedBus, Wiring
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
@@ -46,7 +45,7 @@ class Swarm:
         self,
         settings: SwarmSettings,
         wiring: Wiring,
-        log: Taker | None = None,
+        log: FrameTaker | None = None,
         sidecar: SidecarWriter | None = None,
     ) -> None:
         """Make the robots and let each join its bus.
@@ -69,7 +68,7 @@ class Swarm:
         self._air = Air(self.world, self.faults, settings.latency)
         self._medium, self._drivers = self._connect(wiring, None if log is None else _as_received(log))
 
-    def _connect(self, wiring: Wiring, log: Taker | None) -> tuple[Medium, list[Driver]]:
+    def _connect(self, wiring: Wiring, log: FrameTaker | None) -> tuple[Medium, list[Driver]]:
         """What carries frames, and what drives remote robots."""
         check_remote(self.settings, wiring)
         frames = self.settings.frames
@@ -78,7 +77,7 @@ class Swarm:
             channels = ChannelPerRobot(self.nodes, self._air, wiring, self.clock, log)
             return channels, [Driver(channels.ends[n.id].bus, [n], frames, log) for n in away]
         if away:
-            remote = Remote(self.nodes, self._air, wiring)
+            remote = RemoteBus(self.nodes, self._air, wiring)
             return remote, [Driver(remote.end, away, frames, log)]
         return SharedBus(self.nodes, self._air, wiring, self.clock, log), []
 
@@ -150,7 +149,7 @@ class Swarm:
         self.traffic.sent += len(due)
         return due
 
-    def _send(self, node: SwarmRobot, frame: can.Message, is_own: bool = True) -> list[Sent]:
+    def _send(self, node: SwarmRobot, frame: can.Message, is_own: bool = True) -> list[SentFrame]:
         """Let a robot send what the faults leave of a frame, its own or one that it babbles."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # What a robot elsewhere sends is on its bus, whatever the faults make of it here.
@@ -160,7 +159,7 @@ class Swarm:
             self._medium.send(sent)
         return leaving
 
-    def _babble(self, node: SwarmRobot) -> list[Sent]:
+    def _babble(self, node: SwarmRobot) -> list[SentFrame]:
         frames = self.faults.babble(node.id, self.ticks, self._now)
         return [sent for frame in frames for sent in self._send(node, frame, is_own=False)]
 
@@ -169,7 +168,7 @@ class Swarm:
         """Simulated time, seconds."""
         return self.ticks / self.settings.steps_per_second
 
-    def _count(self, sent: list[Sent]) -> None:
+    def _count(self, sent: list[SentFrame]) -> None:
         bits = sum(wire_bits(each.frame) for each in sent)
         traffic = self.traffic
         traffic.on_the_bus += len(sent)
@@ -188,7 +187,7 @@ def _robot_of(
     return BusRobot(record.id, record.make, decoder, recorder)
 
 
-def _as_received(log: Taker) -> Taker:
+def _as_received(log: FrameTaker) -> FrameTaker:
     """Direction is that of the log's connection, where SocketCAN calls sent what comes from this computer."""
 
     def take(frame: can.Message) -> None:
@@ -202,7 +201,7 @@ def _note_fate(
     sidecar: SidecarWriter,
     robot: int,
     frame: can.Message | None,
-    leaving: Sequence[Sent],
+    leaving: Sequence[SentFrame],
     frames: FrameFormat,
 ) -> None:
     """Tell ``sidecar`` what differs between ``frame``, which the robot would send, and what leaves it.

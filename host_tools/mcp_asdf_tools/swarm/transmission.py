@@ -12,7 +12,7 @@ Key = tuple[int, bytes, bool]
 
 
 @dataclass(frozen=True)
-class Sent:
+class SentFrame:
     """A frame that has got onto the bus.
 
     Attributes:

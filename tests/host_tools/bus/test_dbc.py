@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_units, alpha_word, word_to_alpha
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text, entries
+from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_entries, dbc_text
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     MAX_B_HAT,
@@ -66,7 +66,7 @@ def load(text: str) -> Any:
 
 @pytest.fixture(scope="module")
 def database() -> Any:
-    return load(dbc_text(entries(DEFAULT)))
+    return load(dbc_text(dbc_entries(DEFAULT)))
 
 
 def encode(message: Any) -> can.Message:
@@ -193,7 +193,7 @@ def test_values_have_their_names(database: Any, message: str, signal: str, kind:
 
 def test_messages_of_each_node() -> None:
     chosen = [0, 7, 127]
-    database = load(dbc_text(entries(FrameFormat(1234, 1), chosen)))
+    database = load(dbc_text(dbc_entries(FrameFormat(1234, 1), chosen)))
     assert len(database.messages) == 4 * len(chosen)
     for node in chosen:
         frame = frames.encode(Message(node, 5, 0x600, 7), FrameFormat(1234, 1))
@@ -206,7 +206,7 @@ def test_messages_of_each_node() -> None:
 
 @pytest.mark.parametrize("chosen", [None, [0, 42]])
 def test_every_comment_reaches_its_place(chosen: list[int] | None) -> None:
-    for message in load(dbc_text(entries(DEFAULT, chosen))).messages:
+    for message in load(dbc_text(dbc_entries(DEFAULT, chosen))).messages:
         assert message.comment
         assert all(signal.comment for signal in message.signals)
 
@@ -256,7 +256,7 @@ def test_ids_and_ranges(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_a_file_the_text_is_printed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["dbc", "--subject", "100", "--priority", "2"]) == 0
     printed = capsys.readouterr().out
-    assert printed == dbc_text(entries(FrameFormat(100, 2)))
+    assert printed == dbc_text(dbc_entries(FrameFormat(100, 2)))
     path = tmp_path / "a.dbc"
     assert main(["dbc", "--subject", "100", "--priority", "2", "--output", str(path)]) == 0
     assert path.read_text() == printed
@@ -288,7 +288,7 @@ def test_bad_usage_is_named(arguments: list[str], says: str, capsys: pytest.Capt
 def test_the_page_describes_the_same_bits() -> None:
     """Every byte range in docs/frame.md is where the DBC has signals, and the other way round."""
     page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
-    for entry in entries(DEFAULT):
+    for entry in dbc_entries(DEFAULT):
         section = page.split(f"### {entry.name}\n")[1].split("\n#")[0]
         described = {int(first) * 8 for first in re.findall(r"^\| (\d)", section, re.MULTILINE)}
         starts = {signal.start for signal in entry.signals if signal.name != "start_end_toggle"}

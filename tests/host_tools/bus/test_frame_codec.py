@@ -308,7 +308,7 @@ def test_constants_are_the_same() -> None:
         "SUBJECT_HEARTBEAT": frames.HEARTBEAT_SUBJECT,
         "SUBJECT_MAX": frames.MAX_SUBJECT,
         "PRIORITY_MAX": frames.MAX_PRIORITY,
-        "NODE_MAX": frames.MAX_NODE,
+        "NODE_MAX": frames.MAX_NODE_ID,
         "EVERY_ROBOT": frames.EVERY_ROBOT,
         "FRAME_B_HAT_MIN": frames.MIN_B_HAT,
         "FRAME_B_HAT_MAX": frames.MAX_B_HAT,

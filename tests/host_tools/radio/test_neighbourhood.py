@@ -32,14 +32,14 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, like
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
 from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import PHASES, Bench, Phase, Verdict, Verification
+from mcp_asdf_tools.radio.verification import PHASES, ControllerBench, ControllerVerdict, Phase, Verification
 from mcp_asdf_tools.radio.verification_report import headline, markdown
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
-from mcp_asdf_tools.robots.node_run import Link
+from mcp_asdf_tools.robots.node_run import BusLink
 from mcp_asdf_tools.robots.processes import start_nodes
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -70,7 +70,7 @@ def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[N
 def settings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:
     """A controller, robot 3, among robots 0, 1, 2 and 4."""
     own = controller or record(ID, "mirror", 0.55)
-    neighbours = tuple(like(own, robot, 0.95) for robot in choose_ids(own.id, 4))
+    neighbours = tuple(configured_like(own, robot, 0.95) for robot in choose_ids(own.id, 4))
     return RadioSettings(
         own,
         neighbours,
@@ -113,7 +113,7 @@ def test_a_controller_hears_and_is_heard_in_range_only() -> None:
     own = record(ID)
     world = SwarmSettings(robots=5, topology="dynamic", seed=4)
     neighbourhood = Neighbourhood(
-        RadioSettings(own, tuple(like(own, robot, 0.9) for robot in ids[1:]), world, Subjects())
+        RadioSettings(own, tuple(configured_like(own, robot, 0.9) for robot in ids[1:]), world, Subjects())
     )
     twin = World(world)
     seen: set[int] = set()
@@ -198,10 +198,10 @@ def test_stray_commands_are_not_obeyed(tick: int) -> None:
 
 def judge(
     controller: RobotNode, plan: RadioSettings | None = None, phases: Sequence[Phase] = PHASES
-) -> Verdict:
+) -> ControllerVerdict:
     """What the judge says of a controller."""
     with still():
-        return Verification(plan or settings(), Bench(Wire(controller), TICKS, 0.05), phases).run()
+        return Verification(plan or settings(), ControllerBench(Wire(controller), TICKS, 0.05), phases).run()
 
 
 def obedient(firmware: str = "native") -> RobotNode:
@@ -254,7 +254,7 @@ def test_a_phase_in_which_nothing_happens_proves_nothing() -> None:
 @still()
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     controller, done = obedient(), list[int]()
-    bench = Bench(
+    bench = ControllerBench(
         Wire(controller), TICKS, 0.05, progress=done.append, is_told_to_stop=lambda: len(done) == TICKS + 3
     )
     verdict = Verification(settings(), bench).run()
@@ -281,7 +281,7 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
             else:
                 super().send(msg, timeout)
 
-    verdict = Verification(settings(), Bench(Losing(obedient()), TICKS, 0.05)).run()
+    verdict = Verification(settings(), ControllerBench(Losing(obedient()), TICKS, 0.05)).run()
     assert verdict.has_passed, verdict
     assert verdict.repeated == 2
     assert headline(verdict.plain()).endswith("; 2 commands had to be said twice")
@@ -296,7 +296,7 @@ def test_a_bus_that_fails_ends_a_verification() -> None:
                 raise can.CanOperationError("cable pulled")
             super().send(msg, timeout)
 
-    verdict = Verification(settings(), Bench(Failing(obedient()), TICKS, 0.05)).run()
+    verdict = Verification(settings(), ControllerBench(Failing(obedient()), TICKS, 0.05)).run()
     assert verdict.difference is not None
     assert "cable pulled" in verdict.difference
 
@@ -309,7 +309,7 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
                 raise can.CanOperationError("cable pulled")
 
     plan = settings(steps_per_second=1000)
-    run = RadioRun(Neighbourhood(plan), Link(Failing(), endures=True), ticks=20)
+    run = RadioRun(Neighbourhood(plan), BusLink(Failing(), endures=True), ticks=20)
     run.run()
     figures = run.figures()
     assert (figures["steps"], figures["ending"]) == (20, "all ticks done")
@@ -634,10 +634,12 @@ def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_controller_may_be_started_afterwards() -> None:
     controller = obedient()
     wire = Wire(controller)  # it says at once that it is there
-    assert Verification(settings(), Bench(wire, TICKS, 0.05, wait=0.05), PHASES[:2]).run().has_passed
+    assert (
+        Verification(settings(), ControllerBench(wire, TICKS, 0.05, wait=0.05), PHASES[:2]).run().has_passed
+    )
     wire = Wire()
     wire.nodes.append(obedient())
-    verdict = Verification(settings(), Bench(wire, TICKS, 0.05, wait=0.05), PHASES[:2]).run()
+    verdict = Verification(settings(), ControllerBench(wire, TICKS, 0.05, wait=0.05), PHASES[:2]).run()
     assert verdict.difference is not None
     assert [phase.outcome for phase in verdict.phases] == ["failed", "not run"]
 

@@ -22,9 +22,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording import replay as module
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.replay import Player, Verdict, verify
-from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
-from mcp_asdf_tools.swarm.fault_spec import Kind
+from mcp_asdf_tools.recording.replay import Player, ReplayVerdict, verify
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter, sidecar_path
+from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
 from wire import record
 
@@ -52,7 +52,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return log
 
 
-def check(frames: list[can.Message], log: Path) -> Verdict:
+def check(frames: list[can.Message], log: Path) -> ReplayVerdict:
     with SidecarReader(sidecar_path(log)) as sidecar:
         return verify(frames, sidecar)
 
@@ -67,7 +67,7 @@ def test_every_format_is_reproduced(suffix: str, tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert main(["replay", str(log), "--json"]) == 0
     verdict = json.loads(capsys.readouterr().out)["verdict"]
-    assert verdict == Verdict(reproduced=BROADCASTS, other=16).plain()
+    assert verdict == ReplayVerdict(reproduced=BROADCASTS, other=16).plain()
 
 
 @pytest.mark.parametrize(
@@ -80,22 +80,22 @@ def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
     assert verdict.reproduced == BROADCASTS // (5 if "comms" in options else 1)
 
 
-FAULTS = {kind: kind.value + ("=0.9,frames=0" if kind is Kind.QUEUE else "=0.3") for kind in Kind}
-FAULTS[Kind.COLLIDE] += ",id=2"
+FAULTS = {kind: kind.value + ("=0.9,frames=0" if kind is FaultKind.QUEUE else "=0.3") for kind in FaultKind}
+FAULTS[FaultKind.COLLIDE] += ",id=2"
 
 
-@pytest.mark.parametrize("kind", Kind, ids=lambda kind: kind.value)
-def test_what_faults_did_is_no_difference(kind: Kind, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", FaultKind, ids=lambda kind: kind.value)
+def test_what_faults_did_is_no_difference(kind: FaultKind, tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     verdict = check(swarm(log, f"--fault {FAULTS[kind]}"), log)
     assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --fault {FAULTS[kind]}"
     assert verdict.not_logged == 0
     injected = json.loads(Path(f"{log}.json").read_text())["results"]["faults"][0]["injected"]
     assert injected > 0
-    if kind in (Kind.FREEZE, Kind.LIAR):
+    if kind in (FaultKind.FREEZE, FaultKind.LIAR):
         assert verdict.falsified > 0
         assert verdict.falsified + verdict.reproduced == BROADCASTS
-    if kind in (Kind.COLLIDE, Kind.BABBLE):
+    if kind in (FaultKind.COLLIDE, FaultKind.BABBLE):
         assert verdict.foreign > 0
 
 
@@ -174,25 +174,25 @@ def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", record(5).make()
     stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
-    header = Header([record(5)], None, FrameFormat())
+    header = SidecarHeader([record(5)], None, FrameFormat())
     with FileSet() as files, SidecarWriter(sidecar_path(log), header, files) as writer:
         writer.robots[5].observe(Observation.BLACK)
         writer.robots[5].foreign(stranger)
     robot.observe(Observation.BLACK)
     own = encode(Message(5, robot.port.x_hat_raw, robot.port.alpha_raw, 0), FrameFormat())
     for order in ([own, stranger], [stranger, own]):
-        assert check(order, log) == Verdict(reproduced=1, foreign=1)
+        assert check(order, log) == ReplayVerdict(reproduced=1, foreign=1)
     verdict = check([stranger, stranger, own], log)
     assert verdict.difference is not None
     assert verdict.difference.frame == 2
     verdict = check([own, own], log)
     assert verdict.difference is not None
     assert "makes no more broadcasts" in str(verdict.difference)
-    assert check([], log) == Verdict(not_logged=1)
+    assert check([], log) == ReplayVerdict(not_logged=1)
 
 
 def test_a_sidecar_that_contradicts_itself_is_named(tmp_path: Path) -> None:
-    header = Header([record(5)], None, FrameFormat())
+    header = SidecarHeader([record(5)], None, FrameFormat())
     with FileSet() as files, SidecarWriter(tmp_path / "x.events", header, files) as writer:
         writer.robots[5].settle()
         writer.robots[5].silent()

@@ -20,7 +20,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter, sidecar_path
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter, sidecar_path
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
@@ -33,10 +33,10 @@ RECORDS = (
     RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
     RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
 )
-HEADER = Header(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+HEADER = SidecarHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 
 
-def read(path: Path) -> tuple[Header, list[Any]]:
+def read(path: Path) -> tuple[SidecarHeader, list[Any]]:
     with SidecarReader(path) as reader:
         return reader.header, list(reader.lines())
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot write .*no/such: its folder does not exist"):
         SidecarWriter(tmp_path / "no/such", HEADER, FileSet())
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        SidecarWriter(tmp_path / "x", Header([record(1), record(1)], 1, FrameFormat()), FileSet())
+        SidecarWriter(tmp_path / "x", SidecarHeader([record(1), record(1)], 1, FrameFormat()), FileSet())
     own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         config_as_plain(TickConfig(own))

@@ -36,10 +36,10 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all
-from mcp_asdf_tools.robots.node_run import Link, NodeRun
+from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
 from mcp_asdf_tools.robots.observations import LineSource, WorldSource
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
@@ -264,7 +264,7 @@ def test_a_tick_lasts_until_the_next(tmp_path: Path) -> None:
         frame.is_rx = True
     heard.insert(1, encode(Message(8, 1 << 21, ALPHA_ONE, 0), FrameFormat()))  # its own, says the driver
     source, bus = lines(tmp_path, "110-0"), Scripted(*heard)
-    run = NodeRun(fast(telemetry_period=2), Link(bus))
+    run = NodeRun(fast(telemetry_period=2), BusLink(bus))
     run.in_real_time(source)
     source.close()
     assert run.outcome.ending == "the observations ended"
@@ -280,7 +280,7 @@ def test_a_tick_lasts_until_the_next(tmp_path: Path) -> None:
 
 def test_the_first_ticks_are_enough_when_so_many_are_asked_for(tmp_path: Path) -> None:
     source = lines(tmp_path, "1" * 100)
-    run = NodeRun(fast(), Link(Scripted()), ticks=7)
+    run = NodeRun(fast(), BusLink(Scripted()), ticks=7)
     run.in_real_time(source)
     source.close()
     assert (run.node.robot.t, run.outcome.ending) == (7, "all ticks done")
@@ -292,11 +292,11 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
 
     log: list[can.Message] = []
     bus = Scripted(fails=lambda number: 5 <= number <= 20)
-    header = Header([record(5)], None, FrameFormat())
+    header = SidecarHeader([record(5)], None, FrameFormat())
     with FileSet() as files, SidecarWriter(tmp_path / "events", header, files) as writer:
         source = lines(tmp_path, "10" * 20)
         robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=2000), writer.robots[5])
-        run = NodeRun(robot, Link(bus, endures=True, log=log.append))
+        run = NodeRun(robot, BusLink(bus, endures=True, log=log.append))
         run.in_real_time(source)
         source.close()
     assert (run.node.robot.t, run.outcome.has_failed) == (40, False)
@@ -309,7 +309,7 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
 
 
 def test_in_lockstep_a_failing_bus_is_the_end() -> None:
-    run = NodeRun(node(5), Link(Scripted(fails=lambda number: number == 1)))
+    run = NodeRun(node(5), BusLink(Scripted(fails=lambda number: number == 1)))
     run.in_lockstep()
     assert run.outcome.has_failed
     assert run.outcome.ending == "the bus failed: the interface is down [Error Code 100]"

@@ -28,7 +28,7 @@ from mcp_asdf_tools.bus.frames import (
     float_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.swarm.faults import Delivery, Fault, Faults, Kind, Sent, parse_fault
+from mcp_asdf_tools.swarm.faults import Delivery, Fault, FaultKind, Faults, SentFrame, parse_fault
 
 SEED = 20241029
 FORMAT = FrameFormat()
@@ -88,20 +88,20 @@ def said(frame: can.Message) -> Message:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("loss", Fault(Kind.LOSS)),
+        ("loss", Fault(FaultKind.LOSS)),
         (
             "loss=0.2,from=100,to=500,robots=3-5",
-            Fault(Kind.LOSS, 0.2, 100, 500, robots=frozenset({3, 4, 5})),
+            Fault(FaultKind.LOSS, 0.2, 100, 500, robots=frozenset({3, 4, 5})),
         ),
         (
             " delay = 0.5, ticks=3 ,robots=0+7-8,receivers=1".replace(" = ", "="),
-            Fault(Kind.DELAY, 0.5, robots=frozenset({0, 7, 8}), receivers=frozenset({1}), ticks=3),
+            Fault(FaultKind.DELAY, 0.5, robots=frozenset({0, 7, 8}), receivers=frozenset({1}), ticks=3),
         ),
-        ("burst=0.1,length=2.5", Fault(Kind.BURST, 0.1, length=2.5)),
-        ("crash=1e-3,ticks=50,rejoin=restored", Fault(Kind.CRASH, 0.001, ticks=50, rejoin="restored")),
-        ("liar,x=0.25,alpha=1e9", Fault(Kind.LIAR, x=0.25, alpha=1e9)),
-        ("collide,robots=1,id=2", Fault(Kind.COLLIDE, robots=frozenset({1}), id=2)),
-        ("queue,frames=0", Fault(Kind.QUEUE, frames=0)),
+        ("burst=0.1,length=2.5", Fault(FaultKind.BURST, 0.1, length=2.5)),
+        ("crash=1e-3,ticks=50,rejoin=restored", Fault(FaultKind.CRASH, 0.001, ticks=50, rejoin="restored")),
+        ("liar,x=0.25,alpha=1e9", Fault(FaultKind.LIAR, x=0.25, alpha=1e9)),
+        ("collide,robots=1,id=2", Fault(FaultKind.COLLIDE, robots=frozenset({1}), id=2)),
+        ("queue,frames=0", Fault(FaultKind.QUEUE, frames=0)),
     ],
 )
 def test_texts(text: str, fault: Fault) -> None:
@@ -144,7 +144,7 @@ def test_bad_texts_get_a_clear_error(text: str, complaint: str) -> None:
 
 def test_an_option_of_another_kind_is_refused_in_python_too() -> None:
     with pytest.raises(UsageError, match="fault loss has no bits; its options are"):
-        Fault(Kind.LOSS, bits=3)
+        Fault(FaultKind.LOSS, bits=3)
 
 
 def test_a_seed_out_of_range_is_refused() -> None:
@@ -168,7 +168,7 @@ _OPTIONS = {
 
 @st.composite
 def any_fault(draw: st.DrawFn) -> Fault:
-    kind = draw(st.sampled_from(list(Kind)))
+    kind = draw(st.sampled_from(list(FaultKind)))
     chosen: dict[str, Any] = {
         name: draw(_OPTIONS[name]) for name in kind.options if name == "id" or draw(st.booleans())
     }
@@ -217,9 +217,14 @@ def test_what_else_is_asked_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [kind for kind in Kind if kind not in (Kind.BURST, Kind.COLLIDE, Kind.BABBLE, Kind.QUEUE)]
+    "kind",
+    [
+        kind
+        for kind in FaultKind
+        if kind not in (FaultKind.BURST, FaultKind.COLLIDE, FaultKind.BABBLE, FaultKind.QUEUE)
+    ],
 )
-def test_a_larger_rate_strikes_wherever_a_smaller_one_does(kind: Kind) -> None:
+def test_a_larger_rate_strikes_wherever_a_smaller_one_does(kind: FaultKind) -> None:
     few, many = (struck(Faults([Fault(kind, rate)], SEED)) for rate in (0.1, 0.4))
     assert 0 < len(few) < len(many)
     assert few < many
@@ -233,25 +238,30 @@ def test_seeds_links_and_faults_differ() -> None:
     assert len(patterns) == 4 * 3 + 1
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind is not Kind.BURST])
-def test_certain_and_impossible(kind: Kind) -> None:
-    identifier = 3 if kind is Kind.COLLIDE else None
+@pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.BURST])
+def test_certain_and_impossible(kind: FaultKind) -> None:
+    identifier = 3 if kind is FaultKind.COLLIDE else None
     never, always = (Faults([Fault(kind, rate, id=identifier)], SEED) for rate in (0.0, 1.0))
     assert struck(never) == set()
     assert counts(never) == [0]
     run(always)
     each_frame, each_delivery = 4 * 50, 4 * 3 * 50
-    expected = dict.fromkeys((Kind.CRASH, Kind.BUSOFF, Kind.LIAR, Kind.COLLIDE, Kind.ERROR), each_frame)
-    expected |= {Kind.FREEZE: each_frame - 4, Kind.BABBLE: 0, Kind.QUEUE: 0}
+    expected = dict.fromkeys(
+        (FaultKind.CRASH, FaultKind.BUSOFF, FaultKind.LIAR, FaultKind.COLLIDE, FaultKind.ERROR), each_frame
+    )
+    expected |= {FaultKind.FREEZE: each_frame - 4, FaultKind.BABBLE: 0, FaultKind.QUEUE: 0}
     assert counts(always) == [expected.get(kind, each_delivery)]
 
 
-@pytest.mark.parametrize("kind", [Kind.LOSS, Kind.DELAY, Kind.REORDER, Kind.LIAR, Kind.ERROR, Kind.CRASH])
-def test_a_schedule_says_when_and_whom(kind: Kind) -> None:
+@pytest.mark.parametrize(
+    "kind",
+    [FaultKind.LOSS, FaultKind.DELAY, FaultKind.REORDER, FaultKind.LIAR, FaultKind.ERROR, FaultKind.CRASH],
+)
+def test_a_schedule_says_when_and_whom(kind: FaultKind) -> None:
     fault = Fault(kind, 1.0, 10, 20, robots=frozenset({1, 3}))
     hit = struck(Faults([fault], SEED))
     pairs = {(a, b) for a in (1, 3) for b in range(4) if a != b}
-    if kind is Kind.CRASH:
+    if kind is FaultKind.CRASH:
         pairs |= {(b, a) for a, b in pairs}
     assert hit == {(tick, *pair) for tick in range(10, 20) for pair in pairs}
 
@@ -338,7 +348,7 @@ def test_corruption_of_short_frames_stays_inside_them() -> None:
     faults = faults_of("corrupt,bits=12")
     for data in (b"", b"\0"):
         frame = can.Message(arbitration_id=5, data=data)
-        (way,) = faults.deliver(Sent(frame, 0, 0), 1)
+        (way,) = faults.deliver(SentFrame(frame, 0, 0), 1)
         assert bytes(way.frame.data) == b"\xff" * len(data)
 
 

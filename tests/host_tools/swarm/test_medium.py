@@ -10,7 +10,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Connection, SwarmError
-from mcp_asdf_tools.swarm.faults import Faults, Sent, parse_fault
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame, parse_fault
 
 
 class Everyone:
@@ -23,8 +23,8 @@ class Everyone:
         return self._ids - {robot}
 
 
-def estimate(sender: int, tick: int, x_hat: int = 0) -> Sent:
-    return Sent(encode(Message(sender, x_hat, tick, tick % 32), FrameFormat()), sender, tick)
+def estimate(sender: int, tick: int, x_hat: int = 0) -> SentFrame:
+    return SentFrame(encode(Message(sender, x_hat, tick, tick % 32), FrameFormat()), sender, tick)
 
 
 def faults_of(*texts: str) -> Faults:

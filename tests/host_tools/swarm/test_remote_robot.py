@@ -27,7 +27,7 @@ from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.run import Run, run_swarm
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
@@ -97,7 +97,7 @@ def robot_elsewhere(node: RobotNode, bus: can.BusABC, hello: float | None = None
 
 def run_elsewhere(
     settings: SwarmSettings, wiring: Wiring
-) -> tuple[Run, list[can.Message], dict[int, RobotNode]]:
+) -> tuple[SwarmRun, list[can.Message], dict[int, RobotNode]]:
     """A run whose remote robots are in threads; with the frames it sent and those robots."""
     records = settings.records()
     nodes = {robot: RobotNode(records[robot].make(), NodeSettings(robot)) for robot in sorted(wiring.remote)}
@@ -111,7 +111,7 @@ def run_elsewhere(
         return run_swarm(swarm), frames, nodes
 
 
-def run_here(settings: SwarmSettings) -> tuple[Run, list[can.Message]]:
+def run_here(settings: SwarmSettings) -> tuple[SwarmRun, list[can.Message]]:
     frames: list[can.Message] = []
     with Swarm(settings, Wiring(own_bus, is_shared=False), frames.append) as swarm:
         return run_swarm(swarm), frames

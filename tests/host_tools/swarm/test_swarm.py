@@ -52,7 +52,7 @@ from mcp_asdf_tools.swarm.live_table import LiveTable
 from mcp_asdf_tools.swarm.live_table import picture as picture_of
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.plot import draw
-from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, Hook, Run, run_swarm
+from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, SwarmHook, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import parameters, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -86,7 +86,9 @@ def small(**changes: Any) -> SwarmSettings:
     )
 
 
-def record(settings: SwarmSettings, hooks: list[Hook] | None = None) -> tuple[Run, list[can.Message]]:
+def record(
+    settings: SwarmSettings, hooks: list[SwarmHook] | None = None
+) -> tuple[SwarmRun, list[can.Message]]:
     """A run and the frames it sent."""
     frames: list[can.Message] = []
     with Swarm(settings, Wiring(open_bus), frames.append) as swarm:

@@ -26,12 +26,12 @@ from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import Header, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
 from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
-from mcp_asdf_tools.swarm.run import Run, run_swarm
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import load_warning, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -85,7 +85,7 @@ def make(*faults: str, **changes: Any) -> SwarmSettings:
     return SwarmSettings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
 
 
-def record(settings: SwarmSettings, medium: str = "one bus") -> tuple[Run, list[can.Message]]:
+def record(settings: SwarmSettings, medium: str = "one bus") -> tuple[SwarmRun, list[can.Message]]:
     """A run and the frames it sent."""
     open_bus, is_shared = MEDIA[medium]
     frames: list[can.Message] = []
@@ -99,15 +99,15 @@ def content(frames: list[can.Message]) -> list[Content]:
     return [(frame.arbitration_id, bytes(frame.data), frame.is_error_frame) for frame in frames]
 
 
-def states(run: Run) -> list[dict[str, int]]:
+def states(run: SwarmRun) -> list[dict[str, int]]:
     return [node.robot.state() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
 
 
-def figures(run: Run) -> Any:
+def figures(run: SwarmRun) -> Any:
     return run.results["frames"]
 
 
-def injected(run: Run) -> list[int]:
+def injected(run: SwarmRun) -> list[int]:
     return [fault["injected"] for fault in run.results["faults"]]
 
 
@@ -523,7 +523,7 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
     """Robots made from the header and led through their events end in the same bits."""
     settings = make(*faults, comms_period=2, filter_period=20)
     path = tmp_path / "run.events"
-    header = Header(settings.records(), settings.seed, settings.frames, settings.parameters())
+    header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.parameters())
     with (
         FileSet() as files,
         SidecarWriter(path, header, files) as sidecar,
@@ -564,7 +564,7 @@ def test_a_replay_finds_every_fault_that_the_sidecar_tells(
     fault: str, reproduced: int, falsified: int, foreign: int, tmp_path: Path
 ) -> None:
     settings, path = make(fault), tmp_path / "run.events"
-    header = Header(settings.records(), settings.seed, settings.frames)
+    header = SidecarHeader(settings.records(), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
         FileSet() as files,
