@@ -10,7 +10,7 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import ReferenceRobot
-from mcp_asdf.robot import Config, Filter, Observation, Robot
+from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import Table, checksum
 
 FixedPoint = MirrorRobot | NativeRobot
@@ -88,6 +88,16 @@ def hear(robot: Robot, *estimates: float, alpha: float = 1.0) -> None:
     """Messages of these estimates, all of one confidence."""
     for sender, x_hat in enumerate(estimates, OWN_ID + 1):
         robot.receive(sender, x_hat, alpha)
+
+
+def status_of_receive(robot: Robot, sender: int, x_hat: float, alpha: float) -> Status:
+    """The status with which a message is taken or refused."""
+    try:
+        status = robot.receive(sender, x_hat, alpha)
+    except FirmwareError as error:
+        return error.status
+    assert status >= Status.OK, "a refused message raises"
+    return status
 
 
 def receive_all(robot: FixedPoint, messages: Iterable[tuple[int, int, int]]) -> None:

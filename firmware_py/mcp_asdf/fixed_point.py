@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from operator import index
 
-from mcp_asdf.robot import MAX_ID, Status, Sums, check_alpha, whole_number
+from mcp_asdf.robot import MAX_ID, Status, Sums, accepted, check_alpha, shown, whole_number
 from mcp_asdf.table import MAX_WORD
 
 ONE = 1 << 23
@@ -168,8 +168,15 @@ class FixedPointView(ABC):
         self._add(whole, unheard[:messages])
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message; values off the firmware's grids are rounded down."""
-        return self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_to_word(alpha))
+        """Take a neighbour's message; values off the firmware's grids are rounded down.
+
+        Raises FirmwareError if it is refused, which counts it as rejected.
+        """
+        status = self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_to_word(alpha))
+        return accepted(status, sender, x_hat)
+
+    def __repr__(self) -> str:
+        return shown(self)
 
     @property
     def b_hat(self) -> float:

@@ -320,6 +320,11 @@ class MirrorRobot(FixedPointView):
         return True
 
     @property
+    def id(self) -> int:
+        """Own id."""
+        return self.s.id
+
+    @property
     def t(self) -> int:
         """Observations counted."""
         return self.s.t

@@ -119,6 +119,11 @@ class NativeRobot(FixedPointView):
         return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, MAX_WORD))]
 
     @property
+    def id(self) -> int:
+        """Own id."""
+        return int(self.pointer.id)
+
+    @property
     def t(self) -> int:
         """Observations counted."""
         return int(lib.mcp_asdf_t_count(self.pointer))

@@ -29,10 +29,12 @@ from mcp_asdf.robot import (
     FirmwareError,
     Observation,
     Status,
+    accepted,
     check_alpha,
     check_identity,
     check_settings,
     check_table,
+    shown,
     whole_number,
 )
 
@@ -270,7 +272,7 @@ class ReferenceRobot:
         return Status.OK
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round; errors are the interface's. O(1)."""
+        """Take a neighbour's message into the open round; raises as the interface says. O(1)."""
         sender = whole_number(sender)
         check_alpha(alpha)
         status = self._check_message(sender, x_hat)
@@ -282,7 +284,7 @@ class ReferenceRobot:
         else:
             self._count("accepted")
             self._open[sender] = Message(float(x_hat), float(alpha))
-        return status
+        return accepted(status, sender, x_hat)
 
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds. O(m)."""
@@ -330,6 +332,14 @@ class ReferenceRobot:
 
     def _count(self, counter: str) -> None:
         self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
+
+    def __repr__(self) -> str:
+        return shown(self)
+
+    @property
+    def id(self) -> int:
+        """Own id."""
+        return self._id
 
     @property
     def t(self) -> int:

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from operator import index
-from typing import Protocol, SupportsIndex, runtime_checkable
+from typing import Any, Protocol, SupportsIndex, runtime_checkable
 
 from mcp_asdf.table import Table, TableError
 
@@ -72,7 +72,7 @@ class Status(IntEnum):
 
 
 class FirmwareError(ValueError):
-    """A robot could not be made or restored; ``status`` is the firmware's own error code."""
+    """A robot was not made or restored, or refused a message; ``status`` is the firmware's own error code."""
 
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(f"{message} ({status.name})")
@@ -141,11 +141,11 @@ class Robot(Protocol):
         """Count an observation and form x_hat and alpha. Fails for another z (ERR_OBSERVATION). O(1)."""
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round. O(1).
+        """Take a neighbour's message into the open round; REPEATED if its sender was heard already. O(1).
 
-        Fails, counting it as rejected, if ``sender`` is outside 0 .. 127 or the own id (ERR_SENDER), or
-        ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and changes nothing, for an ``alpha``
-        that is no confidence: negative (-0.0, too), infinite or NaN.
+        Raises FirmwareError, and counts the message as rejected, if ``sender`` is outside 0 .. 127 or the own
+        id (ERR_SENDER), or ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and changes
+        nothing, for an ``alpha`` that is no confidence: negative (-0.0, too), infinite or NaN.
         """
 
     def settle(self) -> Status:
@@ -153,6 +153,10 @@ class Robot(Protocol):
 
     def step(self, z: Observation) -> Status:
         """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+
+    @property
+    def id(self) -> int:
+        """Own id."""
 
     @property
     def t(self) -> int:
@@ -196,9 +200,11 @@ class FixedPointRobot(Robot, Protocol):
     """A robot whose arithmetic is the firmware's; raw values are its integers."""
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """``receive`` with x_hat in units of 2**-23 and alpha as the firmware's word.
+        """The C call: x_hat in units of 2**-23, alpha as the firmware's word. For programs that read a bus.
 
-        Raises ValueError, and changes nothing, for an ``alpha`` that is no word of 32 bits.
+        Invalid messages are part of a bus's life, so the status is the answer here: where ``receive`` raises
+        FirmwareError this returns ERR_SENDER or ERR_X_HAT, for the caller to count. Raises ValueError, and
+        changes nothing, for an ``alpha`` that is no word of 32 bits.
         """
 
     def add_round(self, sums: Sums, messages: int) -> None:
@@ -300,6 +306,23 @@ def check_table(table: Table | None) -> Table:
         return Table.from_words(table.words())
     except TableError as error:
         raise FirmwareError(Status.ERR_TABLE, str(error)) from error
+
+
+def accepted(status: Status, sender: int, x_hat: float) -> Status:
+    """``status``, if a message of these was taken. Raises FirmwareError if it was refused."""
+    if status == Status.ERR_SENDER:
+        raise FirmwareError(
+            status, f"sender is {sender}; it must be 0 .. {MAX_ID} and not the receiver's own id"
+        )
+    if status == Status.ERR_X_HAT:
+        raise FirmwareError(status, f"x_hat is {x_hat}; it must be in [0, 1]")
+    return status
+
+
+def shown(robot: Any) -> str:
+    """A robot's id and state in one line, for ``repr``."""
+    values = (f"{name}={getattr(robot, name):.6g}" for name in ("b_hat", "x_hat", "alpha", "x"))
+    return f"<{type(robot).__name__} {robot.id}: t={robot.t} n={robot.n} {' '.join(values)}>"
 
 
 def check_identity(robot_id: int, b_hat: float) -> None:

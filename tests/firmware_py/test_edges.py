@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
@@ -54,6 +55,7 @@ from robots import (
     receive_all,
     rewritten,
     robot_at,
+    status_of_receive,
     unpack,
     watch,
 )
@@ -444,10 +446,24 @@ def test_invalid_messages_count_and_change_nothing(
     watch(robot, 2, 1)
     robot.receive(1, 0.25, 4.0)
     before = view(robot)
-    assert robot.receive(*message) == status
+    sender, x_hat, _ = message
+    wrong = f"sender is {sender};" if status == Status.ERR_SENDER else f"x_hat is {x_hat};"
+    with pytest.raises(FirmwareError, match=re.escape(wrong)) as refused:
+        robot.receive(*message)
+    assert refused.value.status == status
     assert view(robot) == before
     assert robot.counters.rejected == 1
-    assert robot.receive(message[0] % 128 + 1, 0.5, 1.0) != Status.OK or robot.counters.accepted == 2
+    following = message[0] % 128 + 1
+    assert status_of_receive(robot, following, 0.5, 1.0) != Status.OK or robot.counters.accepted == 2
+
+
+@of_every_kind
+def test_a_robot_shows_its_state(kind: AnyType) -> None:
+    robot = new(kind, b_hat=0.75)
+    watch(robot, 3, 1)
+    name = kind.__name__
+    assert repr(robot) == f"<{name} {OWN_ID}: t=4 n=3 b_hat=0.75 x_hat=1 alpha=5.33333 x=1>"
+    assert robot.id == OWN_ID
 
 
 @of_every_kind
@@ -528,7 +544,7 @@ def test_a_message_without_confidence_was_heard(kind: AnyType) -> None:
 def test_every_id_but_the_own_is_a_sender(kind: AnyType) -> None:
     """m = 127, the most: ids 0 and 127 and those at the ends of words included."""
     robot = new(kind)
-    statuses = [robot.receive(sender, 0.5, 1.0) for sender in range(128)]
+    statuses = [status_of_receive(robot, sender, 0.5, 1.0) for sender in range(128)]
     assert [i for i, status in enumerate(statuses) if status != Status.OK] == [OWN_ID]
     assert {robot.receive(sender, 0.5, 1.0) for sender in range(128) if sender != OWN_ID} == {Status.REPEATED}
     robot.settle()

@@ -24,6 +24,7 @@ from mcp_asdf.native import NativeRobot, _SharedConfig, ffi, lib
 from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Status, Sums
 from mcp_asdf.table import EXTRA_WORDS, MAGIC, MAX_Q, Table, checksum
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from robots import status_of_receive
 from support import CORE, HEADER, run
 
 IMAGE_HEADER, IMAGE = HEADER.with_name("mcp_asdf_image.h"), CORE.with_name("mcp_asdf_image.c")
@@ -189,7 +190,8 @@ def test_native_and_mirror_agree_on_everything_shown(seed: int) -> None:
 def test_float_messages_are_rounded_as_the_mirror_rounds_them() -> None:
     native, mirror = both()
     for sender, (x_hat, alpha) in enumerate([(0.3, 0.1), (1.0, 1e300), (0.5, 1e-12), (2.0, 1.0), (0.7, 0.0)]):
-        assert native.receive(sender, x_hat, alpha) == mirror.receive(sender, x_hat, alpha)
+        message = sender, x_hat, alpha
+        assert status_of_receive(native, *message) == status_of_receive(mirror, *message)
     assert native.state() == mirror.state()
 
 

@@ -46,6 +46,7 @@ from mcp_asdf.robot import (
 )
 from mcp_asdf.table import Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from robots import status_of_receive
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05
@@ -586,7 +587,8 @@ def test_message_order_does_not_matter(seed: int) -> None:
         said = [(i, robot.x_hat, robot.alpha) for i, robot in enumerate(shuffled)]
         for i, robot in enumerate(shuffled):
             for message in rng.sample(said, len(said)):
-                assert robot.receive(*message) == (Status.ERR_SENDER if message[0] == i else Status.OK)
+                expected = Status.ERR_SENDER if message[0] == i else Status.OK
+                assert status_of_receive(robot, *message) == expected
             robot.settle()
         assert [view(r)[:-1] for r in shuffled] == [view(r)[:-1] for r in robots]
         assert len({robot.x for robot in robots}) == 1
@@ -645,7 +647,9 @@ def test_invalid_message_changes_one_counter(sender: int, x_hat: float, alpha: f
     watch(robot, black=3, white=1)
     robot.receive(2, 0.25, 1.0)
     before = view(robot)
-    assert robot.receive(sender, x_hat, alpha) == status
+    with pytest.raises(FirmwareError) as refused:
+        robot.receive(sender, x_hat, alpha)
+    assert refused.value.status == status
     assert view(robot) == (*before[:-1], Counters(accepted=1, rejected=1))
     assert robot.receive(1, 0.75, 1.0) == Status.OK  # an invalid message is not heard
     robot.settle()
@@ -678,7 +682,7 @@ def test_extreme_valid_messages(sender: int, x_hat: float, alpha: float) -> None
 def test_counters_wrap() -> None:
     robot = make_robot()
     for _ in range(65536 + 3):
-        robot.receive(0, 0.5, 1.0)
+        assert status_of_receive(robot, 0, 0.5, 1.0) == Status.ERR_SENDER
     assert robot.counters == Counters(rejected=3)
 
 

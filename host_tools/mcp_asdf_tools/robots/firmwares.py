@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
-from mcp_asdf.robot import Config, FixedPointRobot, Robot, Status
+from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Robot, Status
 from mcp_asdf_tools.common import UsageError, extensions
 
 RobotMaker = Callable[[Config, int, float], Robot]
@@ -81,4 +81,7 @@ class RoundingPort:
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Hand over a neighbour's message."""
-        return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha))
+        try:
+            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha))
+        except FirmwareError as error:
+            return error.status
