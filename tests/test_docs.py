@@ -20,7 +20,7 @@ from support import PATH, PATIENCE, ROOT, require, run
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml"}
+LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 SHOWN = ("FAILED at call", "(0.000000) vcan0", "PASS scenarios", "scenario 6", "cortex-m3 on mps2-an385")
