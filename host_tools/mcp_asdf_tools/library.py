@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments import (
     rescored,
     run_sweep,
 )
-from mcp_asdf_tools.swarm import Run, Swarm, SwarmSettings, Wiring, run_swarm
+from mcp_asdf_tools.swarm import Swarm, SwarmRun, SwarmSettings, Wiring, run_swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -43,8 +43,8 @@ def start_swarm(settings: SwarmSettings) -> Swarm:
     return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", preserve_timestamps=True)))
 
 
-def emulate(settings: SwarmSettings) -> Run:
-    """Run a swarm on a CAN bus inside this process to its end. Ctrl-C ends it early, with what was done."""
+def emulate(settings: SwarmSettings) -> SwarmRun:
+    """SwarmRun a swarm on a CAN bus inside this process to its end. Ctrl-C ends it early, with what was done."""
     with start_swarm(settings) as swarm:
         return run_swarm(swarm)
 
@@ -57,7 +57,7 @@ def simulate(
     record: int = 0,
     quiet: bool = False,
 ) -> pa.Table:
-    """Run all trials of one or many experiments; returns a table with a row for each trial.
+    """SwarmRun all trials of one or many experiments; returns a table with a row for each trial.
 
     With an ``output`` file finished trials are kept, and the same call resumes where it was interrupted. With
     ``record`` the robots' values are kept every so many steps. A terminal shows progress unless ``quiet``. In
@@ -79,14 +79,14 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     return rescored(table, chosen_limits(k_max, e_max))
 
 
-def plot(results: pa.Table | Run, kind: str = PLOTS[0], *, trial: int = 0, step: int = 600) -> Figure:
+def plot(results: pa.Table | SwarmRun, kind: str = PLOTS[0], *, trial: int = 0, step: int = 600) -> Figure:
     """A picture of results or of a swarm's run; its method ``savefig`` writes a file.
 
     Kinds for results: ``boxes`` and ``scatter`` show scores; ``series`` a ``trial`` over time, which needs
     ``record``; ``trajectories`` and ``network`` robots that move, up to or at a ``step``. Raises UsageError
     if the results do not have what it shows.
     """
-    if isinstance(results, Run):
+    if isinstance(results, SwarmRun):
         from mcp_asdf_tools.swarm import draw  # noqa: PLC0415 (matplotlib loads slowly)
 
         return draw(results)

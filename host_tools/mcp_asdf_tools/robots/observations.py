@@ -68,7 +68,7 @@ class LineSource:
         self._number = 0
 
     def next(self, seconds: float) -> Observation | None:
-        """The next line's observation. Raises as ``ObservationSource``, and UsageError for a line that is none."""
+        """Observation of the next line. Raises as ``ObservationSource``, and UsageError for a bad line."""
         if not self._lines and not self._has_ended:
             self._read(seconds)
         if not self._lines:
