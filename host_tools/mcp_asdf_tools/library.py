@@ -44,7 +44,7 @@ def start_swarm(settings: SwarmSettings) -> Swarm:
 
 
 def emulate(settings: SwarmSettings) -> SwarmRun:
-    """SwarmRun a swarm on a CAN bus inside this process to its end. Ctrl-C ends it early, with what was done."""
+    """Run a swarm on a CAN bus inside this process to its end. Ctrl-C ends it early, with what was done."""
     with start_swarm(settings) as swarm:
         return run_swarm(swarm)
 
@@ -57,7 +57,7 @@ def simulate(
     record: int = 0,
     quiet: bool = False,
 ) -> pa.Table:
-    """SwarmRun all trials of one or many experiments; returns a table with a row for each trial.
+    """Run all trials of one or many experiments; returns a table with a row for each trial.
 
     With an ``output`` file finished trials are kept, and the same call resumes where it was interrupted. With
     ``record`` the robots' values are kept every so many steps. A terminal shows progress unless ``quiet``. In
