@@ -140,8 +140,15 @@ class FixedPointView(ABC):
         """Ids of the other robots that were not heard in this round, from the lowest."""
 
     @abstractmethod
-    def _add(self, sums: Sums, senders: list[int]) -> None:
-        """Add sums of messages of these senders to the open round."""
+    def _note_heard(self, senders: list[int]) -> None:
+        """Note that these robots were heard in this round."""
+
+    @abstractmethod
+    def receive_sums(self, sums: Sums, messages: int) -> None:
+        """``add_round`` of the last messages of a round, for simulators that settle next.
+
+        Nothing is checked, and it is not noted which robots were heard. O(1).
+        """
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as the firmware's word.
@@ -165,7 +172,8 @@ class FixedPointView(ABC):
             raise ValueError(
                 f"{messages} messages of {len(unheard)} robots not heard yet cannot sum up to {whole}"
             )
-        self._add(whole, unheard[:messages])
+        self._note_heard(unheard[:messages])
+        self.receive_sums(whole, messages)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message; values off the firmware's grids are rounded down.

@@ -274,11 +274,14 @@ class MirrorRobot(FixedPointView):
             return Status.ERR_SENDER
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
 
-    def _add(self, sums: Sums, senders: list[int]) -> None:
-        s = self.s
+    def _note_heard(self, senders: list[int]) -> None:
         for sender in senders:
-            s.heard[sender >> 5] |= 1 << (sender & 31)
-        s.accepted = s.accepted + len(senders) & COUNTER_MASK
+            self.s.heard[sender >> 5] |= 1 << (sender & 31)
+
+    def receive_sums(self, sums: Sums, messages: int) -> None:
+        """Add sums of messages to the open round."""
+        s = self.s
+        s.accepted = s.accepted + messages & COUNTER_MASK
         for name, value in vars(sums).items():
             setattr(s.open, name, getattr(s.open, name) + value)
 

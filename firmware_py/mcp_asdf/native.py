@@ -102,13 +102,16 @@ class NativeRobot(FixedPointView):
         robot = self.pointer
         return [i for i in range(MAX_ID + 1) if i != robot.id and not robot.heard.of[i >> 3] >> (i & 7) & 1]
 
-    def _add(self, sums: Sums, senders: list[int]) -> None:
-        robot = self.pointer
+    def _note_heard(self, senders: list[int]) -> None:
         for sender in senders:
-            robot.heard.of[sender >> 3] |= 1 << (sender & 7)
-        robot.counters.accepted = robot.counters.accepted + len(senders) & _COUNTER_MASK
+            self.pointer.heard.of[sender >> 3] |= 1 << (sender & 7)
+
+    def receive_sums(self, sums: Sums, messages: int) -> None:
+        """Add sums of messages to the open round."""
+        counters, open_round = self.pointer.counters, self.pointer.open
+        counters.accepted = counters.accepted + messages & _COUNTER_MASK
         for name, value in vars(sums).items():
-            setattr(robot.open, name, getattr(robot.open, name) + value)
+            setattr(open_round, name, getattr(open_round, name) + value)
 
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds."""

@@ -44,6 +44,7 @@ class BusChoice:
     channel: str | None
     _args: argparse.Namespace
     _defaults: dict[str, Any]
+    _is_plain: bool = True
 
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
@@ -52,6 +53,11 @@ class BusChoice:
     def has_channels(self) -> bool:
         """Whether this is a bus for each robot: its channel says where the id stands, as in vcan{robot}."""
         return _ROBOT in (self.channel or "")
+
+    @property
+    def is_private(self) -> bool:
+        """Whether no other program can be on the bus, and the user asked for nothing of it but a name."""
+        return self.interface == DEFAULT_INTERFACE and self._is_plain
 
     def of_robot(self, robot: int) -> BusChoice:
         """The bus of a robot, if each has one, else this bus."""
@@ -222,7 +228,8 @@ def choose_bus(args: argparse.Namespace) -> BusChoice:
     defaults = {"interface": interface, **_DEFAULTS.get(interface, {})}
     defaults = {key: value for key, value in defaults.items() if key not in asked}
     channel = asked.get("channel", defaults.get("channel"))
-    return BusChoice(interface, None if channel is None else str(channel), args, defaults)
+    is_plain = asked.keys() <= {"interface", "bustype", "channel"}
+    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain)
 
 
 def _asked_for(args: argparse.Namespace) -> dict[str, Any]:

@@ -114,7 +114,9 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfa
         return _open_device(*devices[robot]) if robot in devices else choice.of_robot(robot).open()
 
     remote = range(settings.robots) if args.processes else devices
-    wiring = Wiring(open_bus, not choice.has_channels, frozenset(remote))
+    needs_bus = remote or args.slcan is not None or choice.has_channels or not choice.is_private
+    bus = open_bus if needs_bus else None
+    wiring = Wiring(bus, not choice.has_channels, frozenset(remote), choice.channel or "")
     check_remote(settings, wiring)
     return wiring
 

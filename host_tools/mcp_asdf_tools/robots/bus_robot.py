@@ -7,13 +7,13 @@ differ in when heartbeats and telemetry are due, and in what carries the frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import can
 
-from mcp_asdf.robot import Counters, Observation, Robot, Status
+from mcp_asdf.robot import Counters, Observation, Robot, Status, Sums
 from mcp_asdf_tools.bus import (
     MAX_B_HAT,
     MIN_B_HAT,
@@ -23,7 +23,6 @@ from mcp_asdf_tools.bus import (
     FrameFormat,
     Heartbeat,
     Message,
-    Rejection,
     Telemetry,
     encode,
     encode_heartbeat,
@@ -97,10 +96,10 @@ class Participant:
         if not self.is_alive:
             return
         message = self._decode(frame)
-        if isinstance(message, Rejection):
-            self.reception.take_other(frame, message)
-        else:
+        if isinstance(message, Message):
             self.receive(message)
+        else:
+            self.reception.take_other(message)
 
     def receive(self, message: Message) -> None:
         """Hand an estimate to the firmware. O(1)."""
@@ -118,8 +117,8 @@ class Participant:
         if not self.is_alive:
             return
         message = self._decode(frame)
-        if isinstance(message, Rejection):
-            self.reception.take_other(frame, message)
+        if not isinstance(message, Message):
+            self.reception.take_other(message)
             return
         self.reception.strays += 1
         self.reception.id_conflicts += message.sender == self.id
@@ -199,6 +198,15 @@ class BusRobot(Participant):
         port, transfer_id = self._ticked.port, self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
         return [encode(Message(self.id, port.x_hat_raw, port.alpha_raw, transfer_id), self._estimates, now)]
+
+    def receive_round(self, sums: Sums, messages: Sequence[Message]) -> None:
+        """Hand over the estimates of a round at once: the last before ``settle``, of different neighbours."""
+        if self.recorder is not None:
+            for message in messages:
+                self.recorder.receive(message.sender, message.x_hat, message.alpha)
+        self.reception.delivered += len(messages)
+        self.heard += len(messages)
+        self._ticked.receive_sums(sums, len(messages))
 
     def heartbeat(self, now: float) -> can.Message:
         """The next heartbeat. Send one when the robot starts and one a second after that."""

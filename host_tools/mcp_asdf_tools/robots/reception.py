@@ -18,6 +18,9 @@ from mcp_asdf_tools.bus import (
     decode_telemetry,
 )
 
+Content = Message | Heartbeat | Telemetry | Rejection
+"""Content of a frame, or the reason why it is no estimate."""
+
 
 class Decoder:
     """``decode`` with a cache, for many robots that hear the same frame object one after the other.
@@ -28,16 +31,24 @@ class Decoder:
 
     def __init__(self, frames: FrameFormat) -> None:
         self.frames = frames
-        self._last: dict[int, tuple[can.Message, Message | Rejection]] = {}
+        self._last: dict[int, tuple[can.Message, Content]] = {}
 
-    def __call__(self, frame: can.Message) -> Message | Rejection:
-        """Decode an estimate. A frame must not change once it has been decoded."""
+    def __call__(self, frame: can.Message) -> Content:
+        """Decode a frame. It must not change once it has been decoded."""
         known = self._last.get(frame.arbitration_id)
         if known is not None and known[0] is frame:
             return known[1]
-        message = decode(frame, self.frames)
-        self._last[frame.arbitration_id] = frame, message
-        return message
+        content = self._decoded(frame)
+        self._last[frame.arbitration_id] = frame, content
+        return content
+
+    def _decoded(self, frame: can.Message) -> Content:
+        content: Content = decode(frame, self.frames)
+        if content is Rejection.SUBJECT:
+            for other in (decode_heartbeat(frame), decode_telemetry(frame)):
+                if not isinstance(other, Rejection):
+                    return other
+        return content
 
 
 @dataclass
@@ -66,18 +77,14 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def take_other(self, frame: can.Message, reason: Rejection) -> None:
-        """Count a frame that is no estimate, for this ``reason``."""
-        if reason is Rejection.ERROR_FRAME:
+    def take_other(self, content: Heartbeat | Telemetry | Rejection) -> None:
+        """Count a frame that is no estimate."""
+        if isinstance(content, Heartbeat):
+            self.heartbeats += 1
+        elif isinstance(content, Telemetry):
+            self.telemetry += 1
+            self.last_telemetry[content.sender] = content
+        elif content is Rejection.ERROR_FRAME:
             self.errors += 1
-            return
-        if reason is Rejection.SUBJECT:
-            if isinstance(decode_heartbeat(frame), Heartbeat):
-                self.heartbeats += 1
-                return
-            telemetry = decode_telemetry(frame)
-            if isinstance(telemetry, Telemetry):
-                self.telemetry += 1
-                self.last_telemetry[telemetry.sender] = telemetry
-                return
-        self.rejected[reason] += 1
+        else:
+            self.rejected[content] += 1

@@ -9,6 +9,7 @@ drives, on a bus or from a log, is a ``TickedRobot``; for a robot that runs else
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 from mcp_asdf.robot import (
     DEFAULT_FILTER_PERIOD,
@@ -16,8 +17,10 @@ from mcp_asdf.robot import (
     Config,
     Counters,
     Filter,
+    FixedPointRobot,
     Observation,
     Robot,
+    Sums,
     whole_number,
 )
 from mcp_asdf.table import Table
@@ -106,6 +109,10 @@ class TickedRobot:
         if z is not None:
             self.robot.observe(z)
         return self._timer.begin()
+
+    def receive_sums(self, sums: Sums, messages: int) -> None:
+        """Receive the last messages of a round at once. Fails unless the firmware is a FixedPointRobot."""
+        cast(FixedPointRobot, self.robot).receive_sums(sums, messages)
 
     def settle(self) -> None:
         """End the tick, and its round if that is due."""

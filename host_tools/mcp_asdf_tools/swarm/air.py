@@ -47,6 +47,16 @@ class Air:
         self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
         self._order = count()
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether every frame reaches the robots in range in the tick in which it is sent."""
+        return not self._is_late and not self._faults.faults
+
+    def count(self, frames: int) -> None:
+        """Count frames that a robot in range hears, where this object is not asked for arrivals."""
+        self.in_range += frames
+        self.arrived += frames
+
     def arrivals(self, receiver: int, tick: int, sent: Sequence[SentFrame]) -> list[can.Message]:
         """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
 

@@ -8,6 +8,8 @@
 - ``ChannelPerRobot``: every robot has a bus to itself, with the medium at its other end, which reads what the
   robot sends and writes what it hears. Another program on that bus sees what this robot sees.
 
+- ``InProcess``, in a module of its own, hands frames over without a bus.
+
 All let a robot hear the same frames in the same order.
 """
 
@@ -34,14 +36,21 @@ class Wiring:
     """Which robots are on which buses.
 
     Attributes:
-        open_bus: Joins the bus of a robot.
+        open_bus: Joins the bus of a robot. None for no bus: robots of this process that nothing else hears.
         is_shared: Whether that is one bus for all, else every robot has its own.
         remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
+        channel: Name of the bus in logs where there is none.
     """
 
-    open_bus: OpenBus
+    open_bus: OpenBus | None = None
     is_shared: bool = True
     remote: frozenset[int] = frozenset()
+    channel: str = ""
+
+    def join(self, robot: int) -> can.BusABC:
+        """A connection to the bus of a robot. Fails if there is no bus."""
+        assert self.open_bus is not None
+        return self.open_bus(robot)
 
 
 class Medium(Protocol):
@@ -76,8 +85,8 @@ class SharedBus:
         self._air = air
         self._clock = clock
         with ExitStack() as stack:
-            buses = [stack.enter_context(wiring.open_bus(robot)) for robot in range(len(hearers))]
-            log_bus = None if log is None else stack.enter_context(wiring.open_bus(0))
+            buses = [stack.enter_context(wiring.join(robot)) for robot in range(len(hearers))]
+            log_bus = None if log is None else stack.enter_context(wiring.join(0))
             self._stack = stack.pop_all()
         self._radios = [
             Connection(bus, f"robot {robot}", "robot {0.sender}", hearer.hear_stranger)
@@ -133,7 +142,7 @@ class RemoteBus:
     missed = 0
 
     def __init__(self, hearers: Sequence[Hearer], air: Air, wiring: Wiring) -> None:
-        self.end = wiring.open_bus(0)
+        self.end = wiring.join(0)
         self._hearers = hearers
         self._air = air
         self._sent: list[SentFrame] = []
@@ -175,7 +184,7 @@ class ChannelPerRobot:
         self._air = air
         self._clock = clock
         with ExitStack() as stack:
-            join = wiring.open_bus
+            join = wiring.join
             ends = [stack.enter_context(join(robot)) for robot in range(len(hearers))]
             here = [robot for robot in range(len(hearers)) if robot not in wiring.remote]
             radios = [stack.enter_context(join(robot)) for robot in here]

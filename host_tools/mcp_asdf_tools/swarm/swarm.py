@@ -18,6 +18,7 @@ from mcp_asdf_tools.recording import SidecarWriter
 from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.faults import Faults, SentFrame
+from mcp_asdf_tools.swarm.in_process import InProcess
 from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, RemoteBus, SharedBus, Wiring
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -66,11 +67,17 @@ class Swarm:
         ]
         self.traffic = Traffic([node.reception for node in self.nodes])
         self._air = Air(self.world, self.faults, settings.latency)
-        self._medium, self._drivers = self._connect(wiring, None if log is None else _as_received(log))
+        taker = None if log is None else _as_received(log, wiring)
+        self._medium, self._drivers = self._connect(wiring, decoder, taker)
 
-    def _connect(self, wiring: Wiring, log: FrameTaker | None) -> tuple[Medium, list[Driver]]:
+    def _connect(
+        self, wiring: Wiring, decoder: Decoder, log: FrameTaker | None
+    ) -> tuple[Medium, list[Driver]]:
         """What carries frames, and what drives remote robots."""
         check_remote(self.settings, wiring)
+        if wiring.open_bus is None:
+            here = [node for node in self.nodes if isinstance(node, BusRobot)]
+            return InProcess(here, self._air, self.world, decoder, log), []
         frames = self.settings.frames
         away = [node for node in self.nodes if isinstance(node, RemoteNode)]
         if not wiring.is_shared:
@@ -187,11 +194,13 @@ def _robot_of(
     return BusRobot(record.id, record.make, decoder, recorder)
 
 
-def _as_received(log: FrameTaker) -> FrameTaker:
+def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
     """Direction is that of the log's connection, where SocketCAN calls sent what comes from this computer."""
 
     def take(frame: can.Message) -> None:
         frame.is_rx = True
+        if wiring.open_bus is None:
+            frame.channel = wiring.channel
         log(frame)
 
     return take

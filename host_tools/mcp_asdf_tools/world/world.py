@@ -95,6 +95,13 @@ class World:
         return self._heard[robot]
 
     @property
+    def hears(self) -> NDArray[np.bool_]:
+        """Whether robot i hears j in the present step, shape (N, N). Fails before the first."""
+        assert self._ahead is not None
+        heard: NDArray[np.bool_] = self._ahead.hears[self._at]
+        return heard
+
+    @property
     def positions(self) -> NDArray[np.float64] | None:
         """Centres in the present step, shape (N, 2), in metres; None if robots do not move."""
         if self._ahead is None or self._ahead.positions is None:

@@ -105,7 +105,7 @@ def run_elsewhere(
     with ExitStack() as stack:
         swarm = stack.enter_context(Swarm(settings, wiring, frames.append))
         for robot, node in nodes.items():
-            bus = stack.enter_context(wiring.open_bus(robot))
+            bus = stack.enter_context(wiring.join(robot))
             stack.enter_context(robot_elsewhere(node, bus))
         swarm.wait_until_up(10)
         return run_swarm(swarm), frames, nodes

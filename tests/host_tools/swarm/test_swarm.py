@@ -707,7 +707,8 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
 
     monkeypatch.setattr(virtual, "VirtualBus", Failing)
     log = tmp_path / "run.log"
-    assert swarm_command(*SMALL, "--log", str(log)) == 1
+    over_a_bus = ("--bus-kwargs", "preserve_timestamps=True")
+    assert swarm_command(*SMALL, *over_a_bus, "--log", str(log)) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
     assert len(log.read_text().splitlines()) == 4 * (8 + 1)
 

@@ -71,8 +71,9 @@ def udp(port: int) -> can.BusABC:
     return WithoutEcho(bus)
 
 
-MEDIA: dict[str, tuple[OpenBus, bool]] = {
+MEDIA: dict[str, tuple[OpenBus | None, bool]] = {
     "one bus": (one_bus, True),
+    "no bus": (None, True),
     "a bus for each": (own_bus, False),
     "one group": (lambda robot: udp(UDP_PORT), True),
     "a group for each": (lambda robot: udp(UDP_PORT + 1 + robot), False),
