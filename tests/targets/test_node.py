@@ -118,7 +118,7 @@ ODD_SUBJECTS = ("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: int) -> None:
-    firmware = ("--comms-period", 2, "--filter-period", 4, "--filter", "always", "--memory", 64)
+    firmware = ("--comms-period", 2, "--filter-period", 4, "--activation", "always", "--memory", 64)
     node = start(5, "--lockstep", "--steps-per-second", 3, *ODD_SUBJECTS, *firmware)
     peer = bus.accept()
     expected = twin(5, 0.95, SUBJECTS, 3, comms_period=2, filter_period=4, filter=Filter.ALWAYS, memory=64)
@@ -489,7 +489,7 @@ def complaint(node: CNode) -> str:
         ("--id 1 --lockstep --b-hat 1", "--b-hat is 1; choose 2^-20 to 1 - 2^-20"),
         ("--id 1 --lockstep --b-hat nan", "--b-hat is nan; "),
         ("--id 1 --lockstep --b-hat 0.5x", "--b-hat is 0.5x; "),
-        ("--id 1 --lockstep --filter no", "--filter is no; choose adaptive, always or off"),
+        ("--id 1 --lockstep --filter no", "--filter is no; choose none or asdf-plus"),
         (
             "--id 1 --lockstep --comms-period 3",
             "--filter-period is 1000; choose a multiple of --comms-period",
@@ -508,7 +508,7 @@ def complaint(node: CNode) -> str:
         ("--id 1 --sensor /no/such/file", "/no/such/file"),
         ("--id 1 --lockstep surplus", "surplus belongs to no option"),
         ("--id 1 --lockstep --unknown", "unknown"),
-        ("--id 1 --lockstep --steps", "ticks"),
+        ("--id 1 --lockstep --steps", "steps"),
     ],
 )
 def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> None:

@@ -1,4 +1,4 @@
-"""The frames as a DBC file, which the tools of the CAN world decode by (``docs/frame.md`` is its source)."""
+"""The frames as a DBC file, from which CAN tools decode them (``docs/frame.md`` is its source)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 
 ANY_NODE_MASK = 0x1FFF_FF00
-"""Mask of the identifier bits that decide when one entry serves all nodes."""
+"""Mask of the identifier bits to compare when one entry serves all nodes."""
 
 _EXTENDED = 1 << 31
 
@@ -38,7 +38,7 @@ class Signal:
         name: As in the frame's description.
         start: Number of its lowest bit, 0 .. 63.
         bits: How many.
-        comment: What it is.
+        comment: Description.
         least: Smallest legal value, in units of ``unit``.
         most: Largest legal value.
         unit: Value of the lowest bit; None for IEEE 754 binary32.
@@ -63,7 +63,7 @@ class Entry:
         name: Of the kind, with the node's id if the entry is for one node.
         identifier: 29 bits; for any node, those of node 0.
         sender: Name of the node that sends it.
-        comment: What it is.
+        comment: Description.
         signals: Its content.
     """
 
@@ -88,8 +88,8 @@ _ESTIMATE = (
 )
 _HEARTBEAT = (
     Signal("uptime", 0, 32, "seconds since start", most=2**32 - 1),
-    Signal("health", 32, 2, "how the node feels", most=3, names=_named(Health)),
-    Signal("mode", 40, 3, "what the node does", most=3, names=_named(Mode)),
+    Signal("health", 32, 2, "health of the node", most=3, names=_named(Health)),
+    Signal("mode", 40, 3, "operating mode of the node", most=3, names=_named(Mode)),
     Signal("vendor_status", 48, 8, "the application's own code", most=255),
 )
 _TELEMETRY = (
@@ -99,7 +99,7 @@ _TELEMETRY = (
 )
 _COMMAND = (
     Signal("tick", 0, 32, "number of the control tick", most=2**32 - 1),
-    Signal("target", 32, 8, "id of the robot that is meant", most=255, names=((EVERY_ROBOT, "EVERY_ROBOT"),)),
+    Signal("target", 32, 8, "id of the robot addressed", most=255, names=((EVERY_ROBOT, "EVERY_ROBOT"),)),
     Signal("action", 40, 8, "half of a tick to do", most=3, names=_named(Action)),
 )
 
@@ -130,7 +130,7 @@ def _kinds(estimates: FrameFormat, node: int, suffix: str, sender: str) -> list[
     kinds = (
         ("Estimate", estimates.identifier(node), "A robot's broadcast", _ESTIMATE),
         ("Heartbeat", heartbeat, "A node's sign of life, once a second", _HEARTBEAT),
-        ("Telemetry", TELEMETRY.identifier(node), "What a robot tells its watchers", _TELEMETRY),
+        ("Telemetry", TELEMETRY.identifier(node), "A robot's state for observers of the bus", _TELEMETRY),
         ("Command", COMMANDS.identifier(node), "A simulator's order", _COMMAND),
     )
     return [Entry(name + suffix, number, sender, what, body + _TAIL) for name, number, what, body in kinds]
@@ -166,7 +166,7 @@ def _signal(signal: Signal) -> str:
 
 
 def _number(value: float) -> str:
-    """The shortest text that is read as the same number."""
+    """Shortest text that reads back as the same number."""
     return str(int(value)) if value == int(value) and value < 2**53 else repr(value).upper()
 
 

@@ -3,9 +3,9 @@
 Each is one classic CAN frame with a 29-bit identifier and 8 bytes, and at the same time one OpenCyphal
 v1 single-frame message; ``docs/frame.md`` gives every bit. Values are the firmware's own integers:
 x_hat in units of 2**-23, alpha as a word (``mcp_asdf.fixed_point``), which a frame carries as IEEE
-binary32. Nothing here raises on what comes from a bus: a frame that is not a legal message decodes to the
-:class:`Rejection` that says why. All in O(1). The same in C, with the same verdict on every frame, is
-``c_ref/src/mcp_asdf_frame.h``.
+binary32. Decoding never raises: a frame that is not a legal message decodes to the :class:`Rejection` that
+gives the reason. All in O(1). ``c_ref/src/mcp_asdf_frame.h`` is the same codec in C, with the same verdict
+on every frame.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _UNIT_EXPONENT = 126
 
 MAX_NODE_ID = 127
 MAX_SUBJECT = 6143
-"""Largest subject identifier that Cyphal leaves to applications; the 8191 of the field are the others."""
+"""Largest subject identifier that Cyphal leaves to applications; the field reaches 8191."""
 MAX_PRIORITY = 7
 HEARTBEAT_SUBJECT = 7509
 FRAME_BYTES = 8
@@ -46,18 +46,18 @@ EVERY_ROBOT = 255
 
 _NODE_BITS = 0x7F
 _SERVICE, _ANONYMOUS, _RESERVED = 1 << 25, 1 << 24, 1 << 23 | 1 << 7
-# Priority says nothing to a receiver, and the specification has it ignore the two bits sent as 1.
+# Receivers ignore the priority and, as the specification asks, the two bits sent as 1.
 _IGNORED = MAX_PRIORITY << 26 | 3 << 21 | _NODE_BITS
 _SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
 
 
 class Rejection(Enum):
-    """Why a frame is not the message looked for.
+    """Reason why a frame is not the expected message.
 
     The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``.
 
     Attributes:
-        text: The same for people.
+        text: The reason in words.
     """
 
     text: str
@@ -95,7 +95,7 @@ def _check(name: str, value: int, most: int, least: int = 0) -> None:
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Where one kind of message is on the bus. Raises ValueError if a field is out of range.
+    """Subject and priority of one kind of message. Raises ValueError if a field is out of range.
 
     The default is that of estimates.
 
@@ -111,15 +111,15 @@ class FrameFormat:
         _check("subject", self.subject, MAX_SUBJECT)
         _check("priority", self.priority, MAX_PRIORITY)
 
-    def identifier(self, node: int) -> int:
-        """29-bit identifier of the messages of ``node``, 0 .. 127."""
-        return _identifier(self.priority, self.subject, node)
+    def identifier(self, node_id: int) -> int:
+        """29-bit identifier of the messages of node ``node_id``, 0 .. 127."""
+        return _identifier(self.priority, self.subject, node_id)
 
 
 TELEMETRY = FrameFormat(subject=3001, priority=6)
-"""Where telemetry is unless chosen otherwise: what can wait."""
+"""Default format of telemetry, which can wait."""
 COMMANDS = FrameFormat(subject=3002, priority=3)
-"""Where commands are unless chosen otherwise: before the estimates they ask for."""
+"""Default format of commands: ahead of the estimates that they trigger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class Message:
 
 
 class Health(Enum):
-    """How a node feels (Cyphal's ``uavcan.node.Health``)."""
+    """Health of a node (Cyphal's ``uavcan.node.Health``)."""
 
     NOMINAL = 0
     ADVISORY = 1
@@ -150,7 +150,7 @@ class Health(Enum):
 
 
 class Mode(Enum):
-    """What a node does (Cyphal's ``uavcan.node.Mode``)."""
+    """Operating mode of a node (Cyphal's ``uavcan.node.Mode``)."""
 
     OPERATIONAL = 0
     INITIALIZATION = 1
@@ -166,8 +166,8 @@ class Heartbeat:
         sender: Node id, 0 .. 127.
         uptime: Whole seconds since start, 0 .. 2**32 - 1.
         transfer_id: Number of the sender's heartbeat modulo 32.
-        health: How the node feels.
-        mode: What the node does.
+        health: Health of the node.
+        mode: Operating mode of the node.
         vendor_status: The application's own code, 0 .. 255.
     """
 
@@ -181,7 +181,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """What a robot tells its watchers.
+    """State of a robot for observers of the bus.
 
     Attributes:
         sender: Robot id, 0 .. 127.
@@ -199,7 +199,7 @@ class Telemetry:
 
 
 class Action(Enum):
-    """Which half of a control tick a command asks for, and on which observation."""
+    """Half of a control tick that a command asks for, with its observation."""
 
     OBSERVE_WHITE = 0
     OBSERVE_BLACK = 1
@@ -208,12 +208,12 @@ class Action(Enum):
 
     @classmethod
     def observing(cls, z: Observation | None) -> Action:
-        """The *observe* that brings ``z``."""
+        """The *observe* that carries ``z``."""
         return cls.OBSERVE_NONE if z is None else cls(int(z))
 
     @property
     def observation(self) -> Observation | None:
-        """The observation that an *observe* brings, if any. Raises ValueError for SETTLE."""
+        """The observation that an *observe* carries, if any. Raises ValueError for SETTLE."""
         return None if self is Action.OBSERVE_NONE else Observation(self.value)
 
 
@@ -224,7 +224,7 @@ class Command:
     Attributes:
         sender: The simulator's node id, 0 .. 127.
         tick: Number of the control tick, 0 .. 2**32 - 1.
-        target: Id of the robot that is meant, 0 .. 127, or EVERY_ROBOT.
+        target: Id of the robot addressed, 0 .. 127, or EVERY_ROBOT.
         action: What to do.
         transfer_id: Number of the sender's command modulo 32.
     """
@@ -239,7 +239,7 @@ class Command:
 def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
     """Return ``message`` as a frame stamped ``timestamp`` (seconds).
 
-    Raises ValueError if a field is out of range: what a decoder would refuse is never sent.
+    Raises ValueError if a field is out of range, so that no frame is sent that a decoder would refuse.
     """
     _check("x_hat", message.x_hat, ONE)
     _check("alpha", message.alpha, 0xFFFF_FFFF)
@@ -248,7 +248,7 @@ def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) 
 
 
 def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection:
-    """Read an estimate from a frame, or say why it is none; any frame whatever may be given."""
+    """Estimate in any frame, or the reason why there is none."""
     reason = _why_no_transfer(frame, frame_format.subject)
     if reason is not None:
         return reason
@@ -277,7 +277,7 @@ def encode_heartbeat(heartbeat: Heartbeat, priority: int = 4, timestamp: float =
 
 
 def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
-    """Read a heartbeat from a frame, or say why it is none; any frame whatever may be given.
+    """Heartbeat in any frame, or the reason why there is none.
 
     Health takes 2 bits and mode 3; the spare bits beside them are ignored, as the specification asks.
     """
@@ -306,7 +306,7 @@ def encode_telemetry(
 
 
 def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) -> Telemetry | Rejection:
-    """Read telemetry from a frame, or say why it is none; any frame whatever may be given."""
+    """Telemetry in any frame, or the reason why there is none."""
     reason = _why_no_transfer(frame, frame_format.subject)
     if reason is not None:
         return reason
@@ -334,7 +334,7 @@ def encode_command(
 
 
 def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> Command | Rejection:
-    """Read a command from a frame, or say why it is none; any frame whatever may be given.
+    """Command in any frame, or the reason why there is none.
 
     The spare byte is ignored, as the specification asks.
     """
@@ -361,8 +361,8 @@ def binary32_of(alpha: int) -> int:
 def word_of(bits: int) -> int:
     """The word of the largest confidence not above the number of binary32 ``bits``, 0 .. 0x7F7FFFFF.
 
-    It undoes ``binary32_of``, but for the choice of the shift. Parts smaller than 2**-24 are lost; numbers
-    above 2**31 - 2**7, the largest confidence, become that.
+    The inverse of ``binary32_of``, except for the choice of the shift. Parts smaller than 2**-24 are lost;
+    numbers above the largest confidence, 2**31 - 2**7, become that.
     """
     mantissa, shift = bits & _FRACTION | _IMPLICIT, (bits >> 23) - _UNIT_EXPONENT
     if shift < 0:  # a subnormal number has no implicit bit, but loses everything
@@ -371,7 +371,7 @@ def word_of(bits: int) -> int:
 
 
 def alpha_bits(frame: can.Message) -> int:
-    """The binary32 bits of alpha in an estimate's frame, as they are; several stand for one word."""
+    """The binary32 bits of alpha in an estimate's frame, unchanged; several stand for one word."""
     return int.from_bytes(frame.data[3:7], "little")
 
 
@@ -388,7 +388,7 @@ def bits_of(value: float) -> int:
 
 
 def _why_no_transfer(frame: can.Message, subject: int) -> Rejection | None:
-    """Why the frame is no single-frame message of the subject; None if it is one."""
+    """Reason why the frame is no single-frame message of the subject; None if it is one."""
     special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
     if special or frame.arbitration_id & ~_IGNORED != subject << 8:
         return _what_is_special(frame)
@@ -413,9 +413,9 @@ def _what_is_special(frame: can.Message) -> Rejection:
     return next((reason for found, reason in findings if found), Rejection.SUBJECT)
 
 
-def _identifier(priority: int, subject: int, node: int) -> int:
-    _check("sender", node, MAX_NODE_ID)
-    return priority << 26 | 3 << 21 | subject << 8 | node
+def _identifier(priority: int, subject: int, node_id: int) -> int:
+    _check("sender", node_id, MAX_NODE_ID)
+    return priority << 26 | 3 << 21 | subject << 8 | node_id
 
 
 def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) -> can.Message:
@@ -426,7 +426,7 @@ def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) ->
 
 
 def frame_as_text(frame: can.Message) -> str:
-    """A frame's identifier and data as candump writes them; remote and error frames are told apart."""
+    """A frame's identifier and data as candump writes them, with a mark for remote and error frames."""
     if frame.is_remote_frame:
         return f"{frame.arbitration_id:08X}#R"
     kind = "E" if frame.is_error_frame else ""

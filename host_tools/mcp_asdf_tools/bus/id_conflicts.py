@@ -1,4 +1,4 @@
-"""Noticing that two nodes on a bus have one id, from what one receiver hears."""
+"""Detection of two nodes with one id on a bus, from the frames that one receiver hears."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 from mcp_asdf_tools.bus.frames import TRANSFER_IDS, Command, Heartbeat, Message, Telemetry
 
 _WINDOW, _ENOUGH = 32, 12
-"""Signs of two senders that it takes, among so many messages.
+"""Signs of two senders needed (``_ENOUGH``) among that many messages (``_WINDOW``).
 
 Measured over millions of messages: one sender gives at most 10, at any loss, with messages repeated or up to
 20 places late, and with restarts all the time; two give 13 and more while less than 30 % is lost.
@@ -16,25 +16,25 @@ Measured over millions of messages: one sender gives at most 10, at any loss, wi
 
 
 class IdConflict(Enum):
-    """Which rule found it; the value is for people."""
+    """Rule that found a conflict; the value describes it."""
 
     OWN_ID = "another node sends under this node's own id"
     TWO_SENDERS = "two nodes send under one id"
 
 
 class IdConflictWatch:
-    """Listens for nodes with one id. O(1) time for each message, O(1) memory for each id and kind.
+    """Detector of nodes that share an id. O(1) time for each message, O(1) memory for each id and kind.
 
-    Give it every legal message that the connection receives, but none that this node has sent itself:
-    where a bus returns those, their frames have ``is_rx`` false.
+    Pass it every legal message that the connection receives, but none that this node has sent itself:
+    on a bus that returns those, their frames have ``is_rx`` false.
 
-    A message under the own id proves a collision. Other ids are told by their transfer ids, which count
-    each sender's messages modulo 32: once two nodes count at about the same rate under one id, numbers come
-    twice with different content. Two nodes that send the very same content at the same time cannot be told
-    apart, nor can a node that speaks much more rarely than the other.
+    A message under the own id proves a conflict. Conflicts of other ids show in their transfer-ids, which
+    count each sender's messages modulo 32: when two nodes count at about the same rate under one id, numbers
+    come twice with different content. Two nodes that send the same content at the same time cannot be
+    distinguished, nor can a node that sends much more rarely than the other.
 
     Attributes:
-        found: The rule that found each id with a collision so far.
+        found: The rule that found each conflict so far, by id.
     """
 
     def __init__(self, own: int | None = None) -> None:
@@ -44,7 +44,7 @@ class IdConflictWatch:
         self._sequences: dict[tuple[int, type], _Sequence] = {}
 
     def hear(self, message: Message | Heartbeat | Telemetry | Command) -> IdConflict | None:
-        """Take in a message; returns what it proves if that is new."""
+        """Take a message; returns the conflict that it proves if that is new."""
         sender = message.sender
         if sender in self.found:
             return None
@@ -68,9 +68,9 @@ class _Sequence:
         self._signs = deque([False], maxlen=_WINDOW)
 
     def is_shared(self, message: Message | Heartbeat | Telemetry | Command) -> bool:
-        """Take in a message; returns whether two nodes must be sending these.
+        """Take a message; returns whether two nodes must be sending these.
 
-        A sign is a number heard with two contents while the count goes on: after a restart of the one
+        A sign is a number heard with two contents while the count goes on: after a restart of a single
         sender the numbers come again, too, but no new ones between them.
         """
         place = message.transfer_id

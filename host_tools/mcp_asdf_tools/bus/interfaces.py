@@ -1,4 +1,4 @@
-"""Which CAN bus to use: python-can's own options, variables and files, with an in-process default."""
+"""Choice of the CAN bus: python-can's own options, variables and files, with an in-process default."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mcp_asdf_tools.common import UsageError
 
 DEFAULT_INTERFACE = "virtual"
 
-# Only for what the user leaves open. Time stamps given by the sender make a log depend on the seed
-# alone; one hop more and udp_multicast frames would leave this host.
+# Only for settings that the user leaves open. Time stamps from the sender make a log depend on the seed
+# alone; with one more hop udp_multicast frames would leave this host.
 _DEFAULTS: dict[str, dict[str, Any]] = {
     "virtual": {"channel": "vcan0", "preserve_timestamps": True},
     "udp_multicast": {"hop_limit": 0},
@@ -51,7 +51,7 @@ class BusChoice:
 
     @property
     def has_channels(self) -> bool:
-        """Whether this is a bus for each robot: its channel says where the id stands, as in vcan{robot}."""
+        """Whether each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
         return _ROBOT in (self.channel or "")
 
     @property
@@ -66,7 +66,7 @@ class BusChoice:
         channel = self.channel.replace(_ROBOT, str(robot))
         own: dict[str, Any] = {"channel": channel}
         if self.interface == "udp_multicast":
-            # Linux hands the frames of all groups that anyone here has joined to every socket of a port.
+            # Linux hands the frames of every group joined on this host to all sockets of a port.
             given = getattr(self._args, "bus_kwargs", {})
             own |= {"bus_kwargs": given | {"port": int(given.get("port", _UDP_PORT)) + robot}}
         return replace(self, channel=channel, _args=argparse.Namespace(**vars(self._args) | own))
@@ -80,7 +80,7 @@ class BusChoice:
         return wrapped(self.interface, bus)
 
     def arguments(self) -> list[str]:
-        """The options with which a command of another process joins the same bus.
+        """Options with which a command in another process joins the same bus.
 
         Raises UsageError if no other process can.
         """
@@ -104,7 +104,7 @@ class BusChoice:
         )
 
     def _explain(self, cause: BaseException | None) -> str:
-        """What went wrong and what helps."""
+        """The failure and its fix."""
         if self.interface not in can.VALID_INTERFACES:
             return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
         is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
@@ -116,16 +116,16 @@ class BusChoice:
 
 
 def wrapped(interface: str, bus: can.BusABC) -> can.BusABC:
-    """A connection on which others' frames count as received and no own ones come, whatever the interface."""
+    """Connection that marks others' frames as received and returns no own ones, whatever the interface."""
     wrapper = _WRAPPERS.get(interface)
     return bus if wrapper is None else wrapper(bus)
 
 
 class _Wrapper(can.BusABC):
-    """A connection that stands before another."""
+    """Connection that wraps another."""
 
     def __init__(self, bus: can.BusABC) -> None:
-        """Take over ``bus``: whoever closes this connection closes it, too."""
+        """Take over ``bus``, which closes with this connection."""
         self._bus = bus
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
@@ -136,7 +136,7 @@ class _Wrapper(can.BusABC):
         self._bus.send(msg, timeout)
 
     def fileno(self) -> int:
-        """The file descriptor that can be waited for."""
+        """File descriptor to wait on."""
         return self._bus.fileno()
 
     def shutdown(self) -> None:
@@ -146,9 +146,9 @@ class _Wrapper(can.BusABC):
 
 
 class AllReceived(_Wrapper):
-    """A SocketCAN connection, on which what programs of this computer have sent counts as received.
+    """SocketCAN connection that marks the frames of other programs on this computer as received.
 
-    python-can marks it as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
+    python-can marks them as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
     """
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -162,12 +162,12 @@ class AllReceived(_Wrapper):
 
 
 class WithoutEcho(_Wrapper):
-    """A connection to a bus that returns all frames it is given, without those that are its own."""
+    """Connection without its own frames, to a bus that returns every frame sent."""
 
     def __init__(self, bus: can.BusABC) -> None:
-        """Take over ``bus``: whoever closes this connection closes it, too."""
+        """Take over ``bus``, which closes with this connection."""
         super().__init__(bus)
-        # A returned frame may be lost: then one from elsewhere with the same id and data passes for it, once.
+        # If a returned frame is lost, one from elsewhere with the same id and data is taken for it, once.
         self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -181,17 +181,17 @@ class WithoutEcho(_Wrapper):
             if frame is None or _content(frame) not in self._own:
                 return frame, is_filtered
             self._own.remove(_content(frame))
-            timeout = 0.0  # whoever called waits on for what is left of its time
+            timeout = 0.0  # the caller waits again for the rest of its time
 
 
 class ByAdapter(_Wrapper):
-    """A connection by an adapter on a serial line. That may be unplugged: then it can still be left."""
+    """Connection through an adapter on a serial line; it closes even if the adapter is unplugged."""
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         return self._bus._recv_internal(timeout)
 
     def shutdown(self) -> None:
-        """Leave the bus; an adapter that is not there does not hear it."""
+        """Leave the bus, even if the adapter is gone."""
         with suppress(can.CanError):
             super().shutdown()
 
@@ -233,7 +233,7 @@ def choose_bus(args: argparse.Namespace) -> BusChoice:
 
 
 def _asked_for(args: argparse.Namespace) -> dict[str, Any]:
-    """What files, variables, ``can.rc`` and arguments say; the later overrule the earlier."""
+    """Settings of files, variables, ``can.rc`` and arguments; later ones override earlier ones."""
     merged: dict[str, Any] = {}
     try:
         merged |= load_file_config()

@@ -1,4 +1,4 @@
-"""How long frames are on a real CAN bus, to the bit, and how much of its time they take."""
+"""Length of frames on a real CAN bus, to the bit, and the load that they cause."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _content(frame: can.Message) -> tuple[int, int]:
 
 
 def _crc(content: int) -> int:
-    """CAN's checksum. Leading zeros do not change it, so whole bytes will do."""
+    """CAN's checksum. Leading zeros do not change it, so whole bytes are enough."""
     table, crc = _crc_table(), 0
     for byte in content.to_bytes((content.bit_length() + 7) // 8, "big"):
         crc = (crc << 8 & 0x7FFF) ^ table[crc >> 7 ^ byte]
@@ -77,7 +77,7 @@ def _stuffed(bits: int, length: int) -> int:
 
 
 _ALTERNATING = [int("01" * 4, 2) & (1 << bits) - 1 for bits in range(8)]
-"""So many bits that end with a 1 and hold no run."""
+"""That many bits, ending with a 1 and without a run."""
 
 
 @cache

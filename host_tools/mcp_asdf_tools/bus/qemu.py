@@ -46,8 +46,8 @@ class Board:
     def __init__(self, machine: str, image: Path, send_buffer: int | None = None) -> None:
         """Prepare the board called ``machine``, a key of BOARDS, with ``image``, an ELF file.
 
-        What the image has sent and nobody has read waits in about ``send_buffer`` bytes (default: as many as
-        the system likes); after that its line is busy. Raises UsageError if there is no such board or image,
+        Output of the image that is not read yet waits in about ``send_buffer`` bytes (default: the system's
+        choice); after that its line is busy. Raises UsageError if there is no such board or image,
         or the emulator is not installed.
         """
         if machine not in BOARDS:
@@ -98,7 +98,7 @@ class Board:
 
 
 def _reason(said: bytes) -> str:
-    """The first line of what QEMU has said that is no mere information; registers and the like follow."""
+    """First line of QEMU's output that is no mere information; registers and the like follow."""
     lines = [line for line in said.decode(errors="replace").splitlines() if ": info: " not in line]
     return f"{lines[0]}; is it an image for this board?" if lines else "the program failed"
 
@@ -130,12 +130,12 @@ class QemuBus(slcanBus):
         self.channel_info = f"{channel} under QEMU"
 
     def close(self) -> None:
-        """Close the bus, unless the program has ended: then nobody hears that."""
+        """Close the bus; a program that has ended cannot be told."""
         with suppress(can.CanOperationError):
             super().close()
 
     def shutdown(self) -> None:
-        """Close the bus and switch the board off; more often does nothing.
+        """Close the bus and switch the board off; repeated calls do nothing.
 
         Raises UsageError if the board had gone off by itself.
         """

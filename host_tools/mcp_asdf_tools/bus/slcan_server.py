@@ -22,7 +22,7 @@ _OK, _ERROR = b"\r", b"\a"
 _LONGEST_LINE = 32
 _TIMEOUT = 1.0
 _BUFFER_BYTES = 1 << 16
-# Bit rate, time stamps, filters, polling: granted, and of no meaning here.
+# Bit rate, time stamps, filters, polling: accepted, without effect here.
 _SETTINGS = b"SsYZMmXWA"
 _ANSWERS = {b"V": b"V1013\r", b"v": b"v0100\r", b"N": b"N0001\r", b"F": b"F00\r"}
 
@@ -40,7 +40,7 @@ class SlcanServer:
     def __init__(self, bus: can.BusABC, port: int = 0) -> None:
         """Listen at ``port`` of this machine, 1 .. 65535, or at a free one if 0.
 
-        ``bus`` is a connection of the server's own. Raises UsageError if the port cannot be had.
+        ``bus`` is a connection of the server's own. Raises UsageError if the port is not available.
         """
         self.dropped = 0
         self._bus = bus
@@ -112,7 +112,7 @@ class SlcanServer:
         program = self._program
         if program is None or not self._is_open or frame.is_fd or frame.is_error_frame:
             return
-        # A socket that can take anything takes a short line: a slow program loses whole frames only.
+        # A writable socket has room for a short line: a slow program loses whole frames only.
         with self._writing, suppress(OSError, ValueError):  # the program may have left by now
             if select.select([], [program], [], 0)[1]:
                 program.sendall(line_of(frame))
@@ -161,7 +161,7 @@ def frame_of(line: bytes) -> can.Message | None:
 
 
 def _lines(program: socket.socket) -> Iterator[bytes]:
-    """Lines without their ends, until the program leaves; one that never ends counts as a bad one."""
+    """Lines without their ends, until the program leaves; an endless one counts as malformed."""
     rest = b""
     while received := program.recv(4096):
         *lines, rest = (rest + received).split(b"\r")

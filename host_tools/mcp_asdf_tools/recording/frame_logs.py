@@ -16,7 +16,7 @@ from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidec
 _LOSSY = ".db"
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
-"""What takes frames and what takes events, if anything."""
+"""Takers of frames and of events, None where there is no log."""
 
 
 class FrameLog:
@@ -26,10 +26,10 @@ class FrameLog:
     """
 
     def __init__(self, path: Path | str, files: FileSet) -> None:
-        """Begin a log, one of ``files``. Raises UsageError if its format or place will not do."""
+        """Begin a log, one of ``files``. Raises UsageError if its format or place is unusable."""
         self._path = path
         suffix = _suffix_of(Path(path))
-        # python-can tells the format by the name, so the temporary name ends in the same way.
+        # python-can finds the format by the name, so the temporary name ends in the same way.
         temporary = files.begin(path, suffix)
         try:
             with explaining(path):
@@ -57,7 +57,7 @@ class FrameLog:
     ) -> None:
         with explaining(self._path), ExitStack() as stack:
             if isinstance(self._writer, FileIOMessageWriter):
-                stack.enter_context(closing(self._writer.file))  # which a stop that fails leaves open
+                stack.enter_context(closing(self._writer.file))  # a stop that fails leaves it open
             self._writer.stop()
 
 
@@ -78,7 +78,7 @@ def logging_to(path: Path | None, header: SidecarHeader | None) -> Iterator[LogO
 
 
 def _suffix_of(path: Path) -> str:
-    """The suffix that tells the format, with that of the compression."""
+    """The suffix of the format, with that of the compression."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
     telling = suffixes[-2:] if suffixes[-1:] == [".gz"] else suffixes[-1:]
     if _LOSSY in telling:
@@ -93,23 +93,23 @@ _FORMATS = ".log (candump), .asc, .blf, .csv, .mf4 or .trc, each but .blf and .m
 
 
 def read_log(path: Path | str) -> Iterator[can.Message]:
-    """Yield the frames of a log, in its order. The suffix tells the format.
+    """Yield the frames of a log, in its order. The suffix gives the format.
 
     Raises UsageError, naming the place, if it cannot be read, is malformed or holds no frame.
     """
     number = 0
     try:
-        Path(path).open("rb").close()  # so that no reader makes the file that it does not find
+        Path(path).open("rb").close()  # some readers would create a missing file
         with can.LogReader(Path(path)) as reader:
             for frame in reader:
                 number += 1
                 yield frame
     except OSError as error:
         raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error
-    except Exception as error:  # a reader raises whatever its format's code happens to
+    except Exception as error:  # readers raise errors of any kind
         raise UsageError(
-            f"the log {path} is malformed behind frame {number} ({type(error).__name__}: {error}), "
-            f"or no log that the suffix tells: {_FORMATS}"
+            f"the log {path} is malformed after frame {number} ({type(error).__name__}: {error}), "
+            f"or not of the format that its suffix says: {_FORMATS}"
         ) from error
     if not number:
-        raise UsageError(f"the log {path} holds no frame; is it a log of the format that the suffix tells?")
+        raise UsageError(f"the log {path} holds no frame; is it a log of the format that its suffix says?")

@@ -1,4 +1,4 @@
-"""Replaying a log: every robot again from what it saw and heard, or its frames onto a bus."""
+"""Replay of a log: every robot runs again on its recorded input, or the frames go onto a bus."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _QUIET, _LONGEST_REST = 0.1, 2.0
 
 
 class Broadcast(NamedTuple):
-    """What a robot sent.
+    """Broadcast of a robot.
 
     Attributes:
         tick: Number of the tick that it belongs to, from 1 at the robot's start.
         transfer_id: Number of the broadcast since then modulo 32.
         x_hat: Local estimate in units of 2**-23.
         alpha_bits: Local confidence as the frame has it, in binary32 bits.
-        is_false: Whether a fault put these values in the place of the firmware's.
+        is_false: Whether a fault replaced the firmware's values by these.
     """
 
     tick: int
@@ -49,10 +49,10 @@ class Broadcast(NamedTuple):
 
 
 class Rerun:
-    """One robot doing once more what it did.
+    """Robot that repeats its recorded run.
 
     Attributes:
-        broadcasts: What it sends, in order; whoever compares them takes them off.
+        broadcasts: Its broadcasts, in order; the comparison takes them off.
     """
 
     def __init__(self, record: RobotRecord) -> None:
@@ -64,7 +64,7 @@ class Rerun:
     def _start(self) -> None:
         self._robot = self._record.make()
         self._ticks = 0
-        self._transfers = 0
+        self._estimates = 0
 
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
@@ -81,10 +81,10 @@ class Rerun:
     def _observe(self, action: Action) -> None:
         self._ticks += 1
         if self._robot.observe(action.observation):
-            transfer = self._transfers % TRANSFER_IDS
-            self._transfers += 1
+            transfer_id = self._estimates % TRANSFER_IDS
+            self._estimates += 1
             said = self._robot.port.x_hat_raw, binary32_of(self._robot.port.alpha_raw)
-            self.broadcasts.append(Broadcast(self._ticks, transfer, *said))
+            self.broadcasts.append(Broadcast(self._ticks, transfer_id, *said))
 
     def _take(self, values: Sequence[int]) -> None:
         if len(values) == 3:
@@ -109,14 +109,14 @@ class Rerun:
 
 @dataclass(frozen=True)
 class LogDifference:
-    """The first broadcast of a log that is not what the robot would have sent.
+    """First broadcast of a log that the robot would not have sent.
 
     Attributes:
         frame: Its number in the log, from 1.
         timestamp: As the log has it, seconds.
-        logged: What the log says.
-        alpha_bits: The same of alpha, in the binary32 bits of the frame.
-        expected: What the robot sends at this place; None if it sends nothing more.
+        logged: The broadcast in the log.
+        alpha_bits: Its alpha in the binary32 bits of the frame.
+        expected: The robot's broadcast at this place; None if it sends no more.
     """
 
     frame: int
@@ -139,13 +139,13 @@ class LogDifference:
 def _values(said: Message | Broadcast, bits: int) -> str:
     return (
         f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {bits:#010x} ({float_of(bits):.7g}), "
-        f"transfer {said.transfer_id}"
+        f"transfer_id {said.transfer_id}"
     )
 
 
 @dataclass
 class ReplayVerdict:
-    """What came out of a comparison.
+    """Result of a comparison.
 
     Attributes:
         reproduced: Broadcasts of the log that the robots made again, bit for bit.
@@ -188,7 +188,7 @@ def verify(
 
 
 def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[dict[int, Rerun], Counter[str]]:
-    """The robots after all that happened to them, and the frames that none of them sent."""
+    """The robots after all their events, and the frames that none of them sent."""
     robots = {record.id: Rerun(record) for record in sidecar.header.robots}
     foreign: Counter[str] = Counter()
     for line in sidecar.lines():
@@ -221,7 +221,7 @@ class _Comparison:
         place = _place_of(message, broadcasts)
         said = message.x_hat, alpha_bits(frame)
         is_own = place is not None and (broadcasts[place].x_hat, broadcasts[place].alpha_bits) == said
-        # What strangers sent, too, is the robot's own only in its turn: among the next it is by chance.
+        # A frame that strangers sent, too, is the robot's own only in its turn: a later match is chance.
         text = frame_as_text(frame)
         if self._foreign[text] and not (is_own and place == 0):
             self._foreign[text] -= 1
@@ -246,7 +246,7 @@ class _Comparison:
 
 
 def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
-    """Where the broadcast with the message's number is among the next ones; 0 in a log without gaps."""
+    """Place of the broadcast with the message's transfer_id among the next; 0 in a log without gaps."""
     ahead = range(min(len(broadcasts), TRANSFER_IDS))
     return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
 
@@ -261,11 +261,11 @@ class Playback:
     Attributes:
         sent: Frames sent.
         skipped: Error frames, which cannot be sent, and frames of nodes left out.
-        seconds: How long it took.
-        lateness: By how much the latest frame was late, seconds; 0 flat out.
+        seconds: Duration.
+        lateness: Largest lateness of a frame, seconds; 0 at full speed.
         failures: Frames that the bus did not take.
-        last_failure: Why not, the last time.
-        is_stopped: Whether it was told to stop.
+        last_failure: The last reason.
+        is_stopped: Whether it was asked to stop.
     """
 
     sent: int = 0
@@ -286,12 +286,12 @@ class Player:
     """Sends the frames of a log.
 
     Attributes:
-        bus: Where to.
-        speed: Recorded seconds a second; 0 for as fast as the bus takes them.
-        left_out: Node ids whose frames are not sent, such as that of a robot that is there itself.
-        is_told_to_stop: Asked several times a second.
+        bus: Bus to send on.
+        speed: Recorded seconds per second; 0 for as fast as the bus takes frames.
+        left_out: Node ids whose frames are not sent, such as that of a robot on the bus.
+        is_told_to_stop: Checked several times per second.
         progress: Called after each frame.
-        playback: How it goes.
+        playback: Figures so far.
     """
 
     bus: can.BusABC
@@ -302,7 +302,7 @@ class Player:
     playback: Playback = field(default_factory=Playback)
 
     def play(self, log: Iterable[can.Message]) -> None:
-        """Send all frames of ``log``, or until told to stop."""
+        """Send all frames of ``log``, or until asked to stop."""
         began, first = time.monotonic(), None
         for frame in log:
             if frame.is_error_frame or (
@@ -331,7 +331,7 @@ class Player:
         return False
 
     def _come_to_rest(self) -> None:
-        """Read until the bus is quiet: to leave an adapter earlier is to lose what it has not passed on."""
+        """Read until the bus is quiet: leaving an adapter earlier loses frames that it has not passed on."""
         began = now = time.monotonic()
         while now - began < _LONGEST_REST:
             self.bus.recv(_QUIET)
@@ -342,7 +342,7 @@ class Player:
     def _send(self, frame: can.Message) -> None:
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
-            self.bus.recv(0)  # adapters answer each frame, and stop when nobody reads that
+            self.bus.recv(0)  # adapters answer each frame, and stop if their answers are not read
             self.playback.sent += 1
         except can.CanError as error:
             self.playback.failures += 1

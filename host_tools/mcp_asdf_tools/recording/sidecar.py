@@ -1,15 +1,15 @@
-"""What each robot saw, heard and did in a run, beside the log of the bus: enough to run every robot again.
+"""Sidecar of a log: the events of each robot in a run, enough to run every robot again.
 
 The sidecar of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
 run (:class:`SidecarHeader`). Every other line is either
 
-- ``[robot, event, ...]``: what happened to one robot next, in order. Lines of different robots may come in
+- ``[robot, event, ...]``: the next events of one robot, in order. Lines of different robots may come in
   any order, for robots share no state. An event is
 
   ===================== ================================================================================
   0, 1, 2               a tick began, in which it observed white, black, nothing
   3                     the tick ended (all four are the numbers of ``frames.Action``)
-  [sender, x_hat, alpha] it was given a message, which its firmware may have refused; raw integers as in
+  [sender, x_hat, alpha] it took a message, which its firmware may have refused; raw integers as in
                         ``mcp_asdf_tools.bus.frames.Message``
   [x_hat, alpha]        its last broadcast went out with these false values (a fault), alpha in the binary32
                         bits of the frame
@@ -45,19 +45,19 @@ _MAX_WORD = 2**32 - 1
 
 
 def sidecar_path(log: Path | str) -> Path:
-    """Where the sidecar of a log is."""
+    """Path of a log's sidecar."""
     return Path(f"{log}.events")
 
 
 @dataclass(frozen=True)
 class SidecarHeader:
-    """What a run is made of.
+    """Description of a run.
 
     Attributes:
         robots: The robots whose events follow; no two with one id.
         seed: Of everything random; None if nothing was.
-        frames: Where estimates are on the bus.
-        parameters: All settings of the run, for people.
+        frames: Format of estimates.
+        parameters: All settings of the run, for the reader.
         versions: Of the software.
     """
 
@@ -109,7 +109,7 @@ class SidecarWriter:
         self.robots = {robot: Recorder(robot, self._write) for robot in ids}
 
     def injected(self, frame: can.Message) -> None:
-        """``frame`` went over the bus, and no robot sent it."""
+        """``frame`` went over the bus, but no robot sent it."""
         self._write(f'"{frame_as_text(frame)}"\n')
 
     def _write(self, line: str) -> None:
@@ -165,7 +165,7 @@ class SidecarReader:
     def lines(self) -> Iterator[tuple[int, Sequence[Event]] | str]:
         """Yield what follows the header: a robot with its next events, or an injected frame as text.
 
-        Raises UsageError, naming the line, for one that makes no sense.
+        Raises UsageError, naming the line, if one is malformed.
         """
         known = {robot.id for robot in self.header.robots}
         for line in iter(self._next_line, ""):
@@ -238,7 +238,7 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
         raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(filters)}")
     config = TickConfig(table=table, filter=filters[plain["filter"]], **periods)
     record = RobotRecord(plain["id"], plain["firmware"], plain["b_hat"], config)
-    record.make()  # so that whatever the firmware refuses is said here
+    record.make()  # raises here if the firmware refuses it
     return record
 
 
@@ -249,5 +249,5 @@ def _is_event(event: Any) -> bool:
 
 
 def is_plain_int(value: Any) -> bool:
-    """Whether ``value`` is an integer >= 0, and no truth value."""
+    """Whether ``value`` is an integer >= 0, but no bool."""
     return type(value) is int and value >= 0

@@ -1,4 +1,4 @@
-"""What tells a swarm when a tick is over: that nothing is missing, or that its time has come."""
+"""Clocks of a swarm: a tick ends when nothing is missing, or when its time has come."""
 
 from __future__ import annotations
 
@@ -10,44 +10,44 @@ from typing import Any, Protocol
 
 
 class ClockKind(Enum):
-    """The clocks there are."""
+    """Kinds of clocks."""
 
     LOCKSTEP = "lockstep"
     REAL_TIME = "real-time"
 
 
 class Clock(Protocol):
-    """When ticks begin, and how long robots listen in them."""
+    """Clock that decides when ticks begin, and how long robots listen in them."""
 
     def begin(self, tick: int) -> None:
         """Return when ``tick``, counted from 0, may begin. Ticks begin one after the other."""
 
     def patience(self, tick: int) -> float | None:
-        """Seconds for which frames of this tick are still waited for; None: until all have come."""
+        """Seconds left to wait for frames of this tick; None: until all have come."""
 
     def figures(self) -> dict[str, Any] | None:
-        """How well time was kept, as plain values for JSON; None if that means nothing."""
+        """Figures of lateness as plain values, for JSON; None without real time."""
 
 
 class LockstepClock:
-    """A tick is over when all is done. Runs do not depend on the time that anything takes."""
+    """Clock whose ticks end when all is done: runs do not depend on how long anything takes."""
 
     def begin(self, tick: int) -> None:
         """At once."""
 
     def patience(self, tick: int) -> float | None:
-        """For ever, as far as the clock is concerned."""
+        """No limit."""
         return None
 
     def figures(self) -> dict[str, Any] | None:
-        """Nothing to say."""
+        """None: this clock keeps no time."""
         return None
 
 
 class RealTimeClock:
     """Tick k begins k periods after the first, or as soon after that as tick k - 1 is over.
 
-    Robots listen for the first half of the period; the rest is for settling. What has not come by then is
+    Robots listen for the first half of the period; the rest is for settling. Frames that come later are
     heard in the next tick.
     """
 
@@ -68,7 +68,7 @@ class RealTimeClock:
         if not self._late:
             self._start = self._now() - tick * self._period
         due = self._start + tick * self._period
-        # A sleep may end early by the resolution of its timer.
+        # A sleep may end early, by the resolution of its timer.
         while (left := due - self._now()) > 0:
             self._sleep(left)
         self._late.append(-left)
@@ -93,5 +93,5 @@ class RealTimeClock:
 
 
 def make_clock(kind: ClockKind, steps_per_second: float) -> Clock:
-    """The clock of a kind; only one in real time heeds the rate."""
+    """Clock of a kind; only the one in real time uses the rate."""
     return LockstepClock() if kind is ClockKind.LOCKSTEP else RealTimeClock(steps_per_second)

@@ -1,4 +1,4 @@
-"""The robot firmwares by name, and any of them behind the integers that a frame carries."""
+"""Robot firmwares by name, each with a port for the integers that a frame carries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Robot, Status
 from mcp_asdf_tools.common import UsageError, extensions
 
 RobotMaker = Callable[[Config, int, float], Robot]
-"""Makes a robot of a config, a robot id and the accuracy it assumes at the start."""
+"""Makes a robot from a config, a robot id and an initial assumed accuracy."""
 
 FIRMWARES = {
     "native": ("mcp_asdf.native", "NativeRobot"),

@@ -7,7 +7,7 @@ C node and the firmware images. A tick of robots that are all driven::
     estimates = lockstep.estimates({3, 4})   # in ticks in which broadcasts are due
     telemetry = lockstep.settle({3, 4})
 
-Between the calls, whoever else is on the bus may send.
+Between the calls other nodes may send.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.node import Subjects, send_all
 
 DRIVER_ID = 126
-"""Node id of whoever commands, unless chosen otherwise: the first that Cyphal keeps for tools."""
+"""Default node id of the simulator: the first that Cyphal keeps for tools."""
 
 _SLICE = 0.1
-"""Seconds between two looks whether waiting still makes sense."""
+"""Seconds between two checks while waiting."""
 
 
 class LockstepError(RuntimeError):
@@ -48,15 +48,15 @@ class LockstepError(RuntimeError):
 
 @dataclass(frozen=True)
 class LockstepSettings:
-    """What a simulator is told.
+    """Parameters of a simulator.
 
     Attributes:
-        subjects: Where messages are.
-        node: Its node id, 0 .. 127, which no robot has.
+        subjects: Formats of the messages.
+        node_id: Its id, 0 .. 127, which no robot has.
     """
 
     subjects: Subjects = field(default_factory=Subjects)
-    node: int = DRIVER_ID
+    node_id: int = DRIVER_ID
 
 
 class Lockstep:
@@ -64,7 +64,7 @@ class Lockstep:
 
     Attributes:
         tick: Number of the tick that is open or, between ticks, of the next.
-        repeated: Commands said a second time, since no answer had come.
+        repeated: Commands repeated because no answer had come.
     """
 
     def __init__(
@@ -77,9 +77,9 @@ class Lockstep:
     ) -> None:
         """Command from ``bus``, which is left open at the end. Nothing is sent yet.
 
-        Robots have ``timeout`` seconds to answer, and are told once more after half of them. ``watch`` is
-        shown every frame that comes in and, with ``is_rx`` false, every command that goes out; ``check`` is
-        called several times a second of waiting and may raise what ends it.
+        Robots have ``timeout`` seconds to answer; after half of them a command is repeated once. ``watch``
+        takes every frame that comes in and, with ``is_rx`` false, every command that goes out; ``check`` is
+        called several times per second of waiting and may raise an error that ends it.
         """
         self.tick = self.repeated = 0
         self._bus = bus
@@ -96,30 +96,30 @@ class Lockstep:
     def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
         """Return when a heartbeat of each of ``robots`` has come.
 
-        Raises LockstepError, naming those that are not there, after ``timeout`` seconds.
+        Raises LockstepError, naming the missing robots, after ``timeout`` seconds.
         """
         waiting = set(robots)
-        for frame in self._frames_until_none(waiting, "say that it is there", timeout):
+        for frame in self._frames_until_none(waiting, "send a heartbeat", timeout):
             heartbeat = decode_heartbeat(frame)
             if isinstance(heartbeat, Heartbeat):
                 waiting.discard(heartbeat.sender)
 
     def observe(self, observations: Mapping[int, Observation | None]) -> None:
-        """Let each robot, by id, observe that, or nothing.
+        """Let each robot, by id, make its observation, or none.
 
         Raises can.CanError if the bus does not take the commands.
         """
-        if self._settings.node in observations:
+        if self._settings.node_id in observations:
             raise UsageError(
-                f"robot {self._settings.node} has the id of the simulator; give one of them another"
+                f"robot {self._settings.node_id} has the id of the simulator; give one of them another"
             )
         self._estimates.clear()
         self._order({robot: Action.observing(z) for robot, z in observations.items()})
 
     def estimates(self, robots: Collection[int]) -> dict[int, Message]:
-        """What each of ``robots`` broadcasts in this tick, by id; the first counts if it sends several.
+        """Estimates of ``robots`` in this tick, by id; the first one if a robot sends several.
 
-        Raises LockstepError if one sends nothing within the time limit.
+        Raises LockstepError if one sends none within the time limit.
         """
         waiting = set(robots) - self._estimates.keys()
         for _ in self._frames_until_none(waiting, "broadcast its estimate", self._timeout, self._orders):
@@ -127,10 +127,10 @@ class Lockstep:
         return {robot: self._estimates[robot] for robot in robots}
 
     def settle(self, robots: Collection[int]) -> dict[int, Telemetry]:
-        """Let ``robots`` settle and end the tick; returns what each answers, by id.
+        """Let ``robots`` settle and end the tick; returns their answers by id.
 
-        Raises LockstepError if one does not answer within the time limit, or not with the answer that is
-        its turn; can.CanError if the bus does not take the commands.
+        Raises LockstepError if one does not answer within the time limit, or not in turn; can.CanError if
+        the bus does not take the commands.
         """
         self._telemetry.clear()
         self._order(dict.fromkeys(robots, Action.SETTLE))
@@ -147,12 +147,12 @@ class Lockstep:
         self.tick += 1
 
     def _check_turn(self, answer: Telemetry) -> None:
-        """Telemetry counts settles, so that an answer to another one, or of a restarted robot, shows."""
+        """Check the answer's transfer_id, which counts settles: it reveals stray answers and restarts."""
         robot, number = answer.sender, answer.transfer_id
         expected = self._answers.get(robot, number)
         if number != expected:
             raise LockstepError(
-                f"robot {robot} answered in tick {self.tick} with telemetry {number}, not {expected} "
+                f"robot {robot} answered in tick {self.tick} with transfer_id {number}, not {expected} "
                 f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
             )
         self._answers[robot] = (number + 1) % TRANSFER_IDS
@@ -164,7 +164,7 @@ class Lockstep:
     def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
         for robot, action in orders.items():
-            command = Command(self._settings.node, self.tick, robot, action, self._commands % TRANSFER_IDS)
+            command = Command(self._settings.node_id, self.tick, robot, action, self._commands % TRANSFER_IDS)
             frames.append(encode_command(command, self._settings.subjects.commands))
             self._commands += 1
         send_all(self._bus, frames, self._timeout)
@@ -174,10 +174,10 @@ class Lockstep:
     def _frames_until_none(
         self, waiting: set[int], what: str, seconds: float, orders: Mapping[int, Action] | None = None
     ) -> Iterator[can.Message]:
-        """Take in and yield frames until whoever takes them has emptied ``waiting``.
+        """Take and yield frames until the caller has emptied ``waiting``.
 
-        After half of ``seconds`` those who are waited for get their ``orders`` a second time: they obey what
-        they have not heard, and ignore what they have.
+        After half of ``seconds`` the robots still waited for get their ``orders`` again: they obey one that
+        they have missed, and ignore one that they have heard.
         """
         again, began = dict(orders or {}), time.monotonic()
         while waiting:
@@ -193,7 +193,7 @@ class Lockstep:
                 self._watch(frame)
                 self._take(frame)
                 yield frame
-            # What lies in the queue counts even if it is late, but not for ever.
+            # Frames in the queue count even if they are late, but not without end.
             if waiting and passed > (seconds if frame is None else 2 * seconds):
                 self._give_up(waiting, f"{what} within {seconds:g} s")
 

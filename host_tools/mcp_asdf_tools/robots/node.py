@@ -1,7 +1,7 @@
-"""One robot's side of a CAN bus without the bus: frames in, frames out.
+"""Node of one robot without the bus: it schedules heartbeats and telemetry, and obeys commands.
 
-The same node runs in ``mcp-asdf node``, on any bus and by either clock, and in tools that predict what a
-robot must say. ``docs/frame.md`` has the rules that it follows in lockstep.
+The same node runs in ``mcp-asdf node``, on any bus and by either clock, and in tools that predict the frames
+of a robot. ``docs/frame.md`` has the rules that it follows in lockstep.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from mcp_asdf_tools.robots.reception import Decoder, Reception
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
 ACCEPTANCE_MASK = 0x039F_FF80
-"""Of an identifier's bits, those that a receiver checks; see docs/frame.md."""
+"""Identifier bits that a receiver checks; see docs/frame.md."""
 
 _PAUSE = 0.001
 """Seconds in which a bus sends several frames."""
@@ -46,11 +46,11 @@ _PAUSE = 0.001
 
 @dataclass(frozen=True)
 class Subjects:
-    """Where each kind of message is on the bus, the same for all nodes. Raises UsageError if two are one.
+    """Format of each kind of message, the same for all nodes. Raises UsageError if two share a subject.
 
     Attributes:
         estimates: Broadcasts of robots.
-        telemetry: Broadcasts for watchers.
+        telemetry: Broadcasts for observers.
         commands: Orders of a simulator.
     """
 
@@ -90,11 +90,11 @@ class NodeTraffic:
 
 @dataclass(frozen=True)
 class NodeSettings:
-    """What a node is told. Raises UsageError if a value is out of range.
+    """Parameters of a node. Raises UsageError if a value is out of range.
 
     Attributes:
         id: Robot id and node id, 0 .. 127.
-        subjects: Where messages are.
+        subjects: Formats of the messages.
         steps_per_second: Control ticks between two heartbeats, 1 or more.
         telemetry_period: Control ticks between two telemetry frames; 1 in lockstep, 0 for none.
     """
@@ -105,14 +105,14 @@ class NodeSettings:
     telemetry_period: int = 1
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        for name, low, high in (
             ("id", 0, MAX_NODE_ID),
             ("steps_per_second", 1, 10**6),
             ("telemetry_period", 0, MAX_PERIOD),
         ):
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise UsageError(f"{name.replace('_', '-')} is {value}; it must be {least} to {most}")
+            if not low <= value <= high:
+                raise UsageError(f"{name.replace('_', '-')} is {value}; it must be {low} to {high}")
 
 
 class RobotNode:
@@ -244,9 +244,9 @@ class RobotNode:
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:
-    """Put ``frames`` on the bus in order, and wait where its queue is full.
+    """Put ``frames`` on the bus in order, waiting while its queue is full.
 
-    Raises can.CanError if it takes none for ``timeout`` seconds, or fails otherwise.
+    Raises can.CanError if it takes no frame for ``timeout`` seconds, or fails otherwise.
     """
     for frame in frames:
         deadline = time.monotonic() + timeout

@@ -1,4 +1,4 @@
-"""Running one robot's node on a bus, by the clock on the wall or by that of a simulator."""
+"""A robot's node at work on a bus, in real time or in lockstep with a simulator."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.observations import ObservationSource
 
 SEND_TIMEOUT = 2.0
-"""Seconds after which a bus that takes no frame has failed."""
+"""Seconds after which a bus that takes no frame counts as failed."""
 
 _SLICE = 0.1
-"""Seconds after which a wait looks whether it was told to stop."""
+"""Longest wait in seconds between two checks for a stop."""
 
 _MOST_AT_ONCE = 4096
-"""Frames that may wait; more than that and whoever sends them leaves nobody time for anything."""
+"""Upper bound on frames taken at once, so that a flood cannot starve the robot."""
 
 _RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
@@ -30,7 +30,7 @@ FrameTaker = Callable[[can.Message], None]
 
 
 class Stopped(Exception):  # noqa: N818 (no error)
-    """The node was told to stop."""
+    """The node was asked to stop."""
 
 
 @dataclass
@@ -38,9 +38,9 @@ class BusLink:
     """A node's connection to its bus.
 
     Attributes:
-        bus: The connection; only frames that the node needs should get through its filters.
-        is_told_to_stop: Asked while waiting.
-        endures: Whether to go on when the bus fails, as a robot has to.
+        bus: The connection; its filters should pass only frames that the node needs.
+        is_told_to_stop: Checked while waiting.
+        endures: Whether to go on when the bus fails, as a robot must.
         log: Takes all frames sent and received; they are stamped with the time of day.
         failures: How often sending or receiving failed.
         last_failure: The last reason.
@@ -54,9 +54,9 @@ class BusLink:
     last_failure: str | None = None
 
     def send(self, frame: can.Message) -> bool:
-        """Put a frame on the bus; returns whether that went well.
+        """Put a frame on the bus; returns whether that succeeded.
 
-        Raises can.CanError if it did not and the link does not endure.
+        Raises can.CanError if it failed and the link does not endure.
         """
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
@@ -69,9 +69,9 @@ class BusLink:
         return True
 
     def receive(self, seconds: float) -> can.Message | None:
-        """A frame of another node, if one comes within ``seconds`` or a slice of them.
+        """A frame of another node, if one comes within ``seconds``, or within the next tenth of a second.
 
-        Raises Stopped if the node was told to stop, can.CanError as ``send``.
+        Raises Stopped if the node was asked to stop, can.CanError as ``send``.
         """
         if self.is_told_to_stop():
             raise Stopped
@@ -80,7 +80,7 @@ class BusLink:
             frame = self.bus.recv(seconds)
         except can.CanError as error:
             self._note(error)
-            time.sleep(seconds)  # a bus that fails at once must not be asked without end
+            time.sleep(seconds)  # a bus that fails at once must not keep the processor busy
             return None
         if frame is None or not frame.is_rx:
             return None
@@ -89,7 +89,7 @@ class BusLink:
         return frame
 
     def catch_up(self, take: FrameTaker) -> None:
-        """Hand over the frames that wait, which a clock that is late leaves no time to listen for."""
+        """Hand over waiting frames, since a late clock leaves no time to listen."""
         for _ in range(_MOST_AT_ONCE):
             frame = self.receive(0)
             if frame is None:
@@ -105,13 +105,13 @@ class BusLink:
 
 @dataclass
 class RunOutcome:
-    """How a node's run went.
+    """End of a run on a bus.
 
     Attributes:
-        ending: Why it ended, for people.
-        is_interrupted: Whether it was told to stop before it had done all its ticks.
+        ending: The reason in words.
+        is_interrupted: Whether the run was asked to stop before all its ticks were done.
         has_failed: Whether the bus ended it.
-        lateness: How well time was kept, see ``clocks.RealTimeClock.figures``; None in lockstep.
+        lateness: Figures of ``clock.RealTimeClock``; None in lockstep.
     """
 
     ending: str
@@ -126,7 +126,7 @@ class NodeRun:
     Attributes:
         node: The node.
         link: Its connection.
-        outcome: How it went, once it is over.
+        outcome: How the run ended, once it is over.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class NodeRun:
         ticks: int | None = None,
         watch: Callable[[], None] = lambda: None,
     ) -> None:
-        """Prepare for ``ticks`` ticks, or for any number if None; ``watch`` is called now and then."""
+        """Prepare for ``ticks`` ticks, or for any number if None; ``watch`` is called regularly."""
         self.node = node
         self.link = link
         self.outcome = RunOutcome("all ticks done")
@@ -144,14 +144,14 @@ class NodeRun:
         self._watch = watch
 
     def in_lockstep(self) -> None:
-        """Follow commands until all is done or something ends it."""
+        """Follow commands until all ticks are done or the run ends early."""
         self._run(self._follow)
 
     def in_real_time(self, source: ObservationSource) -> None:
-        """Tick at the node's rate until all is done, the observations end or something else ends it.
+        """Tick at the node's rate until all ticks are done, the observations end or the run ends early.
 
-        A tick lasts until the next one begins: what comes in meanwhile belongs to its round. A tick whose
-        observation is not there yet waits for it. Raises UsageError for an observation that is none.
+        A tick lasts until the next one begins: frames that arrive meanwhile belong to its round. A tick waits
+        for its observation. Raises UsageError for an invalid observation.
         """
         clock = RealTimeClock(self.node.settings.steps_per_second, sleep=self._listen)
         try:
@@ -196,7 +196,7 @@ class NodeRun:
         self._settle()
 
     def _observation(self, source: ObservationSource) -> Observation | None:
-        """The next one, waited for if need be. Raises EOFError if there are no more."""
+        """The next observation, waited for if need be. Raises EOFError if there are no more."""
         while True:
             try:
                 return source.next(0)
@@ -204,7 +204,7 @@ class NodeRun:
                 self._listen(_SLICE)
 
     def _listen(self, seconds: float) -> None:
-        """Wait for a frame and take it in, for so long at most."""
+        """Wait for a frame for at most ``seconds``, and take it."""
         frame = self.link.receive(seconds)
         if frame is not None:
             self._take(frame)
@@ -223,7 +223,7 @@ class NodeRun:
 
 
 def state_of(node: RobotNode) -> dict[str, Any]:
-    """A robot's estimates and counters as plain values, for JSON; raw ones, too, where there are any."""
+    """A robot's estimates and counters as plain values, for JSON; with raw ones if the firmware has any."""
     robot = node.robot
     state: dict[str, Any] = {name: getattr(robot, name) for name in _FLOATS}
     if isinstance(robot, FixedPointRobot):

@@ -1,4 +1,4 @@
-"""Where a robot's observations come from: the emulated world, or lines of a file or of standard input."""
+"""Sources of a robot's observations: the emulated world, or lines of a file or of standard input."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OF_LINE = {b"0": Observation.WHITE, b"1": Observation.BLACK, b"-": None}
 
 
 class ObservationSource(Protocol):
-    """Where a robot's observations come from, tick by tick."""
+    """Source of a robot's observations, tick by tick."""
 
     def next(self, seconds: float) -> Observation | None:
         """The observation of the next tick, None for a tick without one.
@@ -25,11 +25,11 @@ class ObservationSource(Protocol):
         """
 
     def close(self) -> None:
-        """Let go of what it was read from."""
+        """Release the input."""
 
 
 class WorldSource:
-    """What robot ``robot`` of the world sees: the same as in any other tool with this seed."""
+    """Observations of robot ``robot`` in the emulated world, as in any other tool with this seed."""
 
     def __init__(self, robot: int, fill_ratio: float, true_accuracy: float, seed: int) -> None:
         """Put a robot into the world. Raises UsageError if a number is out of range."""
@@ -44,7 +44,7 @@ class WorldSource:
         return self._world.step()[self._robot]
 
     def close(self) -> None:
-        """Do nothing: there is nothing to let go of."""
+        """Do nothing."""
 
 
 class LineSource:
@@ -58,7 +58,7 @@ class LineSource:
         self._name = "standard input" if name == "-" else name
         self._is_own = name != "-"
         try:
-            # Unbuffered: what Python has read ahead select() would not know of.
+            # Unbuffered: select() would not see input that Python has read ahead.
             self._fd = os.open(Path(name), os.O_RDONLY) if self._is_own else standard_input()
         except OSError as error:
             raise UsageError(f"cannot read observations from {self._name}: {error}") from error
@@ -68,7 +68,7 @@ class LineSource:
         self._number = 0
 
     def next(self, seconds: float) -> Observation | None:
-        """Observation of the next line. Raises as ``ObservationSource``, and UsageError for a bad line."""
+        """The next line's observation. Raises UsageError for a malformed line, else as the protocol."""
         if not self._lines and not self._has_ended:
             self._read(seconds)
         if not self._lines:

@@ -1,4 +1,4 @@
-"""The options that say what one robot is and where its messages are on the bus."""
+"""Options of one robot and of the formats of its messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FILTERS = {
 
 
 def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
-    """Declare what the robot is; ``firmware`` is the default."""
+    """Declare the options of a robot; ``firmware`` is the default."""
     group = parser.add_argument_group("robot")
     group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
     group.add_argument(
@@ -89,7 +89,7 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
 
 
 def robot_of(args: argparse.Namespace) -> RobotRecord:
-    """The robot that the options ask for. Raises UsageError if there can be none."""
+    """The robot that the options describe. Raises UsageError if they contradict each other."""
     filters, activation, omega = args.filter, Activation(args.activation), parse_omega(args.omega)
     if filters == Filtering.NONE.value and activation is not Activation.ADAPTIVE:
         raise UsageError("--activation would do nothing: filter is none; leave it out")
@@ -110,7 +110,7 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
 
 
 def robot_arguments(robot: RobotRecord) -> list[str]:
-    """The options that ask for ``robot``; the opposite of ``robot_of``."""
+    """Options that describe ``robot``; the inverse of ``robot_of``."""
     plain = config_as_plain(robot.config)
     table = plain.pop("table", None)
     plain |= {"id": robot.id, "b_hat": robot.b_hat, "firmware": robot.firmware}
@@ -121,7 +121,7 @@ def robot_arguments(robot: RobotRecord) -> list[str]:
 
 
 def add_subject_options(parser: argparse.ArgumentParser) -> None:
-    """Declare where messages are on the bus."""
+    """Declare the options of message formats."""
     group = parser.add_argument_group("frames")
     for name, text, default in (
         ("subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject),
@@ -135,7 +135,7 @@ def add_subject_options(parser: argparse.ArgumentParser) -> None:
 
 
 def subjects_of(args: argparse.Namespace) -> Subjects:
-    """Where messages are by the options. Raises UsageError if they will not do."""
+    """Message formats by the options. Raises UsageError if they are invalid."""
     try:
         return Subjects(
             FrameFormat(args.subject, args.priority),
@@ -147,7 +147,7 @@ def subjects_of(args: argparse.Namespace) -> Subjects:
 
 
 def subject_arguments(subjects: Subjects) -> list[str]:
-    """The options that ask for ``subjects``; the opposite of ``subjects_of``."""
+    """Options that describe ``subjects``; the inverse of ``subjects_of``."""
     plain = {
         "subject": subjects.estimates.subject,
         "priority": subjects.estimates.priority,
@@ -158,5 +158,5 @@ def subject_arguments(subjects: Subjects) -> list[str]:
 
 
 def _options(values: Iterable[tuple[str, object]]) -> list[str]:
-    """Options in one word each, so that a negative number is no option."""
+    """Options in one word each, so that a negative number is not taken for an option."""
     return [f"--{name.replace('_', '-')}={value}" for name, value in values]

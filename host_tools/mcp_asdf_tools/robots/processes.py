@@ -1,4 +1,4 @@
-"""Robots as processes of their own, each with a connection of its own to the bus, driven in lockstep."""
+"""Robots in processes of their own, each with its own connection to the bus, driven in lockstep."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from mcp_asdf_tools.robots.options import robot_arguments, subject_arguments
 from mcp_asdf_tools.robots.record import RobotRecord
 
 _PATIENCE = 10.0
-"""Seconds that a process has for ending when it is told to."""
+"""Seconds that a process has to end after SIGTERM."""
 
 
 class NodeProcesses:
     """Running ``mcp-asdf node --lockstep`` processes. A context manager: leaving it ends them all.
 
-    If this process dies in whatever way, they end, too.
+    They end with this process, however it dies.
 
     Attributes:
         reports: What each node reported at its end, by robot id: ``mcp-asdf node --json``.
     """
 
     def __init__(self) -> None:
-        """Look after no process yet; ``start_nodes`` makes some."""
+        """Start without processes; ``start_nodes`` adds them."""
         self.reports: dict[int, dict[str, Any]] = {}
         self._processes: dict[int, subprocess.Popen[str]] = {}
 
@@ -48,7 +48,7 @@ class NodeProcesses:
         )
 
     def check(self) -> None:
-        """Raises LockstepError, with what it said, if a process has ended. O(processes)."""
+        """Raises LockstepError, with its error output, if a process has ended. O(processes)."""
         for robot, process in self._processes.items():
             if process.poll() is not None:
                 errors = process.stderr.read().strip() if process.stderr else ""
@@ -88,9 +88,9 @@ def start_nodes(
             lockstep = Lockstep(bus, check=nodes.check)
             lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
 
-    A heartbeat is due every ``steps_per_second`` ticks. A node writes its log, and what ``mcp-asdf replay``
-    needs, where ``log_of`` says. On SocketCAN this process and the new ones stay on one processor, see
-    ``keep_order``. Raises UsageError if a bus is inside this process or two robots have one id.
+    A heartbeat is due every ``steps_per_second`` ticks. ``log_of`` gives the path of a node's log, which
+    gets a sidecar for ``mcp-asdf replay``. On SocketCAN all processes stay on one processor, see
+    ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
     """
     ids = [robot.id for robot in robots]
     if len(set(ids)) < len(ids):
@@ -112,14 +112,14 @@ def start_nodes(
         nodes = stack.enter_context(NodeProcesses())
         for robot, command in zip(robots, commands, strict=True):
             nodes.start(robot.id, command)
-        stack.pop_all()  # all is well: whoever called ends them
+        stack.pop_all()  # all have started: the caller ends them
     return nodes
 
 
 def keep_order() -> None:
     """Let this process, and those it starts, run on one processor only.
 
-    A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several of them one
-    robot may hear a command before the estimate that it followed, and lockstep needs the same order for all.
+    A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several processors
+    one robot may hear a command before the estimate that it followed; lockstep needs the same order for all.
     """
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

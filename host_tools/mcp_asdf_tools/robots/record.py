@@ -1,4 +1,4 @@
-"""How a robot started: enough to make the same robot again."""
+"""Initial state of a robot, enough to make the same robot again."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from mcp_asdf_tools.tables import omega_from_word
 
 @dataclass(frozen=True)
 class RobotRecord:
-    """How one robot started.
+    """Initial state of one robot.
 
     Attributes:
         id: Robot id, 0 .. 127.
         firmware: Name of its firmware, see ``mcp_asdf_tools.robots.firmwares``.
-        b_hat: Accuracy that it assumed.
+        b_hat: Initial assumed accuracy.
         config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
     """
 
@@ -34,7 +34,7 @@ class RobotRecord:
         Raises UsageError if there is no such firmware here, FirmwareError if it refuses the config.
         """
         config = self.config.in_rounds()
-        check_settings(config)  # names what is wrong, which the C cannot
+        check_settings(config)  # names the wrong setting, which the C cannot
         robot = load_firmware(self.firmware)(config, self.id, self.b_hat)
         return TickedRobot(robot, self.config.comms_period)
 

@@ -1,4 +1,4 @@
-"""A robot in control ticks: when it broadcasts, and when its firmware closes a round.
+"""Control ticks of a robot: when it broadcasts, and when its firmware closes a round.
 
 The firmware counts rounds and leaves their length to its caller. Here a round has ``comms_period`` ticks: in
 the last of them the robot broadcasts, and at the end of that tick the firmware settles. A robot that a tool
@@ -129,7 +129,7 @@ class TickedRobot:
         return self._counted
 
     def _count(self) -> None:
-        """Add what the firmware's counters have gained."""
+        """Add the gains of the firmware's counters."""
         found, known = vars(self.robot.counters), vars(self._counted)
         self._counted = Counters(
             **{name: count + (found[name] - count) % _COUNTER_MODULUS for name, count in known.items()}

@@ -259,7 +259,7 @@ def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
     heard: list[can.Message] = []
     listener = threading.Thread(target=estimates_at, args=(port, heard, 30))
     listener.start()
-    swarm = ["swarm", "--robots", "3", "--steps", "100000", "--filter", "off", "--clock", "real-time"]
+    swarm = ["swarm", "--robots", "3", "--steps", "100000", "--filter", "none", "--clock", "real-time"]
     assert main([*swarm, "--slcan", str(port)]) == 130
     listener.join()
     assert f"socket://127.0.0.1:{port}" in capsys.readouterr().err

@@ -232,7 +232,7 @@ def test_given_limits_are_used(grid_file: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_simulate_is_the_sweep_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--steps", "200", "--trials", "4", "--robots", "5", "--flawed-proportion", "0.4"]
+    options = ["--steps", "200", "--trials", "4", "--robots", "5", "--flawed", "40%"]
     found = answer(capsys, "simulate", *options, "--filter-period", "50", "--omega", "0.1")
     parameters = found["parameters"]
     assert isinstance(parameters, dict)
@@ -278,10 +278,10 @@ def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["simulate", "--robots", "0"], "--robots: robots is 0"),
+        (["simulate", "--robots", "0"], "--robots is 0; it must be 1 to 128"),
         (["simulate", "--omega", "2"], "omega is 2"),
-        (["simulate", "--flawed", "1", "--flawed-proportion", "0.1"], "give one of them"),
-        (["simulate", "--flawed-proportion", "0.25"], "2.5"),
+        (["simulate", "--flawed", "2.5"], "--flawed is '2.5'; give a count"),
+        (["simulate", "--filter", "none", "--omega", "0.1"], "--omega would do nothing: filter is none"),
         (["simulate", "--workers", "0"], "--workers is 0"),
         (["simulate", "--record", "-1"], "--record is -1"),
         (["simulate", "--record", "5", "--authors-json", "x"], "--record is 5"),

@@ -534,7 +534,7 @@ WRONG: dict[str, tuple[Callable[[], RobotNode], str, str]] = {
     "malformed": (Malformed, "nothing wrong", "sent a malformed frame (not a single-frame transfer)"),
     "hangs": (HangsAfterAWhile, "silence", "tick 99: robot 3 did not settle"),
     "stays in a tick": (StaysInATick, "lost commands", "tick 426: robot 3 did not broadcast its estimate"),
-    "answers late": (AnswersLate, "lost commands", "tick 426: robot 3 answered in tick 426 with telemetry"),
+    "answers late": (AnswersLate, "lost commands", "tick 426: robot 3 answered in tick 426 with transfer_id"),
     "forgets a round": (ForgetsARound, "lost commands", "telemetry"),
     "settles in any tick": (SettlesInAnyTick, "commands out of order", ""),
     "obeys others": (ObeysOthers, "commands out of order", ""),
@@ -627,7 +627,7 @@ def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["difference"].startswith('phase "nothing wrong", tick 0: robot 3 did not broadcast')
     assert radio("--id 3 --verify --wait 0.05") == 1
-    assert "robot 3 did not say that it is there within 0.05 s" in " ".join(capsys.readouterr().out.split())
+    assert "robot 3 did not send a heartbeat within 0.05 s" in " ".join(capsys.readouterr().out.split())
 
 
 @still()

@@ -210,7 +210,7 @@ def test_the_first_difference_is_told(
     assert main(["replay", str(log), "--events", str(sidecar_path(recorded))]) == 1
     captured = capsys.readouterr()
     assert "not reproduced: frame 51 at 1.0" in captured.err
-    assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer 10, but in tick 11 " in captured.err
+    assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer_id 10, but in tick 11 " in captured.err
 
 
 # Playing
@@ -342,9 +342,9 @@ BAD = {
     "run.log --onto-bus --leave-out 128": "leave-out is 128; ids are 0 to 127",
     "run.log --onto-bus": "is inside this process, where no other program hears run.log",
     "lone.log": "give lone.log.events or --events",
-    "cut.log --events run.log.events": "the log cut.log is malformed behind frame 3 ",
+    "cut.log --events run.log.events": "the log cut.log is malformed after frame 3 ",
     "empty.log --events run.log.events": "the log empty.log holds no frame",
-    "run.xyz --events run.log.events": "the log run.xyz is malformed behind frame 0 ",
+    "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
     "run.log --interface nonsense --onto-bus": "nonsense",
 }

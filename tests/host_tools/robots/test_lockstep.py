@@ -203,7 +203,7 @@ def test_late_robots_are_named() -> None:
     wire = Wire(*robots)
     wire.nodes.pop(1)
     lockstep = Lockstep(wire, timeout=0.02)
-    with pytest.raises(LockstepError, match=r"robot 4, 5 did not say that it is there within 0.01 s on wire"):
+    with pytest.raises(LockstepError, match=r"robot 4, 5 did not send a heartbeat within 0.01 s on wire"):
         lockstep.wait_until_up({0, 2, 4, 5}, 0.01)
     lockstep.observe(dict.fromkeys(range(3), Observation.WHITE))
     with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
@@ -244,7 +244,7 @@ def test_a_robot_that_restarts_is_noticed() -> None:
     wire.nodes[0] = node(1)
     lockstep.observe({1: Observation.WHITE})
     with pytest.raises(
-        LockstepError, match=r"robot 1 answered in tick 3 with telemetry 0, not 3 .*restarted"
+        LockstepError, match=r"robot 1 answered in tick 3 with transfer_id 0, not 3 .*restarted"
     ):
         lockstep.settle({1})
 
@@ -385,7 +385,7 @@ def test_a_tick_may_be_left_open() -> None:
 def test_commands_are_where_they_were_asked_to_be() -> None:
     subjects = Subjects(FrameFormat(1), FrameFormat(2), FrameFormat(3, priority=0))
     wire = Wire(RobotNode(record(1).make(), NodeSettings(1, subjects)))
-    lockstep = Lockstep(wire, LockstepSettings(subjects, node=99))
+    lockstep = Lockstep(wire, LockstepSettings(subjects, node_id=99))
     for _ in range(40):
         lockstep.observe({1: None})
         lockstep.estimates({1})

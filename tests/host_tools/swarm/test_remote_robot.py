@@ -172,7 +172,7 @@ def test_a_robot_that_is_not_there_is_named() -> None:
     wiring = Wiring(own_bus, False, frozenset({2}))
     with (
         Swarm(make(), wiring) as swarm,
-        pytest.raises(LockstepError, match="robot 2 did not say that it is there"),
+        pytest.raises(LockstepError, match="robot 2 did not send a heartbeat"),
     ):
         swarm.wait_until_up(0.05)
 
