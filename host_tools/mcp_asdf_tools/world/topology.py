@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 
 _EDGES = re.compile(r"[0-9>;\s]*")
 
@@ -53,6 +53,13 @@ class Graph:
     links: frozenset[tuple[int, int]]
     source: str = field(default="graph", compare=False)
 
+    def __post_init__(self) -> None:
+        """Raises UsageError unless links are pairs of different ids."""
+        check_types(self)
+        for link in self.links:
+            if len(link) != 2 or link[0] == link[1] or not all(0 <= robot <= MAX_ID for robot in link):
+                raise UsageError(f"links has {link}; give pairs of different ids, 0 to {MAX_ID}")
+
     def topology(self, robots: int) -> Static:
         """Who hears whom among ``robots`` robots. Raises UsageError for a link to any other."""
         self.check(robots)
@@ -91,7 +98,7 @@ def graph_of(given: Path | str) -> Graph:
         return _graph(given.split(";"), "edge", "graph")
     try:
         lines = Path(given).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
     return _graph(lines, "line", str(given))
 
