@@ -25,7 +25,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.robots.population import Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.swarm.fault_spec import Fault, Kind
+from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.world.arena import ArenaSettings, Picture, Tiles
 from mcp_asdf_tools.world.settings import Drift, Floor, Topology, WorldSettings
@@ -43,7 +43,7 @@ SOUND: dict[type[Any], dict[str, Any]] = {
     TickConfig: {},
     RobotRecord: {"id": 1, "firmware": "mirror", "b_hat": 0.75, "config": TickConfig(filter=Filter.OFF)},
     FrameFormat: {},
-    Fault: {"kind": Kind.LOSS},
+    Fault: {"kind": FaultKind.LOSS},
 }
 """Public dataclasses of the tools that people fill in, and what they must be given."""
 
@@ -64,7 +64,15 @@ WRONG: list[Any] = [
     *("", "x", "\0", "0.5", "²", "30%", "nan%", "1e999%", "none", "dynamic", "0 0", "3 >", "loss", "loss=2"),
     *(b"x", [], [1], (), (1, 2), {}, {"a": 1}, set(), {1, 200}, frozenset({"a"}), [None], [[1, 2]]),
     *(1j, object(), int, len, Fraction(1, 3), np.float32(0.5), np.int64(7), np.bool_(True), np.zeros(3)),
-    *(Filter.ALWAYS, Filtering.NONE, Topology.DYNAMIC, Floor.CODE, Drift.WIENER, Kind.DELAY, FrameFormat(7)),
+    *(
+        Filter.ALWAYS,
+        Filtering.NONE,
+        Topology.DYNAMIC,
+        Floor.CODE,
+        Drift.WIENER,
+        FaultKind.DELAY,
+        FrameFormat(7),
+    ),
 ]
 
 FIELDS = [(kind, field.name) for kind in SOUND for field in fields(kind)]
@@ -120,7 +128,7 @@ def test_what_is_unambiguous_is_coerced() -> None:
     assert (made.robots, made.steps, made.filter) == (8, 100, Filtering.ASDF_MINUS)
     assert (type(made.robots), type(made.steps), type(made.fill_ratio)) == (int, int, float)
     given = {"kind": "delay", "ticks": 2.0, "robots": [3, 1], "stop": np.uint8(9)}
-    assert Fault(**given) == Fault(Kind.DELAY, ticks=2, robots=frozenset({1, 3}), stop=9)
+    assert Fault(**given) == Fault(FaultKind.DELAY, ticks=2, robots=frozenset({1, 3}), stop=9)
     given = {"subject": 3000.0, "priority": np.int8(1)}
     assert FrameFormat(**given) == FrameFormat(3000, 1)
 
