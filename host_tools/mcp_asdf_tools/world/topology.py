@@ -36,6 +36,24 @@ class Static:
         return np.broadcast_to(self._hears, (steps, *self._hears.shape))
 
 
+class Checked:
+    """The topology of an extension, whose answers are checked."""
+
+    def __init__(self, topology: Topology, name: str, robots: int) -> None:
+        self._topology, self._name, self._robots = topology, name, robots
+
+    def advance(self, steps: int) -> NDArray[np.bool_]:
+        """The next steps. Raises UsageError unless they are what ``Topology`` says. O(steps N^2)."""
+        hears, shape = np.asarray(self._topology.advance(steps)), (steps, self._robots, self._robots)
+        if hears.shape != shape or hears.dtype != np.bool_:
+            raise UsageError(
+                f"topology {self._name} gives {hears.dtype} of shape {hears.shape}; return bool of {shape}"
+            )
+        if hears.diagonal(axis1=1, axis2=2).any():
+            raise UsageError(f"in topology {self._name} a robot hears itself; clear the diagonal")
+        return hears
+
+
 def fully_connected(robots: int) -> Static:
     """Every robot of ``0 .. robots - 1`` hears every other."""
     return Static(~np.eye(robots, dtype=np.bool_))
