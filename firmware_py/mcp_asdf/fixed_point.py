@@ -59,7 +59,7 @@ def word_to_alpha(word: int) -> float:
 
 
 def sums_add(sums: Sums, x_hat: int, alpha: int) -> None:
-    """Enter a message into the sums, x_hat in units of 2**-23 and alpha as a word; alpha = 0 says nothing."""
+    """Enter a message into the sums, x_hat in units of 2**-23 and alpha as a word; alpha = 0 adds nothing."""
     units = alpha_units(alpha)
     if units == 0:
         return
@@ -156,7 +156,7 @@ class FixedPointView(ABC):
         Raises ValueError, and changes nothing, for an ``alpha`` that is no word of 32 bits.
         """
         match sender, x_hat, alpha:
-            case int(), int(), int():  # as a rule, and quicker than asking one by one
+            case int(), int(), int():  # the usual case, faster than one by one
                 pass
             case _:
                 sender, x_hat, alpha = index(sender), index(x_hat), index(alpha)

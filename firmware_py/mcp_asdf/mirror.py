@@ -1,6 +1,6 @@
 """The firmware in plain Python integers: the same bits as ``c_ref/src/mcp_asdf.c`` after every call.
 
-Read it beside the C, function by function; where the C needs several words or an estimated digit, the exact
+Read it next to the C, function by function; where the C needs several words or an estimated digit, the exact
 quotient stands here, so agreement of the two proves the C's shortcuts. Rounding is always down unless a
 comment says otherwise. The rules are those of ``docs/design.md``; "eq." means an equation of the paper. Only
 operators of ``int`` and ``bit_length`` are used, so that counting integers can run this code.
@@ -71,7 +71,7 @@ def square_of_ratio(g: int, p: int) -> int:
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
-    """What follows from ``b_hat`` in units of 2**-32."""
+    """Values derived from ``b_hat`` in units of 2**-32."""
     c = min(b_hat, (1 << 32) - b_hat)
     g = (1 << 32) - 2 * c
     g_shift, c_shift = leading_zeros(g), leading_zeros(c)
@@ -158,7 +158,7 @@ def upper_quotient(numerator: int, denominator: int) -> int:
 
 
 def reestimate(t: int, n: int, closed: Closed) -> int | None:
-    """b_hat from x_bar (eq. 8); None where x_bar says nothing."""
+    """b_hat from x_bar (eq. 8); None where x_bar is uninformative."""
     x_bar = upper_quotient(closed.alpha_x(), closed.alpha * ONE)
     if x_bar < 1 << 31:
         x_bar, n = MAX_WORD - x_bar, t - n  # the colours exchanged

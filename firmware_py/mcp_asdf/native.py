@@ -197,7 +197,7 @@ class _SharedConfig:
 
 
 def _table_in_c(table: Table) -> Any:
-    """A table's words and zeros up to the longest table: whatever q they claim, C reads what is there."""
+    """A table's words and zeros up to the longest table: so that C reads valid memory for any q."""
     words = table.words()
     try:
         return ffi.new("uint32_t[]", [*words, *[0] * (EXTRA_WORDS + MAX_Q - len(words))])

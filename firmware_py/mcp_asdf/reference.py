@@ -5,7 +5,7 @@ measured against. Names and cases are the paper's, with w_hat = b_hat; equation 
 numbered rows in order, so the hypothesis test is eq. 12. Sums are correctly rounded (``math.fsum``,
 ``statistics``): no result depends on the order of the messages.
 
-Where the equations divide by zero a :class:`Conventions` says what they mean. Arguments outside the ranges
+Where the equations divide by zero a :class:`Conventions` decides. Arguments outside the ranges
 that a function names, NaN among them, raise ValueError.
 """
 
@@ -39,7 +39,7 @@ from mcp_asdf.robot import (
 )
 
 UNINFORMATIVE = 2.0**-12
-"""Where |2 p - 1| is below this, an accuracy or a social estimate p says nothing."""
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p is uninformative."""
 
 MAX_OMEGA = 0.9
 COUNTER_MODULUS = 2**16
@@ -60,7 +60,7 @@ class Conventions:
             is 1/2: the value of both equations at n/t = 1/2 for every other b_hat or x_bar.
         clamp_at: A quotient of eq. 8 at most ``clamp_at`` or at least 1 - ``clamp_at`` ...
         clamp_to: ... becomes ``clamp_to`` or 1 - ``clamp_to``.
-        zero_confidence: What stands for alpha = 0 once there is an observation.
+        zero_confidence: Value in place of alpha = 0 once there is an observation.
         stale_social: A round without messages leaves the social values and the test's sample as they
             were (Algorithm 1 to the letter); otherwise it empties them.
     """
@@ -87,7 +87,7 @@ AUTHORS = Conventions(
 
 
 class Message(NamedTuple):
-    """What a robot broadcasts: its local estimate in [0, 1] and its confidence, >= 0 and finite."""
+    """A robot's broadcast: its local estimate in [0, 1] and its confidence, >= 0 and finite."""
 
     x_hat: float
     alpha: float
@@ -100,7 +100,7 @@ def local_estimate(n: int, t: int, b: float, conventions: Conventions = PAPER) -
     """
     _check_counts(n, t)
     _check_unit(b, "b")
-    if t == 0 or _says_nothing(b, conventions):
+    if t == 0 or _is_uninformative(b, conventions):
         return 0.5
     return max(0.0, min(_quotient(n / t + b - 1, 2 * b - 1), 1.0))
 
@@ -115,7 +115,7 @@ def local_confidence(n: int, t: int, b: float, conventions: Conventions = PAPER)
     x_hat, d = local_estimate(n, t, b, conventions), (2 * b - 1) ** 2
     if t == 0:
         return 0.0
-    if _says_nothing(b, conventions):
+    if _is_uninformative(b, conventions):
         return conventions.zero_confidence
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
@@ -148,11 +148,11 @@ def informed_estimate(own: Message, messages: Sequence[Message]) -> float:
 def assumed_accuracy_update(n: int, t: int, x_bar: float, conventions: Conventions = PAPER) -> float | None:
     """The b_hat that makes ``x_bar`` in [0, 1] the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
 
-    None, no update, before the first observation and where ``x_bar`` says nothing.
+    None, no update, before the first observation and where ``x_bar`` is uninformative.
     """
     _check_counts(n, t)
     _check_unit(x_bar, "x_bar")
-    if t == 0 or _says_nothing(x_bar, conventions):
+    if t == 0 or _is_uninformative(x_bar, conventions):
         return None
     b = _quotient(n / t + x_bar - 1, 2 * x_bar - 1)
     if b <= conventions.clamp_at:
@@ -203,10 +203,12 @@ def _check_unit(value: float, name: str) -> None:
 def _check_messages(messages: Sequence[Message]) -> None:
     for x_hat, alpha in messages:
         if not (0 <= x_hat <= 1 and 0 <= alpha < math.inf):
-            raise ValueError(f"a message says {x_hat}, {alpha}; x_hat is in [0, 1], alpha finite and >= 0")
+            raise ValueError(
+                f"a message has x_hat {x_hat} and alpha {alpha}; x_hat is in [0, 1], alpha finite and >= 0"
+            )
 
 
-def _says_nothing(p: float, conventions: Conventions) -> bool:
+def _is_uninformative(p: float, conventions: Conventions) -> bool:
     return conventions.guarded and abs(2 * p - 1) < UNINFORMATIVE
 
 

@@ -123,7 +123,7 @@ def by_reference(experiment: Experiment, conventions: Convention = Convention.PA
 def simulate(experiment: Experiment, trials: int) -> Floats:
     """Our scores, shape (trials, 3)."""
     measured = run_trials(experiment, 0, trials)
-    scores = score(measured.settled, measured.errors, LIMITS)
+    scores = score(measured.convergence_steps, measured.errors, LIMITS)
     return np.stack([scores.h_k, scores.h_e, scores.h], axis=1)
 
 

@@ -18,8 +18,8 @@ from mcp_asdf_tools.crosscheck import (
     Audit,
     CallCount,
     Check,
+    Disagreement,
     Failure,
-    Finding,
     Firmware,
     Result,
     Scenario,
@@ -139,7 +139,7 @@ def _explain(scenario: Scenario) -> Failure:
     return _failure(scenario, check(scenario))
 
 
-def _failure(scenario: Scenario, finding: Finding | None) -> Failure:
+def _failure(scenario: Scenario, finding: Disagreement | None) -> Failure:
     assert finding is not None
     return Failure(scenario.with_calls(scenario.calls[: finding.calls]), finding)
 

@@ -85,7 +85,7 @@ def _figures(trials: Trials, limits: LimitsOf) -> dict[str, Any]:
         "H": scores.h,
         "h_K": scores.h_k,
         "h_e": scores.h_e,
-        "K": trials.settled.mean(axis=1),
+        "K": trials.convergence_steps.mean(axis=1),
         "e": trials.errors.mean(axis=1),
         "updates": trials.updates.sum(axis=1),
     }

@@ -56,19 +56,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, keep and print what came out."""
     experiment = options.with_parameters(_start(args.file), args)
-    workers, thinning = options.check_workers(args.workers), _thinning(args, experiment)
+    workers, sampling_interval = options.check_workers(args.workers), _sampling_interval(args, experiment)
     with tempfile.TemporaryDirectory() as folder:
         output = (
             Path(folder, "results.parquet") if args.output is None else options.checked_output(args.output)
         )
-        store = Store(output, [experiment], thinning)
+        store = Store(output, [experiment], sampling_interval)
         missing = len(store.missing(experiment))
         with progress("trials", missing, args.json) as report:
             # A few seconds' work is done sooner than processes start.
             is_short = (
                 experiment.firmware == "native" and missing * experiment.robots * experiment.steps < 10**8
             )
-            table = run_sweep(store, 1 if is_short else workers, thinning, report)
+            table = run_sweep(store, 1 if is_short else workers, sampling_interval, report)
     experiments = experiments_in(table)
     limits = options.limits_of(args)
     if args.authors_json is not None:
@@ -89,14 +89,14 @@ def _start(path: Path | None) -> Experiment:
     return experiments[0]
 
 
-def _thinning(args: argparse.Namespace, experiment: Experiment) -> int:
-    thinning: int = args.record
-    if not 0 <= thinning <= experiment.steps:
-        raise UsageError(f"--record is {thinning}; choose 1 to {experiment.steps} steps, or 0 for none")
+def _sampling_interval(args: argparse.Namespace, experiment: Experiment) -> int:
+    interval: int = args.record
+    if not 0 <= interval <= experiment.steps:
+        raise UsageError(f"--record is {interval}; choose 1 to {experiment.steps} steps, or 0 for none")
     if args.authors_json is None:
-        return thinning
-    if thinning > 1:
+        return interval
+    if interval > 1:
         raise UsageError(
-            f"--record is {thinning}; the authors' layout holds every step: leave it out or give 1"
+            f"--record is {interval}; the authors' layout holds every step: leave it out or give 1"
         )
     return 1

@@ -13,7 +13,7 @@ from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.tables import (
     MAX_MESSAGES,
     OMEGA_PLACES,
-    Finding,
+    TableCheck,
     check_file,
     describe,
     parse_omega,
@@ -87,7 +87,7 @@ def _summary(omega: Decimal, facts: dict[str, Any]) -> str:
     )
 
 
-def _report(findings: Sequence[Finding], as_json: bool) -> int:
+def _report(findings: Sequence[TableCheck], as_json: bool) -> int:
     ok = all(finding.problem is None for finding in findings)
     if as_json:
         print(json.dumps({"ok": ok, "tables": [_as_dict(finding) for finding in findings]}, indent=2))
@@ -96,12 +96,12 @@ def _report(findings: Sequence[Finding], as_json: bool) -> int:
     return 0 if ok else 1
 
 
-def _as_line(finding: Finding) -> str:
+def _as_line(finding: TableCheck) -> str:
     claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""
     return f"{finding.place}: {claim}{finding.problem or 'ok'}"
 
 
-def _as_dict(finding: Finding) -> dict[str, Any]:
+def _as_dict(finding: TableCheck) -> dict[str, Any]:
     difference = finding.difference
     return {
         "place": finding.place,

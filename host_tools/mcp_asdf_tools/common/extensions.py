@@ -38,5 +38,5 @@ def load(group: str, name: str) -> Any:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
     try:
         return point.load()
-    except Exception as error:  # whatever the extension's import raises
+    except Exception as error:  # an import may raise anything
         raise UsageError(f"the extension {name!r} ({point.value}) cannot be loaded: {error}") from error

@@ -31,7 +31,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def image_of(figure: Figure, path: Path) -> bytes:
-    """What the file ``path`` of a figure has to hold. Raises UsageError if no plot can be written there."""
+    """Content of the file ``path`` for a figure. Raises UsageError if no plot can be written there."""
     image, suffix = io.BytesIO(), check_plot_path(path).suffix.lower()
     with rc_context({"svg.hashsalt": "mcp-asdf"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])

@@ -63,14 +63,14 @@ class FileSet:
 def write_atomically(path: Path | str, data: bytes | str) -> None:
     """Write ``data`` (text as UTF-8) to ``path``, whole or not at all.
 
-    Raises UsageError if it cannot be written; whatever stood there before is then unchanged.
+    Raises UsageError if it cannot be written, which leaves an earlier file unchanged.
     """
     with FileSet() as files:
         files.write(path, data)
 
 
 def check_target(path: Path | str) -> Path:
-    """The file that ``path`` stands for, links followed.
+    """The file that ``path`` leads to, links followed.
 
     Raises UsageError if it is a folder or a device, or has no folder that may be written to.
     """
@@ -106,7 +106,7 @@ def explaining(path: Path | str) -> Iterator[None]:
 
 
 def refusal(path: Path | str, error: OSError) -> UsageError:
-    """What to tell the user when ``path`` cannot be written because of ``error``."""
+    """Message for a ``path`` that cannot be written because of ``error``."""
     return UsageError(
         f"cannot write {path}: {error.strerror or error}; choose a folder that takes it, or make room there"
     )

@@ -31,7 +31,7 @@ class ParameterError(UsageError):
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a parameter says, for help texts and checks.
+    """Meaning and range of a parameter, for help texts and checks.
 
     Attributes:
         text: One line, with the unit.

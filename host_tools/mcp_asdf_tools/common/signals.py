@@ -18,9 +18,9 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def stopping(signals: Sequence[signal.Signals] = _SIGNALS) -> Iterator[Callable[[], bool]]:
-    """Yield what tells whether one of ``signals`` has come, for asking between two steps of work.
+    """Yield a function that returns whether one of ``signals`` has arrived, for use between steps of work.
 
-    A second signal, if the first finds a step that does not end, raises KeyboardInterrupt at once.
+    A second signal raises KeyboardInterrupt at once, in case a step does not end.
     Outside the main thread, where Python delivers no signals, the answer is always no.
     """
     asked = False

@@ -13,7 +13,7 @@ from mcp_asdf_tools.common.errors import UsageError
 
 
 class ReaderLeft(Exception):  # noqa: N818 (no error)
-    """Nobody reads standard output any more."""
+    """The reader of standard output has closed it."""
 
 
 class _Stream:
@@ -60,7 +60,7 @@ class _Output(_Stream):
 def screen() -> Iterator[None]:
     """Let printing raise UsageError if standard output cannot be written, ReaderLeft if its reader left.
 
-    What cannot be written to standard error is dropped: there is nobody left to tell. Only the main thread's
+    Text that cannot be written to standard error is dropped. Only the main thread's
     calls count, since threads share their streams.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -75,5 +75,5 @@ def screen() -> Iterator[None]:
 
 
 def _unwritable() -> TextIO:
-    """What stands for a stream that the program was started without: writing to it fails."""
+    """Stand-in for a stream that the program was started without: writing to it fails."""
     return open(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8", buffering=1)

@@ -1,7 +1,7 @@
 """The C firmware against its mirror, float64 and exact arithmetic."""
 
 from .compare import Check as Check
-from .compare import Finding as Finding
+from .compare import Disagreement as Disagreement
 from .compare import Firmware as Firmware
 from .compare import Subject as Subject
 from .compare import compare_firmwares as compare_firmwares

@@ -14,7 +14,7 @@ State = dict[str, int]
 """All that can be seen of a robot after a call, by name."""
 
 REFUSED = "REFUSED"
-"""Outcome of an ``add`` of sums that the messages cannot have, which raises ValueError."""
+"""Result of an ``add`` of sums that the messages cannot have, which raises ValueError."""
 OUTCOMES = frozenset({*Status.__members__, REFUSED})
 """Outcomes that a firmware may have."""
 
@@ -116,7 +116,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Disagreement:
     """Something wrong in a scenario.
 
     Attributes:
@@ -131,27 +131,27 @@ class Finding:
 Watcher = Callable[[Call, Look, Look], list[str]]
 """Judges a call by the looks before and after it; returns problems."""
 
-Check = Callable[[Scenario], Finding | None]
+Check = Callable[[Scenario], Disagreement | None]
 
 
 def compare_firmwares(
     scenario: Scenario, left: Firmware, right: Firmware, watch: Watcher | None = None
-) -> Finding | None:
+) -> Disagreement | None:
     """Take both firmwares through the scenario and stop at the first difference or complaint of ``watch``."""
     one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
     if one.last != other.last:
-        return Finding(0, tuple(differences(one.last, other.last)))
+        return Disagreement(0, tuple(differences(one.last, other.last)))
     if one.last.outcome not in OUTCOMES:
-        return Finding(0, (f"both: {one.last.outcome}",))
+        return Disagreement(0, (f"both: {one.last.outcome}",))
     for made, call in enumerate(scenario.calls if one.last.state else (), start=1):
         before = one.last
         if one.apply(call) != other.apply(call):
-            return Finding(made, tuple(differences(one.last, other.last)))
+            return Disagreement(made, tuple(differences(one.last, other.last)))
         if one.last.outcome not in OUTCOMES:
-            return Finding(made, (f"both: {one.last.outcome}",))
+            return Disagreement(made, (f"both: {one.last.outcome}",))
         problems = watch(call, before, one.last) if watch is not None else []
         if problems:
-            return Finding(made, tuple(problems))
+            return Disagreement(made, tuple(problems))
     return None
 
 
@@ -159,7 +159,7 @@ def differences(left: Look, right: Look) -> Iterator[str]:
     """Differences, a line each: the first firmware's value, then the second's."""
     if left.outcome != right.outcome:
         yield f"status: {left.outcome}, {right.outcome}"
-    if not left.state or not right.state:  # one has no robot, which the status says
+    if not left.state or not right.state:  # one has no robot; the status differs, too
         return
     for name in left.state | right.state:
         one, other = left.state.get(name), right.state.get(name)
@@ -172,7 +172,7 @@ def differences(left: Look, right: Look) -> Iterator[str]:
 
 
 @dataclass
-class Outcome:
+class CrosscheckResult:
     """The result of a cross-check.
 
     Attributes:
@@ -188,12 +188,12 @@ class Outcome:
     interrupted: bool = False
 
 
-def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> Outcome:
+def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> CrosscheckResult:
     """Check the random scenarios of ``seed`` until ``calls`` calls are made or something is found.
 
     ``report`` gets the number of calls made after every scenario.
     """
-    outcome = Outcome()
+    outcome = CrosscheckResult()
     try:
         while outcome.calls < calls and outcome.failing is None:
             scenario = random_scenario(seed, outcome.scenarios)

@@ -19,7 +19,7 @@ HALF = Fraction(1, 2)
 EPSILON = Fraction(1, 2**20)
 """b_hat stays in [EPSILON, 1 - EPSILON]."""
 UNINFORMATIVE = Fraction(1, 2**12)
-"""Where |2 p - 1| is below this, an accuracy or a social estimate p says nothing."""
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p is uninformative."""
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
 UNIT = Fraction(1, 2**23)
 """Of x_hat, x_bar and x."""

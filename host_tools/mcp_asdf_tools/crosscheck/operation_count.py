@@ -44,7 +44,7 @@ WIDEST = 96
 LINE_BOUNDS = {"observe": 40, "receive": 30, "settle": 90, "step": 130, "x": 8}
 """Maximum lines of Python that a call executes."""
 ELEMENTARY = frozenset({"int", "len", "max", "min", "super", "ValueError"})
-"""Builtins that calls may use: given a few numbers, they take as long whatever the numbers are."""
+"""Builtins that calls may use: given a few numbers, their time does not depend on the values."""
 
 AXES = ("t", "m", "q")
 

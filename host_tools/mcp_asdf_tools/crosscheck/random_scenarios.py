@@ -3,7 +3,7 @@
 Every scenario is a function of a seed and a number. Uniform values would hardly ever meet the cases that the
 firmware treats apart, so the pools mix them with both sides of every edge; counts jump to those of years of
 observations; and some rounds are built so that the last bits of a threshold decide the hypothesis test, or
-whether x_bar says something.
+whether x_bar is informative.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ TABLES = (("0.05", 30), ("0.05", 127), ("0.9", 2), ("0.25", 5))
 
 _BITS_16, _BITS_32 = 0xFFFF, 0xFFFFFFFF
 _B_HAT_HALF, _INFORMATIVE = 1 << 31, 1 << 19
-"""b_hat = 1/2, and how far from it an observation says something."""
+"""b_hat = 1/2, and how far from it an observation is informative."""
 _X_BAR_INFORMATIVE = 1 << 10
-"""How far from 1/2 x_bar says something, in units of 2**-23."""
+"""Distance from 1/2 at which x_bar is informative, in units of 2**-23."""
 
 # Words of an image (``mcp_asdf_image.c``).
 _B_HAT, _T, _N, _X_HAT, _ALPHA, _FILTER_LEFT, _CLOSED = 1, 2, 3, 4, 5, 6, 7
@@ -201,7 +201,7 @@ class _Author:
         self._filter_at(own, x_hats)
 
     def _hesitate(self) -> None:
-        """Run the filter on a round whose mean is about as far from 1/2 as says something."""
+        """Run the filter on a round whose mean is about as far from 1/2 as an informative one."""
         source = self._source
         distance = _X_BAR_INFORMATIVE + source.randint(-1, 1)
         x_hat = HALF + source.choice([-distance, distance])
@@ -251,7 +251,7 @@ def _extreme_sums(source: Random) -> Sums:
 def round_at_threshold(source: Random, table: Table, m: int) -> tuple[list[int], int]:
     """x_hat of ``m`` messages and the robot's own, close to where eq. 12 turns, on either side.
 
-    With p messages at a and m - p at a + m d, and the own x_hat e beside their mean, eq. 12 is
+    With p messages at a and m - p at a + m d, and the own x_hat at distance e from their mean, eq. 12 is
     e/d > sqrt(k p (m - p)): the best rational approximations of that root come close, some within the
     rounding of the table's entry.
     """

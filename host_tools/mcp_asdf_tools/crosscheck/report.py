@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Group
 from rich.table import Table
 
-from mcp_asdf_tools.crosscheck.compare import Finding, Outcome
+from mcp_asdf_tools.crosscheck.compare import CrosscheckResult, Disagreement
 from mcp_asdf_tools.crosscheck.operation_count import AXES, BOUNDS, LINE_BOUNDS, CallCount, Storage, exceeded
 from mcp_asdf_tools.crosscheck.oracle import PLACES, Audit
 from mcp_asdf_tools.crosscheck.scenario import Scenario
@@ -33,7 +33,7 @@ class Failure:
     """A scenario and its finding, which shows at its last call."""
 
     scenario: Scenario
-    finding: Finding
+    finding: Disagreement
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -53,7 +53,7 @@ class Result:
     """A whole cross-check."""
 
     seed: int
-    outcome: Outcome
+    outcome: CrosscheckResult
     failure: Failure | None
     audit: Audit
     counts: dict[str, CallCount]

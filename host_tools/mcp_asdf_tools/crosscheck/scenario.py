@@ -52,9 +52,9 @@ class Call:
             receive: sender, x_hat, alpha.
             add: ``add_round`` with the number of messages and the members of ``Sums`` in order; the firmwares
                 in Python have it, the C alone has not.
-            restore: The robot is saved and goes on as the robot restored from its image, in which words were
+            restore: The robot is saved and replaced by the robot restored from its image, in which words were
                 replaced (pairs of index, 1 .. 29, and value) and the checksum made right again. If that is
-                refused it goes on as it was.
+                refused it stays as it was.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
     """
@@ -144,7 +144,7 @@ def pairs_of(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class RawTable(Table):
-    """Words that stand in the place of a table, whatever they are.
+    """Any words in the place of a table.
 
     Attributes:
         raw: The words. The other members are read from them as a firmware that accepts them does.

@@ -1,4 +1,4 @@
-"""Pictures of the moving world of an experiment: where robots went, and who hears whom at one moment."""
+"""Pictures of moving robots: their paths, and the network of one step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mcp_asdf_tools.world import Arena, ArenaSettings, Picture, make_arena
 BODY_RADIUS = 0.0704
 _RANGE = "#bbbbbb"
 _MOST_POINTS = 2000
-"""Of a path: more cannot be told apart."""
+"""Of a path: more could not be distinguished."""
 
 
 def trajectories(experiment: Experiment, trial: int, step: int) -> Figure:

@@ -190,7 +190,7 @@ def write_authors_json(folder: Path, trials: Trials) -> list[Path]:
     UsageError if not every step was recorded or the folder cannot be written.
     """
     if not trials.records or trials.records["t"].shape[1] != trials.experiment.steps + 1:
-        raise UsageError("the authors' layout holds every step; record with a thinning of 1")
+        raise UsageError("the authors' layout holds every step; record with a sampling interval of 1")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -23,17 +23,17 @@ _STEPS_AT_ONCE = 512
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 
-def run_by_message(experiment: Experiment, trial: int, thinning: int = 0) -> Measured:
+def run_by_message(experiment: Experiment, trial: int, sampling_interval: int = 0) -> Measured:
     """One trial in Python, robot by robot and message by message, as a swarm would."""
     robots = _make_robots(experiment)
     exchange = _Exchange(robots, experiment.comms_period, late=experiment.latency > 0)
-    x, b_hat, records = [_all(robots, "x")], [], [_snapshot(robots)] if thinning else []
+    x, b_hat, records = [_all(robots, "x")], [], [_snapshot(robots)] if sampling_interval else []
     for step, (seen, pairs) in enumerate(_steps(experiment, trial), start=1):
         exchange.tick(seen, pairs)
         x.append(_all(robots, "x"))
         if step % experiment.filter_period == 0:
             b_hat.append(_all(robots, "b_hat"))
-        if thinning and step % thinning == 0:
+        if sampling_interval and step % sampling_interval == 0:
             records.append(_snapshot(robots))
     counters = [robot.counters for robot in robots]
     counts = [np.array([getattr(each, name) for each in counters]) for name in ("tests", "updates")]

@@ -49,7 +49,7 @@ def run_on_cluster(jobs: Iterator[Job], address: str) -> Iterator[tuple[Job, Mea
 
 
 def _run(job: Job) -> tuple[str, Measured]:
-    """What a worker does: the version that ran, and the results."""
+    """Run a job on a worker; returns the worker's version too."""
     return software_versions()["mcp-asdf"], job.run()
 
 
@@ -65,7 +65,7 @@ def _check_version(version: str) -> None:
 def _connected(address: str) -> Iterator[Any]:
     """A client of the cluster with at least one worker, and a queue for what is done.
 
-    What fails there becomes a UsageError.
+    Failures there become UsageErrors.
     """
     try:
         import distributed as dask  # noqa: PLC0415

@@ -1,11 +1,11 @@
 """Files that describe experiments: our TOML, and the YAML of the paper's authors' own simulator.
 
-TOML: a line ``key = value`` for every attribute of Experiment that is not the default. A list in place of a
-value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own, each on
-top of the keys above them. Paths of pictures and graphs are relative to the file's folder.
+TOML: a line ``key = value`` for every parameter of Experiment that differs from its default. A list in place
+of a value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own,
+each on top of the keys above them. Paths of pictures and graphs are relative to the file's folder.
 
-YAML: the parameter file of github.com/NESTLab/sensor-degradation-filter for its fully connected simulator, as
-it is. That does not look at ``fullyConnected``; here, false stands for the paper's dynamic topology, with the
+YAML: the parameter file of github.com/NESTLab/sensor-degradation-filter for its fully connected simulator,
+unchanged. That simulator ignores ``fullyConnected``; here, false selects the paper's dynamic topology, with
 density 1 and the latency of its physics simulation.
 
 Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
@@ -31,13 +31,11 @@ _KEY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path) -> list[Experiment]:
-    """The experiments of a file, in its order. Raises UsageError, naming the line, for what will not do."""
+    """The experiments of a file, in its order. Raises UsageError, naming the line, for anything invalid."""
     if not path.suffix and not path.exists():
         path = _shipped(path)
     if path.suffix not in (".toml", ".yml", ".yaml"):
-        raise UsageError(
-            f"{path}: cannot tell what this is; name it .toml, or .yml for the authors' parameters"
-        )
+        raise UsageError(f"{path}: unknown format; name it .toml, or .yml for the authors' parameters")
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -48,7 +46,9 @@ def read_experiments(path: Path) -> list[Experiment]:
 def _shipped(name: Path) -> Path:
     shipped = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
     if str(name) not in shipped:
-        raise UsageError(f"there is no file {name}; what comes with the program is {', '.join(shipped)}")
+        raise UsageError(
+            f"there is no file {name}; those that come with the program are {', '.join(shipped)}"
+        )
     return shipped[str(name)]
 
 
@@ -62,7 +62,7 @@ def _read_toml(path: Path, text: str) -> list[Experiment]:
         raise UsageError(f"{path}: {error}") from error
     grids = content.pop(GRID, [{}])
     if not (isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)):
-        raise UsageError(f"{path}: grid is no table; write [[grid]] above its keys")
+        raise UsageError(f"{path}: grid is not a table; write [[grid]] above its keys")
     lines = _TomlLines(path, text)
     experiments: list[Experiment] = []
     for number, grid in enumerate(grids, start=1):
@@ -75,7 +75,7 @@ def _read_toml(path: Path, text: str) -> list[Experiment]:
 
 
 class _TomlLines:
-    """Where keys stand in a file."""
+    """Line numbers of the keys in a file."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import DELTA, settling_step
+from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
 
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 """Recorded values of a robot, named as the attributes of ``Robot``."""
@@ -21,17 +21,17 @@ class Measured:
 
     Attributes:
         first: Number of the first trial.
-        settled: K of each robot, shape (trials, N).
+        convergence_steps: K of each robot, shape (trials, N).
         errors: e of each robot, shape (trials, N).
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
         tests: Hypothesis tests run by each robot, shape (trials, N), modulo 65536, as ``updates``.
         updates: Re-estimates of b_hat by each robot, shape (trials, N).
-        records: Values of QUANTITIES each ``thinning`` steps, from step 0 on, shape (quantities, trials,
-            T // thinning + 1, N); no rows without recording.
+        records: Values of QUANTITIES once per ``sampling_interval`` steps, from step 0 on, shape (quantities,
+            trials, T // sampling_interval + 1, N); no rows without recording.
     """
 
     first: int
-    settled: NDArray[np.int64]
+    convergence_steps: NDArray[np.int64]
     errors: NDArray[np.float64]
     b_hat: NDArray[np.float64]
     tests: NDArray[np.int64]
@@ -43,8 +43,8 @@ def measure(
     series: NDArray[np.uint32] | NDArray[np.float64], unit: float, fill_ratio: float
 ) -> tuple[int, float]:
     """K and e of one series of informed estimates, given in units of ``unit``."""
-    settled = settling_step(series, DELTA / unit)
-    return settled, abs(float(series[settled]) * unit - fill_ratio)
+    step = convergence_step(series, DELTA / unit)
+    return step, abs(float(series[step]) * unit - fill_ratio)
 
 
 def measured_trial(
@@ -54,11 +54,11 @@ def measured_trial(
     b_hat: NDArray[np.float64],
     counts: Sequence[NDArray[np.int64]],
 ) -> Measured:
-    """One trial from its series of x, shape (N, T + 1), which is not needed any more."""
+    """One trial from its series of x, shape (N, T + 1)."""
     pairs = [measure(series, 1.0, experiment.fill_ratio) for series in x]
     return Measured(
         trial,
-        np.array([[settled for settled, _ in pairs]]),
+        np.array([[step for step, _ in pairs]]),
         np.array([[error for _, error in pairs]]),
         b_hat.reshape(1, -1, experiment.robots),
         counts[0].reshape(1, -1),

@@ -38,7 +38,7 @@ _MOST_SERIES = 8
 _MOST_PANELS = 32
 
 Name = Callable[[Experiment], str]
-"""What to call the series that an experiment belongs to."""
+"""Names the series that an experiment belongs to."""
 
 
 # --- Scores ----------------------------------------------------------------------------------------------
@@ -204,7 +204,7 @@ def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, li
 
 
 def _name_of(experiments: Sequence[Trials]) -> Name:
-    """Names made of what varies; what only filters have says nothing of swarms without."""
+    """Names made of the parameters that vary; those of filters do not name swarms without one."""
     parameters = [trials.experiment.parameters() for trials in experiments]
     filtering = [each for each in parameters if each["filter"] != Filtering.NONE.value] or parameters
     varying = [
@@ -271,7 +271,7 @@ def series(trials: Trials, number: int) -> Figure:
 
 
 def series_beside(runs: Sequence[Trials], number: int) -> Figure:
-    """As ``series``, of several runs beside each other, as in the paper's figure 7."""
+    """As ``series``, of several runs side by side, as in the paper's figure 7."""
     figure = empty_figure(1.0 + 6.0 * len(runs) + (2.0 if len(runs) == 1 else 0), 7.5)
     grid = figure.subplots(len(_SERIES), len(runs), sharex=True, sharey="row", squeeze=False)
     for column, trials in zip(grid.T, runs, strict=True):

@@ -35,7 +35,7 @@ _MOST_STEPS = 1 << 11
 """At once, which bounds the memory."""
 
 
-class Outcome(NamedTuple):
+class ArrayResults(NamedTuple):
     """Of one trial: x of each robot in steps 0 .. T, shape (N, T + 1); b_hat after each filter step, shape
     (T // filter_period, N); tests and updates of each robot, shape (N,)."""
 
@@ -63,7 +63,7 @@ def can_run(experiment: Experiment) -> bool:
     return experiment.firmware == "reference" and is_plain
 
 
-def run(experiment: Experiment, trial: int) -> Outcome:
+def run(experiment: Experiment, trial: int) -> ArrayResults:
     """One trial. Raises UsageError if ``can_run`` is false, or as ``World``. O(steps N^2)."""
     if not can_run(experiment):
         raise UsageError("arrays lack this firmware, comms_period or memory; use run_trials")
@@ -77,7 +77,7 @@ def run(experiment: Experiment, trial: int) -> Outcome:
             swarm.filter()
             b_hat.append(swarm.b_hat.copy())
         step = stop
-    return Outcome(x, np.reshape(b_hat, (-1, experiment.robots)), swarm.tests, swarm.updates)
+    return ArrayResults(x, np.reshape(b_hat, (-1, experiment.robots)), swarm.tests, swarm.updates)
 
 
 class _Swarm:

@@ -1,4 +1,4 @@
-"""Results of experiments as files: Parquet that says all about itself, CSV, and the authors' JSON.
+"""Results of experiments as files: self-describing Parquet, and CSV.
 
 A Parquet file has a row for every trial: the experiment's parameters, a column each, and
 
@@ -7,11 +7,11 @@ A Parquet file has a row for every trial: the experiment's parameters, a column 
 - ``k`` and ``e``, lists over the robots: convergence steps and errors;
 - ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
 - ``tests`` and ``updates``, lists over the robots;
-- ``record_t`` to ``record_b_hat``, where recorded: values after steps 0, ``thinning``, 2 ``thinning``, ... in
+- ``record_t`` to ``record_b_hat``, where recorded: values at step 0 and every ``sampling_interval`` steps, in
   the same order.
 
 The file's metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the
-software, the threshold delta and ``thinning``. Rows of equal parameters belong to one experiment.
+software, the threshold delta and ``sampling_interval``. Rows of equal parameters belong to one experiment.
 """
 
 from __future__ import annotations
@@ -48,21 +48,26 @@ _RECORDS = tuple(f"record_{quantity}" for quantity in QUANTITIES)
 _PARAMETERS = tuple(Experiment().parameters())
 
 
-def table_of(experiment: Experiment, measured: Measured, thinning: int = 0) -> pa.Table:
+def table_of(experiment: Experiment, measured: Measured, sampling_interval: int = 0) -> pa.Table:
     """Trials of an experiment as rows."""
-    count = len(measured.settled)
+    count = len(measured.convergence_steps)
     columns: dict[str, Any] = {
         name: pa.array([value] * count, _kind(name)) for name, value in experiment.parameters().items()
     }
     columns["trial"] = pa.array(range(measured.first, measured.first + count), pa.int64())
-    scores = score(measured.settled, measured.errors, paper_limits(experiment))
+    scores = score(measured.convergence_steps, measured.errors, paper_limits(experiment))
     columns |= dict(zip(SCORES, scores.values, strict=True))
-    values = (measured.settled, measured.errors, measured.b_hat, measured.tests, measured.updates)
+    values = (measured.convergence_steps, measured.errors, measured.b_hat, measured.tests, measured.updates)
     for (name, kind), array in zip(_LISTS.items(), values, strict=True):
         columns[name] = _rows(array, kind)
     for name, array in zip(_RECORDS, measured.records, strict=True):
         columns[name] = _rows(array, pa.float64())
-    description = {"format": FORMAT, "versions": software_versions(), "delta": DELTA, "thinning": thinning}
+    description = {
+        "format": FORMAT,
+        "versions": software_versions(),
+        "delta": DELTA,
+        "sampling_interval": sampling_interval,
+    }
     return pa.table(columns).replace_schema_metadata({_KEY: json.dumps(description)})
 
 
@@ -73,8 +78,8 @@ def _kind(name: str) -> Any:
 
 
 def _rows(array: NDArray[Any], kind: Any) -> Any:
-    """A list for each trial of all that belongs to it."""
-    named = pa.field("element", kind)  # as a file has it that was read, so that files are equal if rows are
+    """One list per trial with all of its values."""
+    named = pa.field("element", kind)  # as in a file that was read, so that equal rows give equal files
     return pa.array([trial.ravel() for trial in array], pa.list_(named))
 
 
@@ -86,7 +91,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def read_table(path: Path) -> pa.Table:
-    """A table as ``write_table`` wrote it. Raises UsageError if the file is none."""
+    """Read a table that ``write_table`` wrote. Raises UsageError for any other file."""
     try:
         table = pq.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:
@@ -99,7 +104,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 def metadata_of(table: pa.Table) -> dict[str, Any]:
-    """Format, versions, delta and thinning of a table."""
+    """Format, versions, delta and sampling interval of a table."""
     metadata: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
     return metadata
 
@@ -121,19 +126,19 @@ class Trials:
     """All trials of one experiment in a file, by number.
 
     Attributes:
-        experiment: What was run; ``trials`` may be more than there are.
+        experiment: The definition; its ``trials`` may be more than these.
         numbers: The trials' numbers.
-        settled: K, shape (trials, N).
+        convergence_steps: K, shape (trials, N).
         errors: e, shape (trials, N).
         b_hat: Shape (trials, T // filter_period, N).
         tests: Shape (trials, N).
         updates: Shape (trials, N).
-        records: By quantity, shape (trials, T // thinning + 1, N); empty where nothing was recorded.
+        records: By quantity, shape (trials, T // sampling_interval + 1, N); empty where nothing was recorded.
     """
 
     experiment: Experiment
     numbers: list[int]
-    settled: NDArray[np.int64]
+    convergence_steps: NDArray[np.int64]
     errors: NDArray[np.float64]
     b_hat: NDArray[np.float64]
     tests: NDArray[np.int64]
@@ -142,7 +147,7 @@ class Trials:
 
     def scores(self, limits_of: LimitsOf = paper_limits) -> Scores:
         """Scores of each trial."""
-        return score(self.settled, self.errors, limits_of(self.experiment))
+        return score(self.convergence_steps, self.errors, limits_of(self.experiment))
 
 
 def experiments_in(table: pa.Table) -> list[Trials]:
@@ -184,7 +189,7 @@ _MEANS = ("mean_K", "mean_e", "mean_b_hat", "tests", "updates")
 
 
 def write_csv(path: Path, experiments: Iterable[Trials], limits_of: LimitsOf = paper_limits) -> None:
-    """Write a line a trial: parameters, scores, means over the robots, sums of tests and updates.
+    """Write one line per trial: parameters, scores, means over the robots, sums of tests and updates.
 
     Raises UsageError if that cannot be done.
     """
@@ -203,12 +208,9 @@ def write_csv(path: Path, experiments: Iterable[Trials], limits_of: LimitsOf = p
 def _means(trials: Trials, index: int) -> Sequence[float]:
     last = trials.b_hat[index][-1:].mean() if trials.b_hat.shape[1] else float("nan")
     return (
-        float(trials.settled[index].mean()),
+        float(trials.convergence_steps[index].mean()),
         float(trials.errors[index].mean()),
         float(last),
         float(trials.tests[index].sum()),
         float(trials.updates[index].sum()),
     )
-
-
-# --- The authors' JSON -----------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 
 DELTA = 0.01
-"""Threshold within which an estimate has settled."""
+"""Error bound within which an estimate has converged."""
 
 E_MAX = 0.45
 """e_max of all the paper's figures."""
@@ -24,7 +24,7 @@ E_MAX = 0.45
 _CHUNK = 1024
 
 
-def settling_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float = DELTA) -> int:
+def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float = DELTA) -> int:
     """K: the first step from which on the series stays within ``delta`` of its value there.
 
     The least K with abs(x[K] - x[k]) < delta for all k >= K; the last step always is one. ``series`` is the
@@ -32,7 +32,7 @@ def settling_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: float
     earliest.
 
     One scan from the end with the extremes so far, by chunks first: where those after a chunk are 2 delta
-    apart, no step in it can be near both. O(T), in memory of a constant size beside the series.
+    apart, no step in it can be near both. O(T), with constant extra memory.
     """
     starts = np.arange(0, len(series), _CHUNK)
     lows = np.append(_from_the_end(np.minimum, np.minimum.reduceat(series, starts)), series[-1])
@@ -100,9 +100,9 @@ class Scores:
         return self.h, self.h_k, self.h_e
 
 
-def score(settled: ArrayLike, errors: ArrayLike, limits: Limits) -> Scores:
+def score(convergence_steps: ArrayLike, errors: ArrayLike, limits: Limits) -> Scores:
     """Scores of trials from K and e of every robot, both of shape (trials, robots). NaN counts as e_max."""
-    k = np.asarray(settled, dtype=np.float64)
+    k = np.asarray(convergence_steps, dtype=np.float64)
     e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=limits.e_max)
     return Scores(_scaled_mean(k, limits.k_max), _scaled_mean(e, limits.e_max))
 

@@ -1,8 +1,8 @@
 """Run trials of an experiment on any firmware and measure them.
 
-Native trials run in the C engine, those of the reference in arrays; those of the mirror, and what the arrays
-cannot do, robot by robot and message by message in Python. All see the same draws. The series of informed
-estimates of a trial is dropped as soon as K and e are known.
+Native trials run in the C engine and those of the reference in arrays, where these can; all others run in
+Python, message by message. All see the same draws. The series of informed estimates of a trial is dropped
+once K and e are known.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured, measure, measured_trial
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments.engine.native import RawOutcome
+    from mcp_asdf_tools.experiments.engine.native import EngineResults
 
 
-def run_trials(experiment: Experiment, first: int, trials: int, thinning: int = 0) -> Measured:
-    """Run trials ``first`` .. ``first + trials - 1``; with ``thinning`` above 0 record every so many steps.
+def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Measured:
+    """Run ``trials`` trials from ``first`` on, recorded every ``sampling_interval`` steps unless that is 0.
 
     Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
     """
     if not experiment.is_dynamic and _is_for_engine(experiment):
-        return _run_native(experiment, first, trials, thinning)
-    each = [_run_one(experiment, first + index, thinning) for index in range(trials)]
+        return _run_native(experiment, first, trials, sampling_interval)
+    each = [_run_one(experiment, first + index, sampling_interval) for index in range(trials)]
     return Measured(
         first, *(np.concatenate([getattr(one, name) for one in each], axis=axis) for name, axis in _AXES)
     )
 
 
-def _run_one(experiment: Experiment, trial: int, thinning: int) -> Measured:
+def _run_one(experiment: Experiment, trial: int, sampling_interval: int) -> Measured:
     if _is_for_engine(experiment):
-        return _run_native(experiment, trial, 1, thinning)
-    if thinning == 0 and reference_arrays.can_run(experiment):
+        return _run_native(experiment, trial, 1, sampling_interval)
+    if sampling_interval == 0 and reference_arrays.can_run(experiment):
         return _run_float64(experiment, trial)
-    return run_by_message(experiment, trial, thinning)
+    return run_by_message(experiment, trial, sampling_interval)
 
 
-_AXES = (("settled", 0), ("errors", 0), ("b_hat", 0), ("tests", 0), ("updates", 0), ("records", 1))
+_AXES = (("convergence_steps", 0), ("errors", 0), ("b_hat", 0), ("tests", 0), ("updates", 0), ("records", 1))
 
 
 def _is_for_engine(experiment: Experiment) -> bool:
@@ -64,8 +64,8 @@ def _engine() -> ModuleType:
     return native
 
 
-def _run_native(experiment: Experiment, first: int, trials: int, thinning: int) -> Measured:
-    raw = _engine().run(experiment, first, trials, thinning)
+def _run_native(experiment: Experiment, first: int, trials: int, sampling_interval: int) -> Measured:
+    raw = _engine().run(experiment, first, trials, sampling_interval)
     pairs = np.array(
         [[measure(series, 1 / ONE, experiment.fill_ratio) for series in trial] for trial in raw.x]
     )
@@ -77,11 +77,11 @@ def _run_native(experiment: Experiment, first: int, trials: int, thinning: int) 
         raw.b_hat / 2.0**32,
         raw.counters["tests"].astype(np.int64),
         raw.counters["updates"].astype(np.int64),
-        _records_of(experiment, raw, bool(thinning)),
+        _records_of(experiment, raw, bool(sampling_interval)),
     )
 
 
-def _records_of(experiment: Experiment, raw: RawOutcome, recorded: bool) -> NDArray[np.float64]:
+def _records_of(experiment: Experiment, raw: EngineResults, recorded: bool) -> NDArray[np.float64]:
     """The engine's records as floats, with step 0 before them."""
     shape = (len(QUANTITIES), len(raw.x), raw.records.shape[1] + recorded, experiment.robots)
     records = np.empty(shape)
@@ -109,13 +109,13 @@ def _run_float64(experiment: Experiment, trial: int) -> Measured:
 
 @dataclass(frozen=True)
 class Job:
-    """Trials ``first`` .. ``first + count - 1`` of an experiment; ``thinning`` as in ``run_trials``."""
+    """Arguments of ``run_trials``, for a worker process."""
 
     experiment: Experiment
     first: int
     count: int
-    thinning: int = 0
+    sampling_interval: int = 0
 
     def run(self) -> Measured:
         """The job's results."""
-        return run_trials(self.experiment, self.first, self.count, self.thinning)
+        return run_trials(self.experiment, self.first, self.count, self.sampling_interval)

@@ -1,8 +1,8 @@
 """Run many experiments on all cores, so that no finished trial is lost or run twice.
 
-Trials are run in jobs. The results of a job go to a file of their own in the folder ``OUTPUT.parts`` the
-moment it ends; when all are there they become the one file OUTPUT and the folder goes. So an interrupted
-sweep goes on where it stopped, and a sweep that is asked for more runs only what is new.
+Trials run in jobs. Each job writes its results to a file in the folder ``OUTPUT.parts`` when it ends; once
+all are complete they are merged into the file OUTPUT and the folder is removed. An interrupted sweep
+therefore resumes where it stopped, and a larger sweep runs only the trials that are new.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from mcp_asdf_tools.experiments.results import metadata_of, read_table, table_of
 from mcp_asdf_tools.experiments.simulation import Job
 
 _MOST_TRIALS = 32
-"""Of a job: as many as the engine likes side by side, twice."""
+"""Of a job: twice as many as the engine runs side by side."""
 
 _MOST_ROBOT_STEPS = 20_000_000
-"""Of a job, which bounds its memory; more than one trial only while below."""
+"""Of a job with more than one trial, which bounds its memory."""
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
 
 
-def identity(experiment: Experiment, thinning: int) -> str:
-    """Of what a trial with a given number gives: all parameters but how many trials there are."""
+def identity(experiment: Experiment, sampling_interval: int) -> str:
+    """Digest of everything that decides a trial's result, given its number."""
     parameters = {
         **replace(experiment, trials=1).parameters(),
-        "thinning": thinning,
+        "sampling_interval": sampling_interval,
         "version": software_versions()["mcp-asdf"],
     }
     return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:20]
@@ -51,17 +51,16 @@ def identity(experiment: Experiment, thinning: int) -> str:
 class Store:
     """The results of a sweep on disk, finished or not."""
 
-    def __init__(self, output: Path, experiments: Iterable[Experiment], thinning: int = 0) -> None:
-        """Look at what is there of the results of ``experiments``.
+    def __init__(self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0) -> None:
+        """Read the results of ``experiments`` that exist already.
 
-        Raises UsageError if there are results of anything else, which would be lost, or the place cannot be
-        written.
+        Raises UsageError if the files hold other results, which would be lost, or cannot be written.
         """
         self.output = output
         self.parts = output.with_name(f"{output.name}.parts")
         self.experiments = list(dict.fromkeys(experiments))
-        self._thinning = thinning
-        self._names = {experiment: identity(experiment, thinning) for experiment in self.experiments}
+        self._interval = sampling_interval
+        self._names = {experiment: identity(experiment, sampling_interval) for experiment in self.experiments}
         self._tables: list[pa.Table] = []
         self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
         check_target(output)
@@ -81,8 +80,8 @@ class Store:
         return sum(len(self.missing(experiment)) for experiment in self.experiments)
 
     def add(self, job: Job, measured: Measured) -> None:
-        """Keep a job's results, on disk before this returns. Raises UsageError if that cannot be done."""
-        table = table_of(job.experiment, measured, self._thinning)
+        """Write a job's results to disk. Raises UsageError if that fails."""
+        table = table_of(job.experiment, measured, self._interval)
         name = self._names[job.experiment]
         try:
             self.parts.mkdir(exist_ok=True)
@@ -102,7 +101,7 @@ class Store:
         write_table(self.output, table)
         for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
             path.unlink(missing_ok=True)
-        with suppress(OSError):  # absent, or somebody keeps something else there
+        with suppress(OSError):  # absent, or it holds other files
             self.parts.rmdir()
         return table
 
@@ -111,14 +110,14 @@ class Store:
         said = metadata_of(table)
         rows = [json.dumps(row) for row in table.select(list(Experiment().parameters())).to_pylist()]
         own = {
-            row: identity(Experiment.from_parameters(json.loads(row)), self._thinning) for row in set(rows)
+            row: identity(Experiment.from_parameters(json.loads(row)), self._interval) for row in set(rows)
         }
         wanted = {
             (name, trial) for experiment, name in self._names.items() for trial in range(experiment.trials)
         }
         found = zip([own[row] for row in rows], table["trial"].to_pylist(), strict=True)
         is_same = (
-            said["thinning"] == self._thinning
+            said["sampling_interval"] == self._interval
             and said["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
         )
         if not is_same or not wanted.issuperset(found):
@@ -136,8 +135,8 @@ class Store:
             self._rows[name, trial] = start + index
 
 
-def jobs_of(store: Store, thinning: int = 0) -> Iterator[Job]:
-    """What is still to be run."""
+def jobs_of(store: Store, sampling_interval: int = 0) -> Iterator[Job]:
+    """Jobs for the trials that are missing."""
     for experiment in store.experiments:
         is_native = experiment.firmware == "native"
         size = (
@@ -147,13 +146,13 @@ def jobs_of(store: Store, thinning: int = 0) -> Iterator[Job]:
         for _, gapless in groupby(enumerate(store.missing(experiment)), lambda pair: pair[1] - pair[0]):
             trials = (trial for _, trial in gapless)
             while batch := list(islice(trials, max(1, size))):
-                yield Job(experiment, batch[0], len(batch), thinning)
+                yield Job(experiment, batch[0], len(batch), sampling_interval)
 
 
 def run_sweep(
     store: Store,
     workers: int,
-    thinning: int = 0,
+    sampling_interval: int = 0,
     report: Report = lambda trials: None,
     scheduler: str | None = None,
 ) -> pa.Table:
@@ -163,7 +162,7 @@ def run_sweep(
     KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
     or a worker process of this machine dies.
     """
-    jobs = jobs_of(store, thinning)
+    jobs = jobs_of(store, sampling_interval)
     for job, measured in _results_of(jobs, workers, scheduler):
         store.add(job, measured)
         report(job.count)
@@ -184,7 +183,7 @@ def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
 
 
 def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
-    """Run jobs in processes; yields results as they come. Not more than two a worker wait at any time."""
+    """Run jobs in processes; yields results as they come. At most two per worker are queued."""
     others = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
@@ -209,10 +208,10 @@ def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Me
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C reaches all processes of a terminal. Those started in here never hear of it, this one later.
+    """Keep Ctrl-C from processes that are started in here; this process handles it afterwards.
 
-    They inherit the mask, in force before Python is up in them. Here another thread may be given the signal
-    in spite of it, so its handler waits, too.
+    They inherit the signal mask before Python starts in them. In this process another thread may still
+    receive the signal, so its handler waits, too.
     """
     with stopping((signal.SIGINT,)) as is_asked:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -225,5 +224,5 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def default_workers() -> int:
-    """As many as this process may use processors."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -303,7 +303,7 @@ def connected_estimates_are_identical(study: Study, part: Part) -> Finding:
     difference)."""
     swarms = [trials for trials in study.of(part)]
     largest = {
-        "K": max(float(np.ptp(trials.settled, axis=1).max()) for trials in swarms),
+        "K": max(float(np.ptp(trials.convergence_steps, axis=1).max()) for trials in swarms),
         "e": max(float(np.ptp(trials.errors, axis=1).max()) for trials in swarms),
     }
     return Finding(

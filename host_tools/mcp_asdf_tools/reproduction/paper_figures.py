@@ -104,9 +104,9 @@ def _series(study: Study, scale: Scale) -> Figure:
 
 def _recorded(experiment: Experiment) -> Trials:
     """The drawn trial once more, with its values over time."""
-    thinning = max(1, experiment.steps // _POINTS)
-    measured = run_trials(experiment, _TRIAL, 1, thinning)
-    (trials,) = experiments_in(table_of(replace(experiment, trials=1), measured, thinning))
+    sampling_interval = max(1, experiment.steps // _POINTS)
+    measured = run_trials(experiment, _TRIAL, 1, sampling_interval)
+    (trials,) = experiments_in(table_of(replace(experiment, trials=1), measured, sampling_interval))
     return trials
 
 

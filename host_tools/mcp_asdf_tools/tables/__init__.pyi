@@ -1,7 +1,7 @@
 """T-tables: thresholds, files for deployment, and tables inside built images."""
 
 from .image_scan import verify_image as verify_image
-from .table_files import Finding as Finding
+from .table_files import TableCheck as TableCheck
 from .table_files import check_file as check_file
 from .table_files import describe as describe
 from .table_files import write as write

@@ -17,7 +17,7 @@ from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
 
 from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.tables.table_files import Finding, compare
+from mcp_asdf_tools.tables.table_files import TableCheck, compare
 from mcp_asdf_tools.tables.thresholds import omega_from_word
 
 _BYTE_ORDERS = {"<": "little-endian", ">": "big-endian"}
@@ -37,7 +37,7 @@ class _Chunk:
     data: bytes
 
 
-def verify_image(path: Path) -> list[Finding]:
+def verify_image(path: Path) -> list[TableCheck]:
     """Find every table in the image ``path`` and compare it with the one made anew.
 
     Returns one finding per table, and at least one: an image without a table is a finding with a problem.
@@ -49,7 +49,7 @@ def verify_image(path: Path) -> list[Finding]:
     "ITCM". Raises UsageError if the file cannot be read or is in another format.
     """
     findings = [_finding(path, chunk, *hit) for chunk in _chunks(path) for hit in _hits(chunk.data)]
-    return findings or [Finding(str(path), problem="no t-table found; is one linked in, and used?")]
+    return findings or [TableCheck(str(path), problem="no t-table found; is one linked in, and used?")]
 
 
 def _chunks(path: Path) -> list[_Chunk]:
@@ -137,10 +137,10 @@ def _possible(entry: int, m: int) -> bool:
     return excess > 0 and excess * (m - 1) < 64 << FRACTION_BITS
 
 
-def _finding(path: Path, chunk: _Chunk, order: str, offset: int, words: tuple[int, ...]) -> Finding:
+def _finding(path: Path, chunk: _Chunk, order: str, offset: int, words: tuple[int, ...]) -> TableCheck:
     where = f"{chunk.name}+{offset:#x}" if chunk.name else f"{chunk.address + offset:#x}"
     place, q = f"{path}: {where} ({_BYTE_ORDERS[order]})", words[0] & 0xFF
     omega = omega_from_word(words[1])
     if omega is None:
-        return Finding(place, q=q, problem=f"word 1 (omega) is {words[1]:#010x}, which no omega gives")
+        return TableCheck(place, q=q, problem=f"word 1 (omega) is {words[1]:#010x}, which no omega gives")
     return compare(place, omega, words, q)

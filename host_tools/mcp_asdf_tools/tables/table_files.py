@@ -149,7 +149,7 @@ def write(omega: Decimal, q: int, folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Finding:
+class TableCheck:
     """The outcome of checking one table.
 
     Attributes:
@@ -166,13 +166,13 @@ class Finding:
     difference: Difference | None = None
 
 
-def compare(place: str, omega: Decimal, words: Sequence[int], q: int) -> Finding:
+def compare(place: str, omega: Decimal, words: Sequence[int], q: int) -> TableCheck:
     """Check a table's words against the table made anew."""
     difference = first_difference(words, generate(omega, q))
-    return Finding(place, omega, q, str(difference) if difference else None, difference)
+    return TableCheck(place, omega, q, str(difference) if difference else None, difference)
 
 
-def check_file(path: Path) -> Finding:
+def check_file(path: Path) -> TableCheck:
     """Compare a generated ``.c`` or ``.json`` file with the one made anew.
 
     Entries are compared first, then the text line by line, line ends aside. Raises UsageError if the file
@@ -187,7 +187,7 @@ def check_file(path: Path) -> Finding:
     expected = generate(omega, q)
     difference = first_different_entry((*expected.words()[:2], *entries), expected)
     problem = str(difference) if difference else _first_changed_line(text, render(omega, q))
-    return Finding(str(path), omega, q, problem, difference)
+    return TableCheck(str(path), omega, q, problem, difference)
 
 
 def _read_text(path: Path) -> str:

@@ -26,7 +26,7 @@ GENERATOR_VERSION = 2
 MAX_OMEGA = Decimal("0.9")
 OMEGA_PLACES = 9
 MAX_MESSAGES = MAX_ID
-"""Maximum number of messages in a round, whatever q is."""
+"""Maximum number of messages in a round, for any q."""
 
 _DIGITS = (40, 80, 160, 320, 640)
 _GUARD_DIGITS = 20

@@ -56,7 +56,7 @@ def code(fill_ratio: float) -> NDArray[np.bool_]:
 
 
 def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """What every code has, and where."""
+    """Patterns that every code has, and their places."""
     n, far = CODE_MODULES, CODE_MODULES - _FINDER
     black, fixed = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
     finder = np.ones((_FINDER, _FINDER), np.bool_)

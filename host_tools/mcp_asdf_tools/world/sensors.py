@@ -1,4 +1,4 @@
-"""Sensors: how likely each robot sees a tile's colour right, step by step."""
+"""Sensors: the probability that each robot sees a tile's colour correctly, step by step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mcp_asdf_tools.world.settings import Drift, WorldSettings
 
 Accuracies = tuple[NDArray[np.float64], NDArray[np.float64]]
 """True accuracies on black and on white tiles, each of shape (steps or 1, robots or 1): an axis of length 1
-stands for values that do not change along it."""
+means that values do not change along it."""
 
 
 class SensorModel(Protocol):

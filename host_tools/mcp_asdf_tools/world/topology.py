@@ -21,7 +21,7 @@ class Topology(Protocol):
     """Who hears whom, step by step. Extensions make one: entry point group ``mcp_asdf.topologies``."""
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """The next steps, shape (steps, N, N): ``[k, i, j]`` says whether i hears j in step k."""
+        """The next steps, shape (steps, N, N): ``[k, i, j]`` is True if i hears j in step k."""
 
 
 class Static:

@@ -1,8 +1,8 @@
 """The ground truth of a run: observations, positions, and who hears whom, step by step.
 
-The world knows nothing of radios, frames or firmware. It says who could hear whom; whether and when a message
-gets through is the business of what carries it. One world therefore drives a swarm on a CAN bus, trials in
-Python and trials in C alike: equal settings and trial give the same bits in all of them.
+The world knows nothing of radios, frames or firmware. It gives who could hear whom; whether and when a
+message arrives is up to the medium. One world therefore drives a swarm on a CAN bus, trials in Python and
+trials in C alike: equal settings and trial give the same bits in all of them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.world.arena import Arena
 
 _STEPS_AT_ONCE = 64
-"""Steps computed ahead for those who take them one by one."""
+"""Steps computed ahead where they are taken one by one."""
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 
@@ -51,7 +51,7 @@ class World:
     """The world of one trial: many steps at once with ``advance``, or one by one with ``step``, not both."""
 
     def __init__(self, settings: WorldSettings, trial: int = 0) -> None:
-        """Stand before the first step. Raises UsageError if the arena or an extension cannot be had."""
+        """Start before the first step. Raises UsageError if the arena or an extension cannot be loaded."""
         self.settings = settings
         self._draws = Stream(OBSERVATIONS, settings.seed, trial, settings.robots)
         self._next = 0

@@ -45,7 +45,7 @@ from mcp_asdf_tools.crosscheck import exact
 from mcp_asdf_tools.crosscheck import oracle as audit_module
 from mcp_asdf_tools.crosscheck.compare import (
     Check,
-    Finding,
+    Disagreement,
     Firmware,
     Subject,
     compare_firmwares,
@@ -631,7 +631,7 @@ def test_the_same_exception_is_no_agreement() -> None:
     scenario = parse_scenario(f"{ROBOT},observe:1,settle")
     for robot, made, place in ((BrokenRobot, 2, "settle"), (UnmakeableRobot, 0, "init")):
         finding = compare_firmwares(scenario, robot, robot)
-        assert finding == Finding(made, (f"both: ZeroDivisionError: in {place}",))
+        assert finding == Disagreement(made, (f"both: ZeroDivisionError: in {place}",))
 
 
 class SilentlyWrongRobot(MirrorRobot):
@@ -643,7 +643,7 @@ class SilentlyWrongRobot(MirrorRobot):
 
 def test_a_hidden_difference_of_state_is_found_at_once() -> None:
     finding = compare_firmwares(parse_scenario(ROBOT), NativeRobot, SilentlyWrongRobot)
-    assert finding == Finding(0, ("updated: 0, 7",))
+    assert finding == Disagreement(0, ("updated: 0, 7",))
 
 
 def test_a_robot_that_only_one_firmware_makes_is_a_difference() -> None:
@@ -651,7 +651,7 @@ def test_a_robot_that_only_one_firmware_makes_is_a_difference() -> None:
         def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
             super().__init__(config, robot_id + 128, b_hat)
 
-    assert compare_firmwares(parse_scenario(ROBOT), NativeRobot, Choosy) == Finding(
+    assert compare_firmwares(parse_scenario(ROBOT), NativeRobot, Choosy) == Disagreement(
         0, ("status: OK, ERR_ID",)
     )
 
@@ -678,12 +678,12 @@ def test_shrinking_leaves_exactly_what_is_needed(zs: list[int], needed: set[int]
     calls = tuple(Call("receive", (at, 0, z)) for at, z in enumerate(zs))
     assume(max(needed) < len(calls))
 
-    def check(scenario: Scenario) -> Finding | None:
+    def check(scenario: Scenario) -> Disagreement | None:
         missing = set(needed)
         for made, call in enumerate(scenario.calls, start=1):
             missing.discard(call.numbers[0])
             if not missing:
-                return Finding(made, ("all there",))
+                return Disagreement(made, ("all there",))
         return None
 
     assert shrink(Scenario(setup, calls), check).calls == tuple(calls[at] for at in sorted(needed))
@@ -699,9 +699,9 @@ def test_a_run_that_finds_something_counts_the_calls_made(at: int) -> None:
     """Not those of the scenario that were to come."""
     made: list[int] = []
 
-    def check(scenario: Scenario) -> Finding | None:
+    def check(scenario: Scenario) -> Disagreement | None:
         if sum(made) > 100 and len(scenario.calls) > at:
-            return Finding(at, ("wrong",))
+            return Disagreement(at, ("wrong",))
         made.append(len(scenario.calls))
         return None
 

@@ -87,7 +87,7 @@ def test_observations_are_as_probable_as_asked() -> None:
 # --- The lanes are the firmware to the bit ----------------------------------------------------------------
 
 
-def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> native.RawOutcome:
+def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> native.EngineResults:
     plain = native.run(experiment, first, trials, lanes=False)
     lanes = native.run(experiment, first, trials, lanes=True)
     replay = f"replay: {experiment.parameters()}, first {first}, trials {trials}"
@@ -205,7 +205,7 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
 
 
 def test_all_robots_have_the_same_informed_estimate_to_the_bit() -> None:
-    records = native.run(SHORT, 0, 4, thinning=1)
+    records = native.run(SHORT, 0, 4, sampling_interval=1)
     assert (records.records["x"] == records.records["x"][..., :1]).all()
     assert np.array_equal(records.records["x"][..., 0], records.x[:, 0, 1:])
     assert (records.x[:, 0, 0] == 2**22).all()
@@ -226,8 +226,8 @@ def test_a_trial_does_not_depend_on_the_others() -> None:
 
 
 def test_float64_follows_the_firmware() -> None:
-    own = run_trials(SHORT, 0, 1, thinning=1)
-    other = run_trials(replace(SHORT, firmware="reference"), 0, 1, thinning=1)
+    own = run_trials(SHORT, 0, 1, sampling_interval=1)
+    other = run_trials(replace(SHORT, firmware="reference"), 0, 1, sampling_interval=1)
     assert np.array_equal(own.updates, other.updates)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
         index = QUANTITIES.index(name)

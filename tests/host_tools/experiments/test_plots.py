@@ -36,9 +36,9 @@ GRID = [
 MOVING = Experiment(topology=Topology.DYNAMIC, robots=12, flawed=5, steps=400, filter_period=100, trials=2)
 
 
-def results_of(experiment: Experiment, thinning: int = 0) -> Trials:
-    measured = run_trials(experiment, 0, experiment.trials, thinning)
-    (trials,) = experiments_in(table_of(experiment, measured, thinning))
+def results_of(experiment: Experiment, sampling_interval: int = 0) -> Trials:
+    measured = run_trials(experiment, 0, experiment.trials, sampling_interval)
+    (trials,) = experiments_in(table_of(experiment, measured, sampling_interval))
     return trials
 
 
@@ -62,7 +62,7 @@ def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
         own = [trials for trials in grid if trials.experiment.fill_ratio == f]
         slots = {(0, 0.95): 0, (2, 0.55): 1, (2, 0.75): 2, (4, 0.55): 3}
         own.sort(key=lambda trials: (slots[_swarm(trials)], _series(trials)))
-        expected = [np.median(score(trials.settled, trials.errors, LIMITS).h) for trials in own]
+        expected = [np.median(score(trials.convergence_steps, trials.errors, LIMITS).h) for trials in own]
         assert [level for _, level in medians] == pytest.approx(expected)
         assert [round(x) for x, _ in medians] == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
         labels = [label.get_text().replace("\N{MINUS SIGN}", "-") for label in axes.get_xticklabels()]
@@ -106,7 +106,7 @@ def test_points_are_the_trials_and_their_medians(grid: list[Trials]) -> None:
     own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
     assert len(found[0].lines) == 2 * len(own)
     for trials, points, middle in zip(own, found[0].lines[::2], found[0].lines[1::2], strict=True):
-        scores = score(trials.settled, trials.errors, LIMITS)
+        scores = score(trials.convergence_steps, trials.errors, LIMITS)
         assert np.array_equal(np.array(points.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
         assert np.array_equal(
             np.array(middle.get_xydata())[0], [np.median(scores.h_k), np.median(scores.h_e)]

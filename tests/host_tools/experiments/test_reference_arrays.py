@@ -67,7 +67,7 @@ def random_cases(seed: int, count: int) -> Iterator[Experiment]:
 def assert_same(experiment: Experiment) -> int:
     """Returns the number of updates."""
     arrays = reference_arrays.run(experiment, 1)
-    robots = run_by_message(experiment, 1, thinning=1)
+    robots = run_by_message(experiment, 1, sampling_interval=1)
     replay = f"replay: {experiment.parameters()}"
     assert np.array_equal(arrays.b_hat, robots.b_hat[0]), replay
     assert np.array_equal(arrays.tests, robots.tests[0]), replay
@@ -90,7 +90,7 @@ def test_arrays_equal_the_robots_in_random_experiments() -> None:
 def test_the_reference_runs_in_arrays_where_it_can() -> None:
     own, other = run_trials(MOVING, 1, 1), run_by_message(MOVING, 1)
     assert np.array_equal(own.b_hat, other.b_hat)
-    assert np.array_equal(own.settled, other.settled)
+    assert np.array_equal(own.convergence_steps, other.convergence_steps)
     assert np.allclose(own.errors, other.errors, rtol=0, atol=1e-14)
     for experiment in (replace(MOVING, comms_period=5), replace(MOVING, memory=64)):
         assert not reference_arrays.can_run(experiment)

@@ -38,7 +38,7 @@ OTHER = replace(SHORT, filter=Filtering.NONE, seed=2**64 - 1)
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A file of two experiments, the first recorded."""
-    tables = [table_of(each, run_trials(each, 0, 3, thinning=10), 10) for each in (SHORT, OTHER)]
+    tables = [table_of(each, run_trials(each, 0, 3, sampling_interval=10), 10) for each in (SHORT, OTHER)]
     write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
     return tmp_path / "results.parquet"
 
@@ -48,9 +48,9 @@ def test_results_come_back(path: Path) -> None:
     found = experiments_in(table)
     assert [trials.experiment for trials in found] == [SHORT, OTHER]
     for trials in found:
-        measured = run_trials(trials.experiment, 0, 3, thinning=10)
+        measured = run_trials(trials.experiment, 0, 3, sampling_interval=10)
         assert trials.numbers == [0, 1, 2]
-        for name in ("settled", "errors", "b_hat", "tests", "updates"):
+        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
             assert np.array_equal(getattr(trials, name), getattr(measured, name)), name
         for index, name in enumerate(QUANTITIES):
             assert np.array_equal(trials.records[name], measured.records[index]), name
@@ -62,7 +62,7 @@ def test_trials_are_sorted(tmp_path: Path) -> None:
     write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
     (trials,) = experiments_in(read_table(tmp_path / "results.parquet"))
     assert trials.numbers == [0, 1, 2]
-    assert np.array_equal(trials.settled, run_trials(SHORT, 0, 3).settled)
+    assert np.array_equal(trials.convergence_steps, run_trials(SHORT, 0, 3).convergence_steps)
     assert trials.records == {}
 
 
@@ -74,7 +74,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert len(row["k"]) == len(row["e"]) == 4
     assert len(row["b_hat"]) == 3 * 4
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
-    assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "thinning": 10}
+    assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "sampling_interval": 10}
     assert said == metadata_of(read_table(path))
 
 
@@ -101,7 +101,7 @@ def test_a_file_of_an_older_format_is_named(path: Path) -> None:
 def test_a_table_holds_the_scores_with_the_papers_limits(path: Path) -> None:
     table = read_table(path)
     for start, trials in zip((0, 3), experiments_in(table), strict=True):
-        expected = score(trials.settled, trials.errors, Limits(300, 0.45))
+        expected = score(trials.convergence_steps, trials.errors, Limits(300, 0.45))
         for name, values in (("H", expected.h), ("h_K", expected.h_k), ("h_e", expected.h_e)):
             assert table[name].to_pylist()[start : start + 3] == values.tolist(), name
 
@@ -114,7 +114,7 @@ def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:
     assert other.select(kept).equals(table.select(kept))
     assert not other["H"].equals(table["H"])
     trials = experiments_in(table)[1]
-    assert other["h_K"].to_pylist()[3:] == score(trials.settled, trials.errors, limits).h_k.tolist()
+    assert other["h_K"].to_pylist()[3:] == score(trials.convergence_steps, trials.errors, limits).h_k.tolist()
 
 
 def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
@@ -127,9 +127,9 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
         for experiment in (SHORT, OTHER)
         for trial in range(3)
     ]
-    scores = score(found[0].settled, found[0].errors, limits)
+    scores = score(found[0].convergence_steps, found[0].errors, limits)
     assert float(rows[1]["H"]) == pytest.approx(scores.h[1])
-    assert float(rows[1]["mean_K"]) == found[0].settled[1].mean()
+    assert float(rows[1]["mean_K"]) == found[0].convergence_steps[1].mean()
     assert float(rows[1]["mean_e"]) == pytest.approx(found[0].errors[1].mean())
     assert float(rows[1]["mean_b_hat"]) == pytest.approx(found[0].b_hat[1, -1].mean())
     assert float(rows[1]["updates"]) == found[0].updates[1].sum()
@@ -137,7 +137,7 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
 
 def test_the_authors_scripts_find_their_layout(tmp_path: Path) -> None:
     """Decoded as their analysis does: robot by robot and step by step, columns by place."""
-    table = table_of(SHORT, run_trials(SHORT, 0, 3, thinning=1), 1)
+    table = table_of(SHORT, run_trials(SHORT, 0, 3, sampling_interval=1), 1)
     (trials,) = experiments_in(table)
     paths = write_authors_json(tmp_path / "runs", trials)
     assert len(paths) == 3
@@ -158,6 +158,6 @@ def test_the_authors_scripts_find_their_layout(tmp_path: Path) -> None:
 
 
 def test_the_authors_layout_needs_every_step(path: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="thinning of 1"):
+    with pytest.raises(UsageError, match="sampling interval of 1"):
         write_authors_json(tmp_path / "runs", experiments_in(read_table(path))[0])
     assert not (tmp_path / "runs").exists()

@@ -14,10 +14,10 @@ from benchmarks import fidelity
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import scores
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import Limits, chosen_limits, paper_limits, score, settling_step
+from mcp_asdf_tools.experiments.scores import Limits, chosen_limits, convergence_step, paper_limits, score
 
 
-def settling_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
+def convergence_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
     """The least K with abs(x[K] - x[k]) < delta for every k >= K, tried one after the other."""
     return next(k for k in range(len(series)) if all(abs(series[k] - later) < delta for later in series[k:]))
 
@@ -37,8 +37,8 @@ def test_k_is_the_definition(monkeypatch: pytest.MonkeyPatch, chunk: int) -> Non
     found = set()
     for seed in range(400):
         series = series_of(seed)
-        expected = settling_step_by_definition(series, 3.0)
-        assert settling_step(series, 3.0) == expected, f"replay: series_of({seed}), chunk {chunk}"
+        expected = convergence_step_by_definition(series, 3.0)
+        assert convergence_step(series, 3.0) == expected, f"replay: series_of({seed}), chunk {chunk}"
         found.add(expected)
     assert len(found) > 20
 
@@ -49,7 +49,7 @@ def test_k_of_raw_integers_is_that_of_their_values() -> None:
         raw = (2**22 + np.cumsum(source.integers(-30_000, 30_001, 300)) * np.linspace(1, 0, 300)).astype(
             np.uint32
         )
-        assert settling_step(raw, 0.01 * 2**23) == settling_step_by_definition(raw / 2**23, 0.01)
+        assert convergence_step(raw, 0.01 * 2**23) == convergence_step_by_definition(raw / 2**23, 0.01)
 
 
 @pytest.mark.parametrize(
@@ -67,13 +67,13 @@ def test_k_of_raw_integers_is_that_of_their_values() -> None:
     ],
 )
 def test_k_by_hand(series: list[float], expected: int) -> None:
-    assert settling_step(np.array(series), 0.25) == expected
+    assert convergence_step(np.array(series), 0.25) == expected
 
 
 def test_scores_by_hand() -> None:
-    settled = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
+    convergence_steps = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
     errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
-    result = score(settled, errors, Limits(1000, 0.5))
+    result = score(convergence_steps, errors, Limits(1000, 0.5))
     assert result.h_k[0] == pytest.approx(85 * math.exp(-0.2))
     assert result.h_e[0] == pytest.approx(70 * math.exp(-0.2))
     assert result.h[0] == pytest.approx((result.h_k[0] + result.h_e[0]) / 2)
@@ -116,9 +116,9 @@ def test_the_reference_has_the_conventions_used_here() -> None:
     assert len(rows) == 46 * 30
     for row in rows:
         h_k, h_e, h = (float(row[name]) for name in fidelity.SCORES)
-        settled = round(40_000 * (1 - h_k / 100))
+        convergence_steps = round(40_000 * (1 - h_k / 100))
         assert h == pytest.approx((h_k + h_e) / 2, abs=1e-6)
-        own = score([[settled] * 10], [[0.45 * (1 - h_e / 100)] * 10], fidelity.LIMITS)
+        own = score([[convergence_steps] * 10], [[0.45 * (1 - h_e / 100)] * 10], fidelity.LIMITS)
         assert own.h_k[0] == pytest.approx(h_k, abs=1e-6)
         assert own.h[0] == pytest.approx(h, abs=1e-6)
 

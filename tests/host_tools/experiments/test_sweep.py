@@ -155,14 +155,14 @@ def test_equal_experiments_are_run_once(output: Path) -> None:
 def test_results_of_others_are_never_overwritten(output: Path) -> None:
     run_sweep(Store(output, GRID[:2]), 1)
     before = output.read_bytes()
-    for others, thinning in (
+    for others, sampling_interval in (
         (GRID[:1], 0),
         (GRID[2:3], 0),
         ([replace(GRID[0], trials=39), GRID[1]], 0),
         (GRID[:2], 5),
     ):
         with pytest.raises(UsageError, match="choose another name"):
-            Store(output, others, thinning)
+            Store(output, others, sampling_interval)
     assert output.read_bytes() == before
 
 
@@ -287,7 +287,7 @@ def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.Capt
         (["simulate", "--record", "5", "--authors-json", "x"], "--record is 5"),
         (["simulate", "--output", "results.csv"], "ends in .parquet"),
         (["simulate", "--output", "no/such/folder/r.parquet"], "its folder does not exist"),
-        (["simulate", "--steps", "10", "--k-max", "0"], "--k-max is 0"),
+        (["simulate", "--steps", "10", "--k-max", "0"], "K_max is 0"),
         (["simulate", str(ROOT / "tests/data/authors_parameters.yml")], "run it with mcp-asdf sweep"),
         (["sweep", "absent.toml"], "cannot read"),
         (["score", "absent.parquet"], "cannot read"),

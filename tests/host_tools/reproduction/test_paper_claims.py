@@ -294,11 +294,13 @@ def test_the_density_is_the_papers() -> None:
 
 @pytest.mark.parametrize("spread", [0, 1])
 def test_identical_estimates_are_identical(spread: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    settled, errors = np.full((3, 4), 100), np.full((3, 4), 0.25)
-    settled[2, 1] += spread
+    convergence_steps, errors = np.full((3, 4), 100), np.full((3, 4), 0.25)
+    convergence_steps[2, 1] += spread
     errors[0, 3] += 1e-6 * spread
     study = MadeUp(flat)
-    monkeypatch.setattr(study, "of", lambda part: [SimpleNamespace(settled=settled, errors=errors)])
+    monkeypatch.setattr(
+        study, "of", lambda part: [SimpleNamespace(convergence_steps=convergence_steps, errors=errors)]
+    )
     found = named("connected_estimates_are_identical").decide(study)
     assert found.verdict is (Verdict.DISAGREE if spread else Verdict.AGREE)
 

@@ -101,7 +101,7 @@ def test_the_same_experiment_has_one_form(given: Cell, same: Cell) -> None:
     assert given.normal == same.normal
     results = [run_trials(_shortened(cell), 0, 2) for cell in (given, same, given.normal)]
     for other in results[1:]:
-        assert np.array_equal(results[0].settled, other.settled)
+        assert np.array_equal(results[0].convergence_steps, other.convergence_steps)
         assert np.array_equal(results[0].errors, other.errors)
 
 
@@ -198,7 +198,7 @@ def test_the_study_is_scored_as_the_paper_does(
     study = study_of([(PHYSICAL, results)], scale)
     for cell in cells_of(PHYSICAL):
         measured = run_trials(experiment_of(cell, scale), 0, 2)
-        scores = score(measured.settled, measured.errors, Limits(4000, 0.45))
+        scores = score(measured.convergence_steps, measured.errors, Limits(4000, 0.45))
         for measure, values in ((H, scores.h), (H_K, scores.h_k), (H_E, scores.h_e)):
             assert np.array_equal(study.sample(cell, measure), values)
 

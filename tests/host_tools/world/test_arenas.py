@@ -176,7 +176,7 @@ def test_a_pictures_share_is_the_fill_ratio(picture: Path) -> None:
 # --- The engine's two ways and the mirror -----------------------------------------------------------------
 
 
-def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> native.RawOutcome:
+def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> native.EngineResults:
     plain = native.run(experiment, first, trials, lanes=False)
     lanes = native.run(experiment, first, trials, lanes=True)
     replay = f"replay: {experiment.parameters()}, first {first}, trials {trials}"
@@ -267,7 +267,7 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
 
 def test_recording_changes_nothing() -> None:
     for experiment in (SHORT, LATE):
-        plain, recorded = run_trials(experiment, 0, 2), run_trials(experiment, 0, 2, thinning=3)
+        plain, recorded = run_trials(experiment, 0, 2), run_trials(experiment, 0, 2, sampling_interval=3)
         assert np.array_equal(plain.errors, recorded.errors)
         assert np.array_equal(plain.b_hat, recorded.b_hat)
 
@@ -299,7 +299,7 @@ def test_results_hold_the_world_and_sweeps_go_on(tmp_path: Path) -> None:
     assert [trials.experiment for trials in found] == experiments
     for trials in found:
         alone = run_trials(trials.experiment, 0, 5)
-        assert np.array_equal(trials.settled, alone.settled)
+        assert np.array_equal(trials.convergence_steps, alone.convergence_steps)
         assert np.array_equal(trials.b_hat, alone.b_hat)
     assert len(table) == 10
 
@@ -309,7 +309,7 @@ def test_results_hold_the_world_and_sweeps_go_on(tmp_path: Path) -> None:
 
 def records_of(experiment: Experiment) -> dict[str, Any]:
     """Values by quantity, shape (T + 1, N), of one trial."""
-    records = run_trials(experiment, 0, 1, thinning=1).records[:, 0]
+    records = run_trials(experiment, 0, 1, sampling_interval=1).records[:, 0]
     return dict(zip(QUANTITIES, records, strict=True))
 
 
@@ -375,8 +375,8 @@ def test_observations_come_as_often_as_asked() -> None:
 
 
 def test_float64_follows_the_firmware() -> None:
-    own = run_trials(LATE, 0, 1, thinning=1)
-    other = run_trials(replace(LATE, firmware="reference"), 0, 1, thinning=1)
+    own = run_trials(LATE, 0, 1, sampling_interval=1)
+    other = run_trials(replace(LATE, firmware="reference"), 0, 1, sampling_interval=1)
     assert np.array_equal(own.updates, other.updates)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
         index = QUANTITIES.index(name)

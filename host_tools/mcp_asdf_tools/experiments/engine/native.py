@@ -44,16 +44,16 @@ _STRIDES = ("trial_stride", "step_stride", "robot_stride")
 
 
 @dataclass(frozen=True)
-class RawOutcome:
+class EngineResults:
     """Results of trials, in the firmware's units.
 
     Attributes:
         x: Informed estimates of steps 0 .. T, shape (trials, 1 or N, T + 1): one column if all robots have
-            the same for sure.
+            the same in any case.
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
         counters: Tests and updates of each robot, shape (trials, N) each, modulo 65536.
-        records: Values of every robot each ``thinning`` steps, shape (trials, T // thinning, N), of dtype
-            RECORD.
+        records: Values of every robot once per ``sampling_interval`` steps, of dtype RECORD, shape
+            (trials, T // sampling_interval, N).
         robots: The C structs, for ``images``.
     """
 
@@ -84,18 +84,19 @@ def can_run(experiment: Experiment) -> bool:
 
 
 def run(
-    experiment: Experiment, first: int, trials: int, thinning: int = 0, lanes: bool | None = None
-) -> RawOutcome:
-    """Run trials ``first`` .. ``first + trials - 1`` of a native experiment; record if ``thinning`` is not 0.
+    experiment: Experiment, first: int, trials: int, sampling_interval: int = 0, lanes: bool | None = None
+) -> EngineResults:
+    """Run trials ``first`` .. ``first + trials - 1`` of a native experiment.
 
-    ``lanes`` chooses the faster of two engines of equal results, or not; by default it is used where it can
-    be. Raises UsageError if ``can_run`` is false or as ``make_arena``, FirmwareError as the firmware's init.
-    O(trials steps robots), and four bytes for each estimate.
+    Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
+    two engines with equal results, by default where it can run. Raises UsageError if ``can_run`` is false or
+    as ``make_arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for each
+    estimate.
     """
     if not can_run(experiment):
         raise UsageError("the engine in C lacks this firmware, topology, latency or sensor; use run_trials")
-    outcome = _allocate(experiment, trials, thinning)
-    call = _Call(experiment, first, trials, thinning)
+    outcome = _allocate(experiment, trials, sampling_interval)
+    call = _Call(experiment, first, trials, sampling_interval)
     engine = _engine.lib
     use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
     function = engine.mcp_asdf_engine_run_lanes if use_lanes else engine.mcp_asdf_engine_run
@@ -115,7 +116,7 @@ def run(
 class _Call:
     """The engine's description of some trials, and what its pointers point to."""
 
-    def __init__(self, experiment: Experiment, first: int, trials: int, thinning: int) -> None:
+    def __init__(self, experiment: Experiment, first: int, trials: int, sampling_interval: int) -> None:
         self._kept: list[Any] = []
         members = {
             "seed": experiment.seed,
@@ -123,7 +124,7 @@ class _Call:
             "trials": trials,
             "robots": experiment.robots,
             "steps": experiment.steps,
-            "thinning": thinning,
+            "sampling_interval": sampling_interval,
             "comms_period": experiment.comms_period,
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
@@ -188,19 +189,19 @@ def _config(ticked: TickConfig) -> tuple[Any, Any]:
     return pointer, table
 
 
-def _allocate(experiment: Experiment, trials: int, thinning: int) -> RawOutcome:
+def _allocate(experiment: Experiment, trials: int, sampling_interval: int) -> EngineResults:
     count, steps = experiment.robots, experiment.steps
     columns = 1 if experiment.comms_period == 1 and not experiment.is_dynamic else count
-    return RawOutcome(
+    return EngineResults(
         x=np.empty((trials, columns, steps + 1), np.uint32),
         b_hat=np.empty((trials, steps // experiment.filter_period, count), np.uint32),
         counters={name: np.empty((trials, count), np.uint16) for name in COUNTERS},
-        records=np.empty((trials, steps // thinning if thinning else 0, count), RECORD),
+        records=np.empty((trials, steps // sampling_interval if sampling_interval else 0, count), RECORD),
         robots=_engine.ffi.new("mcp_asdf_t[]", trials * count),
     )
 
 
-def _pointers(outcome: RawOutcome) -> Any:
+def _pointers(outcome: EngineResults) -> Any:
     ffi = _engine.ffi
 
     def pointer(kind: str, array: NDArray[Any]) -> Any:

@@ -1,7 +1,7 @@
-"""A moving world: robots diffuse through a walled arena, see its floor and hear whoever is near.
+"""A moving world: robots diffuse through a walled arena, see its floor and hear those near.
 
-The C files beside this one do the work; docs/arena.md states their model and its sources. An ``Arena`` is the
-``Topology`` of its robots and says what colour is under each; how well they see it is the business of their
+The C files in this folder do the work; docs/arena.md states their model and its sources. An ``Arena`` is the
+``Topology`` of its robots and gives the colour under each; how well they see it depends on their
 sensors, and when a message arrives that of what carries it.
 """
 
@@ -75,7 +75,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class ArenaSettings:
-    """What an arena is made of; defaults are the paper's.
+    """Parameters of an arena; defaults are the paper's.
 
     Attributes:
         robots: N, 1 .. 128.
@@ -117,7 +117,7 @@ def square_side(robots: int, density: float, radio_range: float = 0.7) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What some ticks left, one line each.
+    """State after each of some ticks.
 
     Attributes:
         position: Centres, shape (ticks, N, 2), in metres.
@@ -126,7 +126,7 @@ class Motion:
         wheels: 0 straight, 1 soft turn, 2 hard turn in the coming tick, shape (ticks, N).
         avoids: 1 if heading away from an obstacle, shape (ticks, N).
         sees_robot: 1 if a proximity sensor meets a robot, shape (ticks, N).
-        linked: Links as bits, shape (ticks, N, 2): bit j % 64 of word j // 64 says whether j is heard.
+        linked: Links as bits, shape (ticks, N, 2): bit j % 64 of word j // 64 is set if j is heard.
     """
 
     position: NDArray[np.float64]
@@ -149,7 +149,7 @@ class Arena:
     """Robots in motion; a ``Topology``. The same settings and seed give the same bits anywhere."""
 
     def __init__(self, settings: ArenaSettings, seed: int) -> None:
-        """Put the robots on the floor: tick 0, everybody at rest.
+        """Put the robots on the floor: tick 0, all at rest.
 
         Raises UsageError if a setting is out of its range, or the seed not in 0 .. 2**64 - 1.
         """
