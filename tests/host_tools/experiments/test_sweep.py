@@ -287,7 +287,7 @@ def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.Capt
         (["simulate", "--record", "5", "--authors-json", "x"], "--record is 5"),
         (["simulate", "--output", "results.csv"], "ends in .parquet"),
         (["simulate", "--output", "no/such/folder/r.parquet"], "its folder does not exist"),
-        (["simulate", "--steps", "10", "--k-max", "0"], "--k-max is 0"),
+        (["simulate", "--steps", "10", "--k-max", "0"], "K_max is 0"),
         (["simulate", str(ROOT / "tests/data/authors_parameters.yml")], "run it with mcp-asdf sweep"),
         (["sweep", "absent.toml"], "cannot read"),
         (["score", "absent.parquet"], "cannot read"),
