@@ -52,7 +52,7 @@ static char command_on(const slcan_link_t *link)
     return '?';
 }
 
-/* C and F may also be the end of a frame that noise has cut in two: they make nobody a host. */
+/* C and F may also be the end of a frame that noise has cut in two: they do not show that there is a host. */
 slcan_event_t slcan_obey(slcan_link_t *link)
 {
     switch (command_on(link)) {
