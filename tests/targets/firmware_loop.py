@@ -218,8 +218,8 @@ def _pace(loop: Loop, began: float) -> float:
 
 def _check(args: argparse.Namespace) -> None:
     """Raises UsageError for a run that cannot be."""
-    if args.ticks < 1:
-        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    if args.steps < 1:
+        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     if not PERIOD <= args.seconds <= _DAY:
         raise UsageError(f"seconds is {args.seconds}; it must be {PERIOD}, one tick, to {_DAY}, a day")
     mirror_node(args.filter_period)
@@ -241,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             image = build(args.target, Path(folder), args.filter_period)
             with Board(BOARDS[args.target], image) as board:
                 print(f"{args.target} on {BOARDS[args.target]} is robot {IMAGE_ID} of {ROBOTS}; seed {SEED}")
-                print(demonstrate(board, args.filter_period, args.ticks, args.seconds))
+                print(demonstrate(board, args.filter_period, args.steps, args.seconds))
     except (DifferenceError, LateError) as failure:
         print(failure)
         return 1
