@@ -36,6 +36,7 @@ RUN_ELSEWHERE = {
         "targets.md",
         "PYTHONPATH=tests python -m targets.golden_vectors",
     ),
+    "tests/host_tools/test_extending.py": ("extending.md", "mcp-asdf "),
     "tests/test_setup.py": ("development.md", ".venv"),
 }
 """Tests that run commands of a page: the page, and what is in these commands."""

@@ -312,12 +312,16 @@ class ReferenceRobot:
     def _filter(self) -> Status:
         if not self._is_activated():
             return Status.OK
-        b_hat = assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
+        b_hat = self.reestimated()
         if b_hat is None:
             return Status.OK
         self._b_hat = b_hat
         self._count("updates")
         return Status.UPDATED
+
+    def reestimated(self) -> float | None:
+        """The next assumed accuracy (eq. 8), None to keep the present one; variants override it."""
+        return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
     def _is_activated(self) -> bool:
         if self._config.filter == Filter.OFF or self._t == 0:

@@ -96,6 +96,11 @@ class Config:
     filter_period: int = DEFAULT_FILTER_PERIOD
     memory: int = DEFAULT_MEMORY
 
+    def __post_init__(self) -> None:
+        """Raises FirmwareError for what is no table; robots check the rest, as the C does."""
+        if not isinstance(self.table, Table | None):
+            raise FirmwareError(Status.ERR_TABLE, f"table is {self.table!r}; give a Table or None")
+
 
 @dataclass(frozen=True)
 class Counters:
@@ -275,8 +280,16 @@ def whole_number(value: SupportsIndex) -> int:
 
 
 def whole_settings(config: Config) -> tuple[int, int, int]:
-    """filter, filter_period and memory. Raises TypeError for one that is no integer."""
-    return whole_number(config.filter), whole_number(config.filter_period), whole_number(config.memory)
+    """filter, filter_period and memory. Raises TypeError, naming it, for one that is no integer."""
+    found = []
+    for name in ("filter", "filter_period", "memory"):
+        value = getattr(config, name)
+        try:
+            found.append(whole_number(value))
+        except TypeError:
+            raise TypeError(f"{name} is {value!r}; give an integer") from None
+    mode, period, memory = found
+    return mode, period, memory
 
 
 def check_settings(config: Config) -> None:

@@ -18,6 +18,7 @@ import can
 
 from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
 from mcp_asdf.robot import Observation
+from mcp_asdf_tools.common import UsageError, check_types
 
 ONE = 1 << 23
 """x_hat = 1."""
@@ -90,12 +91,12 @@ class Rejection(Enum):
 
 def _check(name: str, value: int, most: int, least: int = 0) -> None:
     if not least <= value <= most:
-        raise ValueError(f"{name} is {value}; it must be {least} to {most}")
+        raise UsageError(f"{name} is {value}; it must be {least} to {most}")
 
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """Subject and priority of one kind of message. Raises ValueError if a field is out of range.
+    """Subject and priority of one kind of message. Raises UsageError for a field that is wrong.
 
     The default is that of estimates.
 
@@ -108,6 +109,7 @@ class FrameFormat:
     priority: int = 4
 
     def __post_init__(self) -> None:
+        check_types(self)
         _check("subject", self.subject, MAX_SUBJECT)
         _check("priority", self.priority, MAX_PRIORITY)
 

@@ -20,7 +20,9 @@ from .files import results_beside as results_beside
 from .files import write_atomically as write_atomically
 from .parameters import Meaning as Meaning
 from .parameters import ParameterError as ParameterError
+from .parameters import as_type as as_type
 from .parameters import check_parameters as check_parameters
+from .parameters import check_types as check_types
 from .parameters import meaning_of as meaning_of
 from .parameters import member_of as member_of
 from .parameters import parameter as parameter

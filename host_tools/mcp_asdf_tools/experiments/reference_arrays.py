@@ -24,6 +24,7 @@ from mcp_asdf.reference import (
     social_estimate,
 )
 from mcp_asdf.robot import Filter
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.world import Scene, World
 
@@ -57,12 +58,15 @@ def conventions_of(experiment: Experiment) -> Conventions:
 
 
 def can_run(experiment: Experiment) -> bool:
-    """Whether broadcasts come in every step and nothing is forgotten, as ``run`` needs."""
-    return experiment.comms_period == 1 and experiment.memory > experiment.steps
+    """Whether ``run`` has all that an experiment asks for: broadcasts in every step, and no forgetting."""
+    is_plain = experiment.comms_period == 1 and experiment.memory > experiment.steps
+    return experiment.firmware == "reference" and is_plain
 
 
 def run(experiment: Experiment, trial: int) -> Outcome:
-    """One trial. Raises UsageError if the experiment's arena cannot be. O(steps N^2)."""
+    """One trial. Raises UsageError if ``can_run`` is false, or as ``World``. O(steps N^2)."""
+    if not can_run(experiment):
+        raise UsageError("arrays lack this firmware, comms_period or memory; use run_trials")
     world, swarm = World(experiment, trial), _Swarm(experiment)
     x, b_hat = np.full((experiment.robots, experiment.steps + 1), 0.5), []
     step, period = 0, experiment.filter_period

@@ -41,7 +41,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, thinning: int = 
 def _run_one(experiment: Experiment, trial: int, thinning: int) -> Measured:
     if _is_for_engine(experiment):
         return _run_native(experiment, trial, 1, thinning)
-    if experiment.firmware == "reference" and thinning == 0 and reference_arrays.can_run(experiment):
+    if thinning == 0 and reference_arrays.can_run(experiment):
         return _run_float64(experiment, trial)
     return run_by_message(experiment, trial, thinning)
 

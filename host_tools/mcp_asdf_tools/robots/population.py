@@ -178,7 +178,7 @@ def flawed_count(given: Any, robots: int) -> int:
 
 
 def _count(given: Any, robots: int) -> int | None:
-    if isinstance(given, str) and not given.isdigit():
+    if isinstance(given, str) and not (given.isascii() and given.isdigit()):
         number, percent = given.removesuffix("%"), given.endswith("%")
         try:
             return _count(float(number) / (100 if percent else 1), robots)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mcp_asdf.robot import check_settings
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables import omega_from_word
@@ -27,6 +27,10 @@ class RobotRecord:
     firmware: str
     b_hat: float
     config: TickConfig
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for a field of another type; ranges are checked where the robot is made."""
+        check_types(self)
 
     def make(self) -> TickedRobot:
         """A robot that starts like this one.

@@ -21,10 +21,9 @@ from mcp_asdf.robot import (
     Observation,
     Robot,
     Sums,
-    whole_number,
 )
 from mcp_asdf.table import Table
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.firmwares import port_of
 
 MAX_PERIOD = 2**32 - 1
@@ -54,7 +53,8 @@ class TickConfig:
     memory: int = DEFAULT_MEMORY
 
     def __post_init__(self) -> None:
-        comms, tau = whole_number(self.comms_period), whole_number(self.filter_period)
+        check_types(self)
+        comms, tau = self.comms_period, self.filter_period
         if not 1 <= comms <= MAX_PERIOD:
             raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
         if not 1 <= tau <= MAX_PERIOD or tau % comms:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mcp_asdf_tools.bus import TELEMETRY, FrameFormat
-from mcp_asdf_tools.common import ParameterError, member_of, parameter
+from mcp_asdf_tools.common import ParameterError, as_type, member_of, parameter
 from mcp_asdf_tools.robots import ClockKind, Population, RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 from mcp_asdf_tools.world import MAX_PERIOD
@@ -36,12 +36,10 @@ class SwarmSettings(Population):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "clock", member_of(ClockKind, "clock", self.clock))
-        faults = tuple(parse_fault(each) if isinstance(each, str) else each for each in self.faults)
+        given = as_type("faults", tuple[str | Fault, ...], self.faults)
+        faults = tuple(parse_fault(each) if isinstance(each, str) else each for each in given)
         object.__setattr__(self, "faults", faults)
-        for name, kind, values in (("frames", FrameFormat, (self.frames,)), ("faults", Fault, faults)):
-            for value in values:
-                if not isinstance(value, kind):
-                    raise ParameterError(name, f"{name} is {value!r}; give {kind.__name__}")
+        as_type("frames", FrameFormat, self.frames)
         if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
             raise ParameterError(
                 "frames", f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"

@@ -7,6 +7,7 @@ from .arena import config_values as config_values
 from .arenas import arena_settings as arena_settings
 from .arenas import make_arena as make_arena
 from .philox import world_seed as world_seed
+from .sensors import SensorModel as SensorModel
 from .sensors import black_probabilities as black_probabilities
 from .sensors import sensor_model as sensor_model
 from .settings import MAX_PERIOD as MAX_PERIOD

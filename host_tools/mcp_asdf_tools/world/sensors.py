@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common import UsageError, extensions
 from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
 from mcp_asdf_tools.world.settings import Drift, WorldSettings
 
@@ -64,6 +64,26 @@ class DriftingSensors:
         return paths
 
 
+class CheckedSensors:
+    """The sensors of an extension, whose answers are checked."""
+
+    def __init__(self, model: SensorModel, settings: WorldSettings) -> None:
+        self._model, self._settings = model, settings
+
+    def advance(self, steps: int) -> Accuracies:
+        """The next steps. Raises UsageError unless they are what ``SensorModel`` says. O(steps N)."""
+        name, robots = self._settings.sensor, self._settings.robots
+        black, white = (np.asarray(each, dtype=np.float64) for each in self._model.advance(steps))
+        for values in (black, white):
+            if values.ndim != 2 or values.shape[0] not in (1, steps) or values.shape[1] not in (1, robots):
+                raise UsageError(
+                    f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
+                )
+            if not ((values >= 0) & (values <= 1)).all():
+                raise UsageError(f"sensor {name} gives an accuracy outside 0 to 1; clip it")
+        return black, white
+
+
 def sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
     """The sensors that settings ask for. Raises UsageError if their extension cannot be loaded."""
     if not settings.sensor:
@@ -71,7 +91,7 @@ def sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
     make = cast(
         Callable[[WorldSettings, int], SensorModel], extensions.load(extensions.SENSORS, settings.sensor)
     )
-    return make(settings, trial)
+    return CheckedSensors(make(settings, trial), settings)
 
 
 def black_probabilities(

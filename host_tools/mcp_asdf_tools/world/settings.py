@@ -207,10 +207,10 @@ def _topology(value: Any) -> Topology | str:
 def _graph(value: Any) -> Graph | str:
     if isinstance(value, Graph):
         return value
-    if value == "":
-        return ""
     if not isinstance(value, str | Path):
         raise ParameterError("graph", f"graph is {value!r}; give a file or edges such as '3 5; 5 > 7'")
+    if value == "":
+        return ""
     try:
         return graph_of(value)
     except UsageError as error:

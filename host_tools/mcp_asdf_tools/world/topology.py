@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 
 _EDGES = re.compile(r"[0-9>;\s]*")
 
@@ -36,6 +36,24 @@ class Static:
         return np.broadcast_to(self._hears, (steps, *self._hears.shape))
 
 
+class Checked:
+    """The topology of an extension, whose answers are checked."""
+
+    def __init__(self, topology: Topology, name: str, robots: int) -> None:
+        self._topology, self._name, self._robots = topology, name, robots
+
+    def advance(self, steps: int) -> NDArray[np.bool_]:
+        """The next steps. Raises UsageError unless they are what ``Topology`` says. O(steps N^2)."""
+        hears, shape = np.asarray(self._topology.advance(steps)), (steps, self._robots, self._robots)
+        if hears.shape != shape or hears.dtype != np.bool_:
+            raise UsageError(
+                f"topology {self._name} gives {hears.dtype} of shape {hears.shape}; return bool of {shape}"
+            )
+        if hears.diagonal(axis1=1, axis2=2).any():
+            raise UsageError(f"in topology {self._name} a robot hears itself; clear the diagonal")
+        return hears
+
+
 def fully_connected(robots: int) -> Static:
     """Every robot of ``0 .. robots - 1`` hears every other."""
     return Static(~np.eye(robots, dtype=np.bool_))
@@ -52,6 +70,13 @@ class Graph:
 
     links: frozenset[tuple[int, int]]
     source: str = field(default="graph", compare=False)
+
+    def __post_init__(self) -> None:
+        """Raises UsageError unless links are pairs of different ids."""
+        check_types(self)
+        for link in self.links:
+            if len(link) != 2 or link[0] == link[1] or not all(0 <= robot <= MAX_ID for robot in link):
+                raise UsageError(f"links has {link}; give pairs of different ids, 0 to {MAX_ID}")
 
     def topology(self, robots: int) -> Static:
         """Who hears whom among ``robots`` robots. Raises UsageError for a link to any other."""
@@ -91,7 +116,7 @@ def graph_of(given: Path | str) -> Graph:
         return _graph(given.split(";"), "edge", "graph")
     try:
         lines = Path(given).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
     return _graph(lines, "line", str(given))
 

@@ -115,8 +115,11 @@ def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
         return topology.fully_connected(settings.robots)
     if isinstance(settings.graph, topology.Graph):
         return settings.graph.topology(settings.robots)
-    make = extensions.load(extensions.TOPOLOGIES, str(settings.topology))
-    return cast(Callable[[WorldSettings, int], topology.Topology], make)(settings, trial)
+    name = str(settings.topology)
+    make = cast(
+        Callable[[WorldSettings, int], topology.Topology], extensions.load(extensions.TOPOLOGIES, name)
+    )
+    return topology.Checked(make(settings, trial), name, settings.robots)
 
 
 def _arena_of(settings: WorldSettings, trial: int) -> Arena:

@@ -48,8 +48,8 @@ def test_periods_that_do_not_fit_are_refused(periods: dict[str, Any], complaint:
 
 @pytest.mark.parametrize("name", ["comms_period", "filter_period"])
 def test_a_period_that_is_no_integer_is_refused(name: str) -> None:
-    wrong: Any = {name: 10.0}
-    with pytest.raises(TypeError):
+    wrong: Any = {name: 10.5}
+    with pytest.raises(UsageError, match=f"{name} is 10.5; give a whole number"):
         TickConfig(**wrong)
 
 

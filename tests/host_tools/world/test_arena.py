@@ -50,7 +50,7 @@ def test_the_papers_arena_has_the_side_of_its_batch_scripts() -> None:
         ({"robots": 129}, "robots is 129"),
         ({"robots": -1}, "robots is -1"),
         ({"width": 0.14}, "0.14 x"),
-        ({"height": math.nan}, "nan m"),
+        ({"height": math.nan}, "height is nan"),
         ({"width": 1001.0}, "1001"),
         ({"speed": 0.0}, "speed is 0.0"),
         ({"speed": 0.82}, "speed is 0.82"),
@@ -60,7 +60,6 @@ def test_the_papers_arena_has_the_side_of_its_batch_scripts() -> None:
         ({"speed": 0.8, "steps_per_second": 9}, "steps_per_second is 9"),
         ({"radio_range": math.inf}, "radio_range is inf"),
         ({"floor": Tiles(1.1)}, "fill ratio is 1.1"),
-        ({"floor": Tiles(math.nan)}, "fill ratio is nan"),
         ({"floor": Tiles(0.5, 0.0)}, "tile is 0.0"),
         ({"floor": Tiles(0.5, 1e-6)}, "tile is 1e-06"),
         ({"floor": Tiles(0.5, math.inf)}, "tile is inf"),
@@ -80,6 +79,8 @@ def test_other_bad_input_is_named() -> None:
         Arena(PAPER, 0).step(-1)
     with pytest.raises(UsageError, match="outside the arena"):
         Arena(PAPER, 0).is_black(3, 0)
+    with pytest.raises(UsageError, match="fill_ratio is nan"):
+        Tiles(math.nan)
     with pytest.raises(UsageError, match=r"shape \(0, 3\)"):
         Picture(np.zeros((0, 3), np.bool_))
     with pytest.raises(UsageError, match="density 0"):

@@ -127,7 +127,7 @@ def test_who_hears_whom_in_a_graph(tmp_path: Path) -> None:
         ({"fill_ratio": 1.1}, "fill_ratio", "fill_ratio is 1.1; it must be 0 to 1"),
         ({"fill_ratio": math.nan}, "fill_ratio", "fill_ratio is nan; give a number"),
         ({"fill_ratio": "0.5"}, "fill_ratio", "fill_ratio is '0.5'; give a number"),
-        ({"robots": 2.5}, "robots", "robots is 2.5; it must be a whole number"),
+        ({"robots": 2.5}, "robots", "robots is 2.5; give a whole number"),
         ({"robots": True}, "robots", "robots is True; give a number"),
         ({"seed": -1}, "seed", "seed is -1; it must be 0 to"),
         ({"topology": "star"}, "topology", "choose one of fully-connected, dynamic, graph"),

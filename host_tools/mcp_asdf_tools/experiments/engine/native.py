@@ -75,6 +75,8 @@ class RawOutcome:
 
 def can_run(experiment: Experiment) -> bool:
     """Whether the engine has all that an experiment asks for; other trials run message by message."""
+    if experiment.firmware != "native":
+        return False
     if experiment.topology is Topology.DYNAMIC:
         return not experiment.sensor and experiment.white_offset == 0
     is_plain = experiment.latency == 0 and experiment.observation_period == 1
@@ -91,7 +93,7 @@ def run(
     O(trials steps robots), and four bytes for each estimate.
     """
     if not can_run(experiment):
-        raise UsageError("the engine in C lacks this topology, latency or sensor; run it message by message")
+        raise UsageError("the engine in C lacks this firmware, topology, latency or sensor; use run_trials")
     outcome = _allocate(experiment, trials, thinning)
     call = _Call(experiment, first, trials, thinning)
     engine = _engine.lib

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.world import _arena
 
 MAX_ROBOTS: int = _arena.lib.MCP_ASDF_ARENA_MAX_ROBOTS
@@ -45,6 +45,10 @@ class Tiles:
     fill_ratio: float
     side: float = 0.01
 
+    def __post_init__(self) -> None:
+        """Raises UsageError for a field of another type; ``Arena`` checks ranges."""
+        check_types(self)
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:
@@ -57,7 +61,9 @@ class Picture:
     pixels: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Raises UsageError if the shape is not that of a picture."""
+        """Raises UsageError unless it is an array of the shape of a picture."""
+        if not (isinstance(self.pixels, np.ndarray) and self.pixels.dtype == np.bool_):
+            raise UsageError(f"pixels is {self.pixels!r}; give an array of bool")
         if self.pixels.ndim != 2 or self.pixels.size == 0:
             raise UsageError(f"the picture has shape {self.pixels.shape}; give rows and columns of pixels")
 
@@ -91,6 +97,10 @@ class ArenaSettings:
     radio_range: float = 0.7
     see_past: bool = False
     steps_per_second: int = 10
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for a field of another type; ``Arena`` checks ranges."""
+        check_types(self)
 
 
 def square_side(robots: int, density: float, radio_range: float = 0.7) -> float:

@@ -1,0 +1,179 @@
+"""The extensions of docs/extending.md work as an installed package, in worker processes too."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Activation
+from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.world.sensors import CheckedSensors
+from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.topology import Checked
+from mcp_asdf_tools.world.world import World
+from support import ROOT, run
+from trials import images_by_message
+
+PAGE = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+SHORT: dict[str, Any] = {"robots": 6, "steps": 300, "filter_period": 50, "seed": 3}
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A folder with the page's package, as ``pip install`` leaves it."""
+    for code in blocks("python"):
+        path = tmp_path / code.split("\n", 1)[0].removeprefix("# ")
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(code, encoding="utf-8")
+    project, grid = blocks("toml")
+    settings = tomllib.loads(project)["project"]
+    information = tmp_path / f"my_swarm-{settings['version']}.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(f"Name: {settings['name']}\nVersion: {settings['version']}\n")
+    lines = [
+        line
+        for group, points in settings["entry-points"].items()
+        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in points.items()))
+    ]
+    (information / "entry_points.txt").write_text("\n".join(lines))
+    (tmp_path / "grid.toml").write_text(grid)
+    return tmp_path
+
+
+@pytest.fixture
+def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The same, found by this process."""
+    monkeypatch.syspath_prepend(str(package))
+    extensions._points.cache_clear()
+    yield
+    extensions._points.cache_clear()
+    for name in [name for name in sys.modules if name.split(".")[0] == "my_swarm"]:
+        del sys.modules[name]
+
+
+def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
+    (script,) = blocks("sh")
+    commands = script.splitlines()
+    assert {command.split()[1] for command in commands} == {"simulate", "swarm", "sweep"}
+    assert "--workers 2" in commands[-1]
+    found = [
+        json.loads(run(*command.split(), "--json", cwd=package, PYTHONPATH=str(package)))
+        for command in commands
+    ]
+    assert found[0]["parameters"]["firmware"] == "beta"
+    assert (found[1]["parameters"]["topology"], found[1]["parameters"]["sensor"]) == ("geometric", "dazzled")
+    assert found[2]["results"]["steps"] == 200
+    chosen = {
+        tuple(each["parameters"][name] for name in ("firmware", "topology", "sensor"))
+        for each in found[3]["experiments"]
+    }
+    assert len(chosen) == len({each["H"]["median"] for each in found[3]["experiments"]}) == 8
+
+
+def test_without_the_package_the_names_are_refused() -> None:
+    for name, value in (("firmware", "beta"), ("topology", "geometric"), ("sensor", "dazzled")):
+        given: dict[str, Any] = {name: value}
+        with pytest.raises(UsageError, match=f"{name} is '{value}'; choose"):
+            Experiment(**given)
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
+    parameters = SHORT | {"firmware": "mirror", "topology": "geometric", "sensor": "dazzled"}
+    with Swarm(SwarmSettings(**parameters), Wiring()) as swarm:
+        for _ in range(SHORT["steps"]):
+            swarm.tick()
+        robots = [node.robot for node in swarm.nodes]
+    assert all(isinstance(robot, MirrorRobot) for robot in robots)
+    images = [robot.save() for robot in robots if isinstance(robot, MirrorRobot)]
+    assert images == images_by_message(Experiment(**parameters, trials=1), 0)
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_trial_depends_on_seed_and_number_alone() -> None:
+    experiment = Experiment(**SHORT, firmware="beta", topology="geometric", sensor="dazzled", trials=3)
+    together, alone = run_trials(experiment, 0, 3), run_trials(experiment, 2, 1)
+    assert np.array_equal(together.b_hat[2], alone.b_hat[0])
+    assert not np.array_equal(together.b_hat[1], alone.b_hat[0])
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_posterior_finds_the_true_accuracy() -> None:
+    experiment = Experiment(
+        robots=10,
+        flawed=4,
+        fill_ratio=0.9,
+        steps=1500,
+        firmware="beta",
+        activation=Activation.ALWAYS,
+        trials=1,
+    )
+    b_hat = run_trials(experiment, 0, 1).b_hat[0, -1, :4]
+    assert np.abs(b_hat - experiment.true_accuracy).max() < 0.05
+
+
+@pytest.mark.usefixtures("installed")
+def test_dazzled_sensors_see_white() -> None:
+    """Over a black floor, the share of black is b in the dark and 1/2 in bright light."""
+    scene = World(WorldSettings(robots=100, fill_ratio=1, sensor="dazzled")).advance(400)
+    assert scene.black[:200].mean() == pytest.approx(0.95, abs=0.01)
+    assert scene.black[200:].mean() == pytest.approx(0.5, abs=0.02)
+
+
+class Answers:
+    """An extension that answers the same whatever it is asked."""
+
+    def __init__(self, answer: Any) -> None:
+        self._answer = answer
+
+    def advance(self, steps: int) -> Any:
+        return self._answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (np.zeros((4, 3), np.bool_), r"gives bool of shape \(4, 3\); return bool of \(4, 3, 3\)"),
+        (np.zeros((4, 3, 3)), r"gives float64 of shape \(4, 3, 3\)"),
+        (np.ones((4, 3, 3), np.bool_), "a robot hears itself"),
+        (None, "gives object of shape"),
+    ],
+)
+def test_a_topology_that_answers_wrong_is_named(answer: NDArray[Any], words: str) -> None:
+    with pytest.raises(UsageError, match=f"topology wrong.* ?{words}"):
+        Checked(Answers(answer), "wrong", 3).advance(4)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (np.full((4, 2), 0.5), r"gives shape \(4, 2\); return \(4 or 1, 3 or 1\)"),
+        (np.full(4, 0.5), r"gives shape \(4,\)"),
+        (np.full((1, 1), 1.1), "outside 0 to 1"),
+        (np.full((1, 1), np.nan), "outside 0 to 1"),
+    ],
+)
+def test_sensors_that_answer_wrong_are_named(answer: NDArray[Any], words: str) -> None:
+    for pair in ((answer, np.ones((1, 1))), (np.ones((1, 1)), answer)):
+        with pytest.raises(UsageError, match=words):
+            CheckedSensors(Answers(pair), WorldSettings(robots=3)).advance(4)
