@@ -18,26 +18,39 @@ from mcp_asdf_tools.bus import (
     decode_telemetry,
 )
 
+Content = Message | Heartbeat | Telemetry | Rejection
+"""Content of a frame, or the reason why it has none."""
+
 
 class Decoder:
-    """``decode`` with a cache, for many robots that hear the same frame object one after the other.
+    """Decoder with a cache, for many robots that hear the same frame object one after the other.
 
     Attributes:
-        frames: Where estimates are on the bus.
+        frames: Format of estimates.
     """
 
     def __init__(self, frames: FrameFormat) -> None:
         self.frames = frames
-        self._last: dict[int, tuple[can.Message, Message | Rejection]] = {}
+        self._last: dict[int, tuple[can.Message, Content]] = {}
 
-    def __call__(self, frame: can.Message) -> Message | Rejection:
-        """Decode an estimate. A frame must not change once it has been decoded."""
+    def __call__(self, frame: can.Message) -> Content:
+        """Decode a frame, which must not change any more."""
         known = self._last.get(frame.arbitration_id)
         if known is not None and known[0] is frame:
             return known[1]
-        message = decode(frame, self.frames)
-        self._last[frame.arbitration_id] = frame, message
-        return message
+        content = self._content(frame)
+        self._last[frame.arbitration_id] = frame, content
+        return content
+
+    def _content(self, frame: can.Message) -> Content:
+        estimate = decode(frame, self.frames)
+        if estimate is not Rejection.SUBJECT:
+            return estimate
+        heartbeat = decode_heartbeat(frame)
+        if isinstance(heartbeat, Heartbeat):
+            return heartbeat
+        telemetry = decode_telemetry(frame)
+        return telemetry if isinstance(telemetry, Telemetry) else estimate
 
 
 @dataclass
@@ -66,18 +79,14 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def take_other(self, frame: can.Message, reason: Rejection) -> None:
-        """Count a frame that is no estimate, for this ``reason``."""
-        if reason is Rejection.ERROR_FRAME:
+    def count(self, content: Heartbeat | Telemetry | Rejection) -> None:
+        """Count a frame that is no estimate."""
+        if isinstance(content, Heartbeat):
+            self.heartbeats += 1
+        elif isinstance(content, Telemetry):
+            self.telemetry += 1
+            self.last_telemetry[content.sender] = content
+        elif content is Rejection.ERROR_FRAME:
             self.errors += 1
-            return
-        if reason is Rejection.SUBJECT:
-            if isinstance(decode_heartbeat(frame), Heartbeat):
-                self.heartbeats += 1
-                return
-            telemetry = decode_telemetry(frame)
-            if isinstance(telemetry, Telemetry):
-                self.telemetry += 1
-                self.last_telemetry[telemetry.sender] = telemetry
-                return
-        self.rejected[reason] += 1
+        else:
+            self.rejected[content] += 1
