@@ -1,4 +1,4 @@
-"""``mcp-asdf node`` beside a test, on the bus inside this process."""
+"""``mcp-asdf node`` in a thread of a test, on the bus inside this process."""
 
 from __future__ import annotations
 

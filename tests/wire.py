@@ -1,4 +1,4 @@
-"""A bus without time or threads: whoever is on it hears and answers while a frame is sent."""
+"""A bus without time or threads: its nodes hear and answer while a frame is sent."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Wire(can.BusABC):
 
 
 def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotRecord:
-    """How a robot starts; by default it filters every 10 ticks."""
+    """Initial state of a robot; by default it filters every 10 ticks."""
     settings = TickConfig(TABLE, **({"filter_period": 10} | config))  # type: ignore[arg-type]
     return RobotRecord(robot, firmware, b_hat, settings)
 

@@ -113,11 +113,11 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print everything measured as JSON")
     parser.add_argument("--write", type=Path, metavar="FILE", help="put the table between its markers")
     args = parser.parse_args()
-    if args.trials < 2 or args.ticks <= 500 or args.seed < 0:
-        parser.error(f"--trials {args.trials} --steps {args.ticks} --seed {args.seed}: at least 2, 501 and 0")
+    if args.trials < 2 or args.steps <= 500 or args.seed < 0:
+        parser.error(f"--trials {args.trials} --steps {args.steps} --seed {args.seed}: at least 2, 501 and 0")
     rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_steps_per_second"])
-    rows = compare(args.trials, args.ticks, args.seed)
-    table = markdown(rows, args.trials, args.ticks)
+    rows = compare(args.trials, args.steps, args.seed)
+    table = markdown(rows, args.trials, args.steps)
     if args.json:
         everything = {"statistics": rows, "robot_steps_per_second": rate, "baseline": baseline}
         print(json.dumps(everything, indent=2))

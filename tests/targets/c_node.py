@@ -64,7 +64,7 @@ class Kind:
         return self.command(folder)
 
     def command(self, folder: Path) -> list[str]:
-        """What runs the node built in ``folder``; skips the test where tools are missing."""
+        """Command of the node built in ``folder``; skips the test where tools are missing."""
         if self.runner:
             require(self.runner[0], "qemu-user")
         return [*self.runner, str(folder / PROGRAM)]

@@ -1,11 +1,11 @@
-"""A robot's firmware image under QEMU in a swarm of ten, its mirror beside it: every frame is compared.
+"""A robot's firmware image under QEMU in a swarm of ten, with its mirror: every frame is compared.
 
     python tests/targets/firmware_loop.py [--target NAME] [--steps N] [--seconds S]
 
 Builds the image of c_ref/ports/slcan for a target, lets it run in lockstep with nine emulated neighbours
-for N ticks as fast as it answers, then for S seconds at ten ticks a second, and prints what was compared and
-how fast the answers came. Exits with 1 at the first frame that differs, or if more than one tick in ten of
-those at ten a second was late, with 2 for bad usage.
+for N ticks as fast as it answers, then for S seconds at ten ticks per second, and prints the comparisons and
+the speed of the answers. Exits with 1 at the first frame that differs, or if more than one tick in ten of
+those at ten per second was late, with 2 for bad usage.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class DifferenceError(AssertionError):
 
 
 class LateError(AssertionError):
-    """The image does not keep up with ten ticks a second."""
+    """The image does not keep up with ten ticks per second."""
 
 
 def build(target: str, folder: Path, filter_period: int, flags: str = "") -> Path:
@@ -85,7 +85,7 @@ def build(target: str, folder: Path, filter_period: int, flags: str = "") -> Pat
 
 
 def mirror_node(filter_period: int) -> RobotNode:
-    """What the image is, in plain integers."""
+    """The image's robot, in plain integers."""
     robot = MirrorRobot(_config(filter_period), IMAGE_ID, FLAWED_ACCURACY)
     return RobotNode(TickedRobot(robot), NodeSettings(IMAGE_ID))
 
@@ -178,7 +178,7 @@ def open_bus(board: Board) -> can.BusABC:
 
 
 def demonstrate(board: Board, filter_period: int, ticks: int, seconds: float) -> str:
-    """Lockstep as fast as it goes, then at ten ticks a second; returns what happened, a few lines.
+    """Lockstep as fast as it goes, then at ten ticks per second; returns what happened, a few lines.
 
     Raises DifferenceError as Loop, and LateError with those lines if too many ticks were late.
     """
@@ -209,7 +209,7 @@ def _shown(ticks: int, what: str) -> Iterable[int]:
 
 
 def _pace(loop: Loop, began: float) -> float:
-    """One tick at ten a second; returns how long it took."""
+    """One tick at ten per second; returns its duration."""
     loop.tick()
     took = time.monotonic() - began
     time.sleep(max(0.0, PERIOD - took))
@@ -218,8 +218,8 @@ def _pace(loop: Loop, began: float) -> float:
 
 def _check(args: argparse.Namespace) -> None:
     """Raises UsageError for a run that cannot be."""
-    if args.ticks < 1:
-        raise UsageError(f"ticks is {args.ticks}; it must be 1 or more")
+    if args.steps < 1:
+        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     if not PERIOD <= args.seconds <= _DAY:
         raise UsageError(f"seconds is {args.seconds}; it must be {PERIOD}, one tick, to {_DAY}, a day")
     mirror_node(args.filter_period)
@@ -241,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             image = build(args.target, Path(folder), args.filter_period)
             with Board(BOARDS[args.target], image) as board:
                 print(f"{args.target} on {BOARDS[args.target]} is robot {IMAGE_ID} of {ROBOTS}; seed {SEED}")
-                print(demonstrate(board, args.filter_period, args.ticks, args.seconds))
+                print(demonstrate(board, args.filter_period, args.steps, args.seconds))
     except (DifferenceError, LateError) as failure:
         print(failure)
         return 1

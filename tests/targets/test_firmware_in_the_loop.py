@@ -54,7 +54,7 @@ FILTER_PERIOD = 25
 SEED = 20261121
 PACE = 400
 SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
-SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
+SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan.c"}
 LINUX = ROOT / "c_ref/ports/linux"
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|")
 
@@ -234,8 +234,8 @@ def test_the_demonstration_tells_what_it_compared(
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ("--steps -5 --seconds 0", "ticks is -5; it must be 1 or more"),
-        ("--steps 0", "ticks is 0;"),
+        ("--steps -5 --seconds 0", "steps is -5; it must be 1 or more"),
+        ("--steps 0", "steps is 0;"),
         ("--seconds 0", "seconds is 0.0; it must be 0.1, one tick, to 86400, a day"),
         ("--seconds=-3", "seconds is -3.0;"),
         ("--seconds nan", "seconds is nan;"),

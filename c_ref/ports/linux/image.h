@@ -11,7 +11,7 @@ typedef enum { IMAGE_OK, IMAGE_ABSENT, IMAGE_UNREADABLE, IMAGE_REFUSED, IMAGE_OF
  * then *robot is unchanged. */
 image_status_t image_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id);
 
-/* Write the file anew: whoever reads it, even after a loss of power, finds the old image or the new. Returns
+/* Write the file anew: a reader finds the old image or the new, even after a loss of power. Returns
  * 0, or what went wrong as an errno. */
 int image_save(const char *path, const mcp_asdf_t *robot);
 

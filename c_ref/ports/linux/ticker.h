@@ -10,7 +10,7 @@
 /*   period    between ticks
  *   next      when the next tick is due; the first is due at once
  *   worst     how late a tick was at most
- *   skipped   ticks left out, since whoever comes a period late or more must not catch up in a burst */
+ *   skipped   ticks left out, since a node that is a period late or more must not catch up in a burst */
 typedef struct {
     int64_t period, next, worst;
     uint32_t skipped;

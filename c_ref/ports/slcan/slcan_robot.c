@@ -68,7 +68,7 @@ static slcan_event_t turn(mcp_asdf_frame_t *frame)
     return slcan_take(&serial, byte, frame);
 }
 
-/* Whoever opens the bus finds a robot that has just been switched on. Ends, with status 1, only if it was
+/* A host that opens the bus finds a robot that has just been switched on. Ends, with status 1, only if it was
  * built with settings that the firmware refuses. */
 int main(void)
 {

@@ -39,8 +39,8 @@ class Signal:
         start: Number of its lowest bit, 0 .. 63.
         bits: How many.
         comment: Description.
-        least: Smallest legal value, in units of ``unit``.
-        most: Largest legal value.
+        low: Smallest legal value, in units of ``unit``.
+        high: Largest legal value.
         unit: Value of the lowest bit; None for IEEE 754 binary32.
         names: Names of single values.
     """
@@ -49,8 +49,8 @@ class Signal:
     start: int
     bits: int
     comment: str
-    least: float = 0
-    most: float = 0
+    low: float = 0
+    high: float = 0
     unit: float | None = 1
     names: tuple[tuple[int, str], ...] = ()
 
@@ -79,28 +79,28 @@ def _named(kind: type[Enum]) -> tuple[tuple[int, str], ...]:
 
 
 _TAIL = (
-    Signal("transfer_id", 56, 5, "number of the sender's messages of this kind modulo 32", most=31),
+    Signal("transfer_id", 56, 5, "number of the sender's messages of this kind modulo 32", high=31),
     Signal("start_end_toggle", 61, 3, "7: the transfer is this one frame", 7, 7),
 )
 _ESTIMATE = (
-    Signal("x_hat", 0, 24, "local estimate (eq. 3)", most=1, unit=1 / ONE),
-    Signal("alpha", 24, 32, "local confidence (eq. 4)", most=float_of(INFINITE_ALPHA - 1), unit=None),
+    Signal("x_hat", 0, 24, "local estimate (eq. 3)", high=1, unit=1 / ONE),
+    Signal("alpha", 24, 32, "local confidence (eq. 4)", high=float_of(INFINITE_ALPHA - 1), unit=None),
 )
 _HEARTBEAT = (
-    Signal("uptime", 0, 32, "seconds since start", most=2**32 - 1),
-    Signal("health", 32, 2, "health of the node", most=3, names=_named(Health)),
-    Signal("mode", 40, 3, "operating mode of the node", most=3, names=_named(Mode)),
-    Signal("vendor_status", 48, 8, "the application's own code", most=255),
+    Signal("uptime", 0, 32, "seconds since start", high=2**32 - 1),
+    Signal("health", 32, 2, "health of the node", high=3, names=_named(Health)),
+    Signal("mode", 40, 3, "operating mode of the node", high=3, names=_named(Mode)),
+    Signal("vendor_status", 48, 8, "the application's own code", high=255),
 )
 _TELEMETRY = (
-    Signal("x", 0, 24, "informed estimate (eq. 7)", most=1, unit=1 / ONE),
+    Signal("x", 0, 24, "informed estimate (eq. 7)", high=1, unit=1 / ONE),
     Signal("b_hat", 24, 24, "assumed accuracy", MIN_B_HAT / 2**24, MAX_B_HAT / 2**24, 2**-24),
-    Signal("updates", 48, 8, "number of re-estimates of b_hat (eq. 8) modulo 256", most=255),
+    Signal("updates", 48, 8, "number of re-estimates of b_hat (eq. 8) modulo 256", high=255),
 )
 _COMMAND = (
-    Signal("tick", 0, 32, "number of the control tick", most=2**32 - 1),
-    Signal("target", 32, 8, "id of the robot addressed", most=255, names=((EVERY_ROBOT, "EVERY_ROBOT"),)),
-    Signal("action", 40, 8, "half of a tick to do", most=3, names=_named(Action)),
+    Signal("tick", 0, 32, "number of the control tick", high=2**32 - 1),
+    Signal("target", 32, 8, "id of the robot addressed", high=255, names=((EVERY_ROBOT, "EVERY_ROBOT"),)),
+    Signal("action", 40, 8, "half of a tick to do", high=3, names=_named(Action)),
 )
 
 
@@ -129,7 +129,7 @@ def _kinds(estimates: FrameFormat, node: int, suffix: str, sender: str) -> list[
     heartbeat = encode_heartbeat(Heartbeat(node, 0, 0)).arbitration_id
     kinds = (
         ("Estimate", estimates.identifier(node), "A robot's broadcast", _ESTIMATE),
-        ("Heartbeat", heartbeat, "A node's sign of life, once a second", _HEARTBEAT),
+        ("Heartbeat", heartbeat, "A node's heartbeat, once per second", _HEARTBEAT),
         ("Telemetry", TELEMETRY.identifier(node), "A robot's state for observers of the bus", _TELEMETRY),
         ("Command", COMMANDS.identifier(node), "A simulator's order", _COMMAND),
     )
@@ -162,7 +162,7 @@ def _message(entry: Entry) -> str:
 def _signal(signal: Signal) -> str:
     sign, factor = ("-", 1.0) if signal.unit is None else ("+", signal.unit)
     bits = f"{signal.start}|{signal.bits}@1{sign} ({_number(factor)},0)"
-    return f'{signal.name} : {bits} [{_number(signal.least)}|{_number(signal.most)}] "" Vector__XXX'
+    return f'{signal.name} : {bits} [{_number(signal.low)}|{_number(signal.high)}] "" Vector__XXX'
 
 
 def _number(value: float) -> str:

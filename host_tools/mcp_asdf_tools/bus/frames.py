@@ -89,9 +89,9 @@ class Rejection(Enum):
         return member
 
 
-def _check(name: str, value: int, most: int, least: int = 0) -> None:
-    if not least <= value <= most:
-        raise UsageError(f"{name} is {value}; it must be {least} to {most}")
+def _check(name: str, value: int, high: int, low: int = 0) -> None:
+    if not low <= value <= high:
+        raise UsageError(f"{name} is {value}; it must be {low} to {high}")
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Mode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """A node's sign of life (Cyphal's ``uavcan.node.Heartbeat``), due once a second.
+    """Heartbeat of a node (Cyphal's ``uavcan.node.Heartbeat``), due once per second.
 
     Attributes:
         sender: Node id, 0 .. 127.
@@ -281,7 +281,7 @@ def encode_heartbeat(heartbeat: Heartbeat, priority: int = 4, timestamp: float =
 def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     """Heartbeat in any frame, or the reason why there is none.
 
-    Health takes 2 bits and mode 3; the spare bits beside them are ignored, as the specification asks.
+    Health takes 2 bits and mode 3; the spare bits next to them are ignored, as the specification asks.
     """
     reason = _why_no_transfer(frame, HEARTBEAT_SUBJECT)
     if reason is not None:

@@ -116,7 +116,7 @@ class BusChoice:
 
 
 def wrapped(interface: str, bus: can.BusABC) -> can.BusABC:
-    """Connection that marks others' frames as received and returns no own ones, whatever the interface."""
+    """Connection that marks others' frames as received and returns no own ones, on any interface."""
     wrapper = _WRAPPERS.get(interface)
     return bus if wrapper is None else wrapper(bus)
 

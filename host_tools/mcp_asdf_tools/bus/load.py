@@ -41,7 +41,7 @@ def bus_load(bits: float, seconds: float, bit_rate: float) -> float:
 
 
 def _content(frame: can.Message) -> tuple[int, int]:
-    """What the checksum covers, as an integer, and its length: from the start bit (0) to the data."""
+    """The bits under the checksum, as an integer, and their number: from the start bit (0) to the data."""
     identifier, remote = frame.arbitration_id, int(frame.is_remote_frame)
     if frame.is_extended_id:
         # Start, 11 bits, substitute remote and extended bits (1 1), 18 bits, remote, two reserved (0).
@@ -64,7 +64,7 @@ def _crc(content: int) -> int:
 
 
 def _stuffed(bits: int, length: int) -> int:
-    """How many bits are stuffed into ``bits``: one, of the other value, after five alike."""
+    """Number of bits stuffed into ``bits``: one, of the other value, after five alike."""
     table, stuffed = _stuffing_table(), 0
     # As if ones had gone before: the start bit is a 0, so a run begins with it, wherever whole bytes begin.
     padding = -length % 8
@@ -97,7 +97,7 @@ def _shifted(register: int, steps: int, polynomial: int) -> int:
 def _stuffing_table() -> list[tuple[int, int]]:
     """For each state and byte: bits stuffed into it, and the state after it.
 
-    A state is the last bit on the wire, times 8, and how many like it have come in a row, 1 .. 4; 0 at the
+    A state is the last bit on the wire, times 8, and the number of equal ones in a row, 1 .. 4; 0 at the
     start.
     """
     return [_through(state, byte) for state in range(16) for byte in range(256)]

@@ -1,4 +1,4 @@
-"""Frames that a robot must take in its stride: malformed ones, and commands that it must not obey."""
+"""Invalid frames that a robot must ignore: malformed ones, and commands that it must not obey."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Breaker = Callable[[can.Message, Draw], None]
 
 
 def malformed(draw: Draw, subjects: Subjects, sender: int) -> list[can.Message]:
-    """A frame for every way not to be an estimate, from ``sender`` as far as that can be told."""
+    """A frame for every way not to be an estimate, from ``sender`` where the identifier allows."""
     frames = []
     for spoil in _WAYS:
         message = Message(sender, draw.randint(0, ONE), draw.randrange(1 << 32), draw.randrange(32))
@@ -89,9 +89,9 @@ def _x_hat(frame: can.Message, draw: Draw) -> None:
     frame.data[:3] = draw.randint(ONE + 1, 0xFF_FFFF).to_bytes(3, "little")
 
 
-def _alpha(least: int, most: int) -> Breaker:
+def _alpha(low: int, high: int) -> Breaker:
     def spoil(frame: can.Message, draw: Draw) -> None:
-        frame.data[3:7] = draw.randint(least, most).to_bytes(4, "little")
+        frame.data[3:7] = draw.randint(low, high).to_bytes(4, "little")
 
     return spoil
 

@@ -1,7 +1,7 @@
 """The neighbours of one real controller: an emulated swarm in which one robot is not emulated.
 
-``Neighbourhood`` knows no bus. It is told what the controller has sent and says what the controller hears:
-of the neighbours in range, what the faults leave.
+``Neighbourhood`` needs no bus: it takes the controller's frames and returns those that the controller hears,
+from neighbours in range and after the faults.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcp_asdf_tools.world import World
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
     """Ids for ``count`` neighbours: from ``first`` on, without the controller's.
 
-    Raises UsageError if there are not that many, 1 or more, up to 125.
+    Raises UsageError if ``count`` is not 1 or more, or the ids up to 125 are too few.
     """
     ids = tuple(robot for robot in range(first, MAX_ROBOTS_AND_TOOLS) if robot != controller)
     if not 0 <= first < MAX_ROBOTS_AND_TOOLS:
@@ -36,15 +36,14 @@ def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class RadioSettings:
-    """What surrounds the controller. Raises UsageError if two robots have one id.
+    """Surroundings of the controller. Raises UsageError if two robots share an id.
 
     Attributes:
-        controller: The robot on the bus, as far as it is known.
-        neighbours: Those to emulate.
-        swarm: The world that they are in, with as many robots as there are in all. Of the settings that
-            concern robots or frames none counts.
-        subjects: Where messages are.
-        faults: What goes wrong between them, in the order in which it acts.
+        controller: Initial state of the robot on the bus.
+        neighbours: Initial states of those to emulate.
+        swarm: Their world, which counts all robots. Settings of robots and frames are ignored.
+        subjects: Formats of the messages.
+        faults: Faults between them, in the order in which they act.
     """
 
     controller: RobotRecord
@@ -60,12 +59,12 @@ class RadioSettings:
 
 
 def configured_like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
-    """A neighbour configured as the controller is."""
+    """A neighbour with the controller's configuration."""
     return replace(controller, id=robot, b_hat=b_hat)
 
 
 class _Renumbered:
-    """A world of robots whose ids are not 0, 1, 2 ..."""
+    """World of robots whose ids are not 0, 1, 2 ..."""
 
     def __init__(self, world: World, ids: Sequence[int]) -> None:
         self._world = world
@@ -78,12 +77,12 @@ class _Renumbered:
 
 
 class Neighbourhood:
-    """Emulated robots around a controller. A tick is ``begin``, whatever the controller does, ``finish``.
+    """Emulated robots around a controller. A tick is ``begin``, the controller's part, ``finish``.
 
     Attributes:
-        settings: What it is made of.
-        nodes: The living and the dead, by id.
-        faults: What goes wrong.
+        settings: Its parameters.
+        nodes: The neighbours by id, crashed ones included.
+        faults: The faults between robots.
         tick: Number of the tick that is open or, between ticks, of the next.
     """
 
@@ -99,7 +98,7 @@ class Neighbourhood:
         self._sent: list[SentFrame] = []
 
     def begin(self) -> Observation | None:
-        """Let all neighbours observe; returns what the controller's sensor would say. O(neighbours)."""
+        """Let all neighbours observe; returns the observation of the controller. O(neighbours)."""
         seen = dict(zip(self._ids, self._world.step(), strict=True))
         alive = [node for node in self.nodes.values() if self.faults.survives(node, self.tick)]
         frames = [(node.id, frame) for node in alive for frame in self._frames_of(node, seen[node.id])]
@@ -109,22 +108,22 @@ class Neighbourhood:
                 self._sent += self.faults.leave(frame, robot, self.tick)
         return seen[self.settings.controller.id]
 
-    def finish(self, said: Sequence[can.Message]) -> list[can.Message]:
-        """Let the controller have ``said`` this, and all neighbours hear and settle.
+    def finish(self, sent: Sequence[can.Message]) -> list[can.Message]:
+        """Take the frames that the controller has ``sent``, and let all neighbours hear and settle.
 
-        Returns what the controller hears, in order. O(neighbours**2).
+        Returns the frames that the controller hears, in order. O(neighbours**2).
         """
         controller = self.settings.controller.id
-        sent = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(said))]
+        frames = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(sent))]
         for robot, node in self.nodes.items():
-            for frame in self._air.arrivals(robot, self.tick, sent):
+            for frame in self._air.arrivals(robot, self.tick, frames):
                 node.hear(frame)
         for node in self.nodes.values():
             if node.is_alive:
                 node.settle()
-        heard = self._air.arrivals(controller, self.tick, sent)
+        heard = self._air.arrivals(controller, self.tick, frames)
         self.tick += 1
-        # Error frames are a driver's report: nobody can send one.
+        # Error frames are a driver's report: they cannot be sent.
         return [frame for frame in heard if not frame.is_error_frame]
 
     def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:

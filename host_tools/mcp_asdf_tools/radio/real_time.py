@@ -14,17 +14,17 @@ from mcp_asdf_tools.robots import BusLink, RealTimeClock, RunOutcome, Stopped
 
 
 class RadioRun:
-    """Emulated neighbours at work around a controller that has its own clock.
+    """Emulated neighbours around a controller that has its own clock.
 
     Attributes:
         neighbours: The neighbours.
         link: The connection to the controller.
-        outcome: How it went, once it is over.
+        outcome: How the run ended, once it is over.
         sent: Frames sent to the controller.
         heard: Estimates heard from it.
         strangers: Legal estimates from nodes that are neither the controller nor emulated.
         last: The last estimate and the last telemetry of the controller.
-        id_conflicts: Finds nodes with one id.
+        id_conflicts: Detector of nodes that share an id.
         watch: Called after each tick.
     """
 
@@ -41,9 +41,9 @@ class RadioRun:
         self._said: list[can.Message] = []
 
     def run(self) -> None:
-        """Tick until all is done, or until told to stop.
+        """Tick until all ticks are done, or until asked to stop.
 
-        What the controller says is heard at the next tick; what it hears it hears at ticks.
+        Frames of the controller are heard at the next tick, and it is sent frames at ticks.
         """
         clock = RealTimeClock(self.neighbours.settings.swarm.steps_per_second, sleep=self._listen)
         try:
@@ -59,7 +59,7 @@ class RadioRun:
             self.outcome.lateness = clock.figures()
 
     def figures(self) -> dict[str, Any]:
-        """What came out as plain values, for JSON."""
+        """Results as plain values, for JSON."""
         x = [node.robot.x for node in self.neighbours.nodes.values()]
         return {
             "steps": self.neighbours.tick,

@@ -1,8 +1,8 @@
-"""Proving a real controller: what a model of it does it must do, whatever goes wrong around it.
+"""Verification of a real controller, which must behave as a model of it does while faults strike around it.
 
-The controller is driven in lockstep by command frames. What it broadcasts and answers is compared, bit for
-bit, with a model that is given the same observations and the very frames that go over the bus. A fault class
-is survived if that holds while it strikes.
+The controller is driven in lockstep by command frames. Its broadcasts and answers are compared, bit for bit,
+with those of a model that gets the same observations and the very frames that go over the bus. The controller
+survives a fault class if they are equal while it strikes.
 """
 
 from __future__ import annotations
@@ -45,21 +45,22 @@ PASSED, FAILED, EMPTY, NOT_RUN = "passed", "failed", "nothing happened", "not ru
 
 @dataclass(frozen=True)
 class Phase:
-    """One thing that goes wrong for a while.
+    """Ticks with one kind of disturbance.
 
     Attributes:
-        name: For people.
-        fault: What strikes, as ``fault_kinds.parse_fault`` reads it, apart by spaces, with {me} for the
-            controller's id, {them} for all neighbours and {one} for one of them; None for no fault.
+        name: Name in reports.
+        fault: Faults in the texts of ``parse_fault``, separated by spaces, with {me} for the controller's id,
+            {them} for all neighbours and {one} for one of them; None for no fault.
         is_blind: Whether the controller observes nothing.
-        odd: Which odd frames come beside the regular ones, "malformed" or "commands"; "lost" if instead the
-            *settle* of every other tick does not come.
+        invalid: Invalid frames sent besides the regular ones, "malformed" or "commands"; empty for none.
+        loses_settles: Whether the *settle* of every other tick is not sent.
     """
 
     name: str
     fault: str | None = None
     is_blind: bool = False
-    odd: str = ""
+    invalid: str = ""
+    loses_settles: bool = False
 
 
 PHASES = (
@@ -72,7 +73,7 @@ PHASES = (
     Phase("repeated messages", "duplicate=0.7,ticks=0,receivers={me}"),
     Phase("reordered messages", "reorder=1,receivers={me}"),
     Phase("corrupted bits", "corrupt=0.5,bits=3,receivers={me}"),
-    # In any order: who is deaf after a flood must miss something.
+    # In random order, so that a controller that is deaf after a flood misses something.
     Phase("flood", "babble=1,frames=10,robots={them} reorder=1,receivers={me}"),
     Phase("crash and rejoin", "crash=0.05,ticks=5,robots={them}"),
     Phase("frozen neighbours", "freeze=0.8,robots={them}"),
@@ -80,24 +81,24 @@ PHASES = (
     Phase("node-id conflict", "collide=0.5,id={me},robots={them}"),
     Phase("bus-off", "busoff=0.1,ticks=5,robots={them}"),
     Phase("full send queues", "queue=0.5,frames=0,robots={them}"),
-    Phase("malformed frames", odd="malformed"),
-    Phase("lost commands", odd="lost"),
-    Phase("commands out of order", odd="commands"),
+    Phase("malformed frames", invalid="malformed"),
+    Phase("lost commands", loses_settles=True),
+    Phase("commands out of order", invalid="commands"),
 )
 
 
 @dataclass
 class PhaseResult:
-    """How a phase went.
+    """Result of a phase.
 
     Attributes:
-        name: The phase's.
+        name: Name of the phase.
         fault: The fault that struck, as text; None if none.
         ticks: Ticks done.
         frames: Frames that the controller was sent.
-        injected: How often something went wrong.
+        injected: Number of disturbances.
         broadcasts: Estimates of the controller that equal the model's.
-        answers: Telemetry frames that do.
+        answers: Telemetry frames of the controller that equal the model's.
         outcome: PASSED, FAILED, EMPTY (it passed, but nothing went wrong) or NOT_RUN.
     """
 
@@ -113,14 +114,14 @@ class PhaseResult:
 
 @dataclass
 class ControllerVerdict:
-    """What came out.
+    """Verdict on a controller.
 
     Attributes:
-        phases: How each phase went, in order.
-        difference: The first thing that the controller did otherwise than the model; None if nothing.
-        is_interrupted: Whether it was told to stop before the end.
+        phases: Result of each phase, in order.
+        difference: First difference between the controller and the model; None if there is none.
+        is_interrupted: Whether the verification was asked to stop before its end.
         other_frames: Other frames of the controller, such as heartbeats.
-        repeated: Commands that it was given a second time, since it had not answered.
+        repeated: Commands repeated because the controller had not answered.
     """
 
     phases: list[PhaseResult]
@@ -140,7 +141,7 @@ class ControllerVerdict:
 
 
 class _Differs(Exception):  # noqa: N818 (an outcome, no error)
-    """The controller did not do what the model does."""
+    """The controller differs from the model."""
 
 
 def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tuple[list[Phase], list[Fault]]:
@@ -162,17 +163,17 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
 
 @dataclass
 class ControllerBench:
-    """What a controller is tried on.
+    """Test bench of a controller.
 
     Attributes:
-        bus: The connection to it.
+        bus: Connection to the controller.
         ticks: Ticks of a phase.
-        timeout: Seconds that it has to answer.
+        timeout: Seconds that the controller has to answer.
         wait: Seconds to wait for the heartbeat with which it starts; None to begin at once.
-        recorder: Told what happens to the controller; None for nobody.
+        recorder: Takes the controller's events; None if they are not recorded.
         log: Takes all frames, sent and heard.
         progress: Called after each tick with the number of ticks done.
-        is_told_to_stop: Asked after each tick.
+        is_told_to_stop: Checked before each tick.
     """
 
     bus: can.BusABC
@@ -186,7 +187,7 @@ class ControllerBench:
 
 
 class Verification:
-    """A controller under test. It must have been started anew and have done nothing yet."""
+    """Verification of a controller that has just started and done nothing yet."""
 
     def __init__(
         self, settings: RadioSettings, bench: ControllerBench, phases: Sequence[Phase] = PHASES
@@ -250,33 +251,33 @@ class Verification:
         self._lockstep.observe({self._id: None if phase.is_blind else seen})
         if any(isinstance(decode(frame, self._subjects.estimates), Message) for frame in self._expected):
             self._lockstep.estimates({self._id})
-        # Odd frames first: of a sender that is heard already a robot ignores good ones, too.
-        odd = self._odd(phase)
-        frames = odd + self._neighbours.finish(self._said)
-        result.injected += len(odd) + phase.is_blind
+        # Invalid frames first: from a sender that was heard already a robot ignores valid ones, too.
+        invalid = self._invalid(phase)
+        frames = invalid + self._neighbours.finish(self._said)
+        result.injected += len(invalid) + phase.is_blind
         result.frames += len(frames)
         send_all(self._bench.bus, frames, SEND_TIMEOUT)
         for frame in frames:
             self._note(frame)
-        if phase.odd == "lost" and result.ticks % 2 == 0:
+        if phase.loses_settles and result.ticks % 2 == 0:
             self._lockstep.leave_open()
             result.injected += 1
         else:
             self._lockstep.settle({self._id})
         self._compare(result)
 
-    def _odd(self, phase: Phase) -> list[can.Message]:
-        """The odd frames of this tick."""
+    def _invalid(self, phase: Phase) -> list[can.Message]:
+        """The invalid frames of this tick."""
         other = self._draw.choice(list(self._neighbours.nodes))
-        if phase.odd == "malformed":
+        if phase.invalid == "malformed":
             return malformed(self._draw, self._subjects, other)
-        if phase.odd == "commands":
+        if phase.invalid == "commands":
             tick = self._lockstep.tick
             return stray_commands(self._draw, self._subjects.commands, self._id, other, tick)
         return []
 
     def _note(self, frame: can.Message) -> None:
-        """Take in a frame that goes over the bus, in either direction; the model hears what is sent."""
+        """Take a frame on the bus, in either direction; the model hears those sent to the controller."""
         if not frame.is_rx:
             frame.timestamp = time.time()
             self._expected += self.model.hear(frame)
@@ -285,7 +286,7 @@ class Verification:
             self._said.append(frame)
 
     def _listen_on(self, result: PhaseResult) -> None:
-        """See to it that nothing comes after the last answer."""
+        """Check that nothing comes after the last answer."""
         end = time.monotonic() + _AFTERMATH
         while (frame := self._bench.bus.recv(max(0.0, end - time.monotonic()))) is not None:
             if frame.is_rx:
@@ -295,7 +296,7 @@ class Verification:
         self._compare(result)
 
     def _compare(self, result: PhaseResult) -> None:
-        """Compare what the controller and the model have said since the last comparison."""
+        """Compare the frames of controller and model since the last comparison."""
         said, wanted = list(self._meaning(self._said)), list(self._meaning(self._expected))
         self.verdict.other_frames += len(self._said) - len(said)
         self._said.clear()
@@ -309,7 +310,7 @@ class Verification:
         result.answers += sum(isinstance(each.content, Telemetry) for each in said)
 
     def _malformed(self) -> _Differs | None:
-        """What is wrong with a frame that the controller has sent since the last comparison."""
+        """The error in a malformed frame of the controller since the last comparison, if there is one."""
         try:
             list(self._meaning(self._said))
         except _Differs as difference:
@@ -317,7 +318,7 @@ class Verification:
         return None
 
     def _meaning(self, frames: Sequence[can.Message]) -> Iterator[_Said]:
-        """The estimates and telemetry among ``frames``; other kinds do not matter, malformed ones do."""
+        """The estimates and telemetry among ``frames``; other kinds are skipped, malformed frames fail."""
         for frame in frames:
             estimate = decode(frame, self._subjects.estimates)
             telemetry = decode_telemetry(frame, self._subjects.telemetry)
@@ -335,7 +336,7 @@ _AFTERMATH = 0.1
 
 
 class _Said(NamedTuple):
-    """A frame's content with its alpha to the bit, which decoding may round."""
+    """Content of a frame with the exact bits of alpha, which decoding may round."""
 
     content: Message | Telemetry
     alpha_bits: int = 0
@@ -350,9 +351,9 @@ def _text(said: _Said) -> str:
     if isinstance(content, Message):
         return (
             f"x_hat {content.x_hat:#08x} ({content.x_hat / 2**23:.7f}), alpha {bits:#010x} "
-            f"({float_of(bits):.7g}), transfer {content.transfer_id}"
+            f"({float_of(bits):.7g}), transfer_id {content.transfer_id}"
         )
     return (
         f"x {content.x:#08x} ({content.x / 2**23:.7f}), b_hat {content.b_hat:#08x} "
-        f"({content.b_hat / 2**24:.7f}), updates {content.updates}, transfer {content.transfer_id}"
+        f"({content.b_hat / 2**24:.7f}), updates {content.updates}, transfer_id {content.transfer_id}"
     )

@@ -1,4 +1,4 @@
-"""The report of a controller's verification, to keep: JSON or Markdown."""
+"""Report of a controller's verification in JSON or Markdown."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ COLUMNS = {
     "answers": "equal answers",
     "outcome": "outcome",
 }
-"""What is said of each phase, and what people call it."""
+"""Figures of each phase, and their headings."""
 
 _SUFFIXES = (".json", ".md")
 
 
 def check_report_path(path: Path | None) -> None:
-    """Raises UsageError if no report can have this name or be there."""
+    """Raises UsageError if the suffix is unknown or the file cannot be written there."""
     if path is None:
         return
     if path.suffix not in _SUFFIXES:
-        raise UsageError(f"cannot tell what report {path} is to be; name it {' or '.join(_SUFFIXES)}")
+        raise UsageError(f"report {path} has no known format; name it {' or '.join(_SUFFIXES)}")
     check_target(path)
 
 
 def write_verification_report(path: Path, report: dict[str, Any]) -> None:
-    """Write a report whose suffix tells the format. Raises UsageError if that is impossible."""
+    """Write a report in the format of its suffix. Raises UsageError if that is impossible."""
     text = json.dumps(report, indent=2) + "\n" if path.suffix == ".json" else markdown(report)
     write_atomically(path, text)
 
 
 def markdown(report: dict[str, Any]) -> str:
-    """The report for people."""
+    """The report in Markdown."""
     verdict = report["verdict"]
     lines = [
         "# Verification of a controller",
@@ -61,13 +61,13 @@ def markdown(report: dict[str, Any]) -> str:
 
 
 def headline(verdict: dict[str, Any]) -> str:
-    """The outcome in a sentence."""
+    """The verdict in a sentence."""
     phases = verdict["phases"]
     passed = sum(phase["outcome"] == "passed" for phase in phases)
     count = f"{passed} of {len(phases)} phases passed"
     if verdict["passed"]:
-        said_twice = f"; {verdict['repeated']} commands had to be said twice" * bool(verdict["repeated"])
-        return f"PASSED: {count}; every broadcast and every answer equals the model's{said_twice}"
+        repeated = f"; {verdict['repeated']} commands were repeated" * bool(verdict["repeated"])
+        return f"PASSED: {count}; every broadcast and every answer equals the model's{repeated}"
     if verdict["difference"] is not None:
         return f"FAILED: {count}; first in {verdict['difference']}"
     if verdict["is_interrupted"]:

@@ -109,7 +109,7 @@ def read_log(path: Path | str) -> Iterator[can.Message]:
     except Exception as error:  # readers raise errors of any kind
         raise UsageError(
             f"the log {path} is malformed after frame {number} ({type(error).__name__}: {error}), "
-            f"or not of the format that its suffix says: {_FORMATS}"
+            f"or its suffix is wrong: {_FORMATS}"
         ) from error
     if not number:
-        raise UsageError(f"the log {path} holds no frame; is it a log of the format that its suffix says?")
+        raise UsageError(f"the log {path} holds no frame; does its suffix match its format?")

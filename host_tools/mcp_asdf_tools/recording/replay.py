@@ -22,7 +22,7 @@ from mcp_asdf_tools.bus import (
     frame_as_text,
 )
 from mcp_asdf_tools.recording.sidecar import SidecarReader
-from mcp_asdf_tools.robots import RESTART, SETTLE, Event, RobotRecord
+from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Decoder, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
 _SLICE = 0.1
@@ -58,13 +58,7 @@ class Rerun:
     def __init__(self, record: RobotRecord) -> None:
         """Prepare a robot that starts like the one recorded."""
         self.broadcasts: deque[Broadcast] = deque()
-        self._record = record
-        self._start()
-
-    def _start(self) -> None:
-        self._robot = self._record.make()
-        self._ticks = 0
-        self._estimates = 0
+        self._robot = BusRobot(record.id, record.make, Decoder(FrameFormat()))
 
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
@@ -79,16 +73,14 @@ class Rerun:
                 self._observe(Action(event))
 
     def _observe(self, action: Action) -> None:
-        self._ticks += 1
-        if self._robot.observe(action.observation):
-            transfer_id = self._estimates % TRANSFER_IDS
-            self._estimates += 1
-            said = self._robot.port.x_hat_raw, binary32_of(self._robot.port.alpha_raw)
-            self.broadcasts.append(Broadcast(self._ticks, transfer_id, *said))
+        if self._robot.begin(action.observation):
+            estimate = self._robot.estimate()
+            alpha = binary32_of(estimate.alpha)
+            self.broadcasts.append(Broadcast(self._robot.ticks, estimate.transfer_id, estimate.x_hat, alpha))
 
     def _take(self, values: Sequence[int]) -> None:
         if len(values) == 3:
-            self._robot.port.receive_raw(*values)
+            self._robot.receive(*values)
         else:
             x_hat, bits = values
             last = self._last("falsified")
@@ -96,14 +88,14 @@ class Rerun:
 
     def _suffer(self, event: str) -> None:
         if event == RESTART:
-            self._start()
+            self._robot.restart()
         else:
             self._last(event)
 
     def _last(self, what: str) -> Broadcast:
         """Take back the last broadcast."""
         if not self.broadcasts:
-            raise ValueError(f"robot {self._record.id} has a broadcast {what} before it made one")
+            raise ValueError(f"robot {self._robot.id} has a broadcast {what} before it made one")
         return self.broadcasts.pop()
 
 
@@ -127,13 +119,13 @@ class LogDifference:
 
     def __str__(self) -> str:
         logged, expected = self.logged, self.expected
-        says = (
+        text = (
             f"frame {self.frame} at {self.timestamp:.6f} s: robot {logged.sender} broadcast "
             f"{_values(logged, self.alpha_bits)}"
         )
         if expected is None:
-            return f"{says}, but makes no more broadcasts"
-        return f"{says}, but in tick {expected.tick} it makes {_values(expected, expected.alpha_bits)}"
+            return f"{text}, but makes no more broadcasts"
+        return f"{text}, but in tick {expected.tick} it makes {_values(expected, expected.alpha_bits)}"
 
 
 def _values(said: Message | Broadcast, bits: int) -> str:
@@ -173,7 +165,7 @@ def verify(
 ) -> ReplayVerdict:
     """Run every robot of ``sidecar`` again and compare its broadcasts with those of ``log``.
 
-    Calls ``progress`` after each line of the sidecar, which takes most of the time. Stops at the first
+    Calls ``progress`` after each line of the sidecar, which is the longest part. Stops at the first
     difference. Time O(events + frames), memory O(broadcasts). Raises UsageError if log or sidecar cannot be
     read or the sidecar contradicts itself.
     """

@@ -14,7 +14,7 @@ run (:class:`SidecarHeader`). Every other line is either
   [x_hat, alpha]        its last broadcast went out with these false values (a fault), alpha in the binary32
                         bits of the frame
   "silent"              its last broadcast did not go out at all (a fault)
-  "restart"             it started anew, as the header says
+  "restart"             it started anew, as in the header
   ===================== ================================================================================
 
 - ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent (a fault), as candump writes it.
@@ -136,13 +136,13 @@ class SidecarReader:
     """A sidecar being read. A context manager.
 
     Attributes:
-        header: What the run is made of.
+        header: Description of the run.
         bytes: Size of the file.
         bytes_read: Read so far.
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Read the header. Raises UsageError if there is none or it makes no sense."""
+        """Read the header. Raises UsageError if it is missing or malformed."""
         self._path = Path(path)
         self._number = self.bytes_read = 0
         try:
@@ -202,7 +202,7 @@ class SidecarReader:
     def _read_header(self) -> SidecarHeader:
         plain = self._parse(self._next_line())
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
-            raise self.wrong(f'it does not say "format": "{FORMAT}"')
+            raise self.wrong(f'"format": "{FORMAT}" is missing')
         if plain.get("version") != VERSION:
             raise self.wrong(
                 f"the format is version {plain.get('version')}, and version {VERSION} is read here; replay "

@@ -57,7 +57,7 @@ class Decide(Protocol):
     __name__: str
 
     def __call__(self, study: Study, part: Part) -> Finding:
-        """What comes out."""
+        """Outcome."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def physical_cells(mode: Filtering = NONE) -> list[Cell]:
 
 @dataclass(frozen=True)
 class Expected:
-    """What comparisons should give.
+    """Expected result of comparisons.
 
     Attributes:
         expectation: The direction.
@@ -254,7 +254,7 @@ def words_of(cell: Cell) -> str:
 
 
 def _words(cell: Cell) -> dict[str, str]:
-    """What a cell is, by attribute."""
+    """Attributes of a cell."""
     words = {
         "part": PART_NAMES[cell.part],
         "fill_ratio": f"f {cell.fill_ratio:g}",
@@ -269,7 +269,7 @@ def _words(cell: Cell) -> dict[str, str]:
 
 
 def _difference(left: Cell, right: Cell) -> str:
-    """What two cells have in common, and in what they differ."""
+    """Attributes that two cells share, and those in which they differ."""
     one, other = _words(left), _words(right)
     common = {name for name, word in one.items() if other.get(name) == word}
     shared = [word for name, word in one.items() if name in common - {"part"}]

@@ -1,4 +1,4 @@
-"""What sections IV and V of the paper claim, each claim a function that decides it from results.
+"""Claims of sections IV and V of the paper, each a function that decides it from results.
 
 A function's docstring is the claim, in our words; docs/reproduce.md says how comparisons are decided. Where
 the paper names no size, the sizes here are ours.

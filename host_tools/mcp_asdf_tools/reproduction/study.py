@@ -129,7 +129,7 @@ QUICK = Scale(trials=10, steps=10_000)
 
 
 def experiment_of(cell: Cell, scale: Scale) -> Experiment:
-    """The experiment of a cell. Raises ParameterError if the scale will not do."""
+    """The experiment of a cell. Raises ParameterError for a scale out of range."""
     common = _experiments_of(cell.part)[0]
     return replace(
         common,

@@ -1,4 +1,4 @@
-"""What came out of the study, as a folder: a report in Markdown with pictures, and every comparison made."""
+"""Results of the study as a folder: a report in Markdown with pictures, and every comparison made."""
 
 from __future__ import annotations
 

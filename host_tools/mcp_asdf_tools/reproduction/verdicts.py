@@ -28,11 +28,11 @@ _SEED = 1
 
 Sample = NDArray[np.float64]
 Summary = Callable[..., Any]
-"""What stands for a sample; called with an array and the axis of the trials."""
+"""Statistic of a sample; called with an array and the axis of the trials."""
 
 
 class Expectation(Enum):
-    """What a comparison is said to give."""
+    """Claimed result of a comparison."""
 
     ABOVE = "above"
     BELOW = "below"
@@ -53,7 +53,7 @@ class Scope(Enum):
 
 
 class Verdict(Enum):
-    """What comes out of a claim."""
+    """Verdict on a claim."""
 
     AGREE = "agree"
     MIXED = "mixed"
@@ -97,7 +97,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a claim's comparisons gave; there is at least one."""
+    """Results of a claim's comparisons, at least one."""
 
     comparisons: Sequence[Comparison]
     scope: Scope = Scope.ALL

@@ -95,33 +95,33 @@ class Participant:
         """Take any frame of another node. A dead robot hears nothing. O(1)."""
         if not self.is_alive:
             return
-        message = self._decode(frame)
-        if isinstance(message, Message):
-            self.receive(message)
+        content = self._decode(frame)
+        if isinstance(content, Message):
+            self.receive(content.sender, content.x_hat, content.alpha)
         else:
-            self.reception.take_other(message)
+            self.reception.count(content)
 
-    def receive(self, message: Message) -> None:
-        """Hand an estimate to the firmware. O(1)."""
+    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
+        """Hand an estimate, in the raw integers of ``Message``, to the firmware. O(1)."""
         if self.recorder is not None:
-            self.recorder.receive(message.sender, message.x_hat, message.alpha)
+            self.recorder.receive(sender, x_hat, alpha)
         self.reception.delivered += 1
-        if self._receive_raw(message.sender, message.x_hat, message.alpha) == Status.OK:
+        if self._receive_raw(sender, x_hat, alpha) == Status.OK:
             self.heard += 1
             return
         self.reception.refused += 1
-        self.reception.id_conflicts += message.sender == self.id
+        self.reception.id_conflicts += sender == self.id
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
         if not self.is_alive:
             return
-        message = self._decode(frame)
-        if not isinstance(message, Message):
-            self.reception.take_other(message)
-            return
-        self.reception.strays += 1
-        self.reception.id_conflicts += message.sender == self.id
+        content = self._decode(frame)
+        if isinstance(content, Message):
+            self.reception.strays += 1
+            self.reception.id_conflicts += content.sender == self.id
+        else:
+            self.reception.count(content)
 
     def settle(self) -> None:
         """End the tick."""
@@ -186,18 +186,24 @@ class BusRobot(Participant):
         """Rejoin after a crash. Raises as ``make``."""
         self.is_alive = True
         if self._loses_state:
-            self.sent = FramesSent()
-            self._drive(self._make())
+            self.restart()
             if self.recorder is not None:
                 self.recorder.restart()
 
+    def restart(self) -> None:
+        """Begin anew, as after a reset that loses everything. Raises as ``make``."""
+        self.sent = FramesSent()
+        self._drive(self._make())
+
     def observe(self, z: Observation | None, now: float) -> list[can.Message]:
-        """Begin a tick; returns the estimate, stamped ``now`` (seconds), if one is due."""
-        if not self.begin(z):
-            return []
+        """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
+        return [encode(self.estimate(), self._estimates, now)] if self.begin(z) else []
+
+    def estimate(self) -> Message:
+        """The next broadcast, with the present estimate."""
         port, transfer_id = self._ticked.port, self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
-        return [encode(Message(self.id, port.x_hat_raw, port.alpha_raw, transfer_id), self._estimates, now)]
+        return Message(self.id, port.x_hat_raw, port.alpha_raw, transfer_id)
 
     def receive_round(self, sums: Sums, messages: Sequence[Message]) -> None:
         """Hand over the estimates of a round at once: the last before ``settle``, of different neighbours."""
@@ -209,12 +215,12 @@ class BusRobot(Participant):
         self._ticked.receive_sums(sums, len(messages))
 
     def heartbeat(self, now: float) -> can.Message:
-        """The next heartbeat. Send one when the robot starts and one a second after that."""
+        """The next heartbeat. One is due when the robot starts, and then once per second."""
         uptime = self.sent.heartbeats
         self.sent.heartbeats += 1
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)
 
-    def telemetry_frame(self, now: float) -> can.Message:
+    def telemetry(self, now: float) -> can.Message:
         """The robot's present state."""
         b_hat = min(max(int(self.robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
         updates, transfer_id = self.robot.counters.updates % 256, self.sent.telemetry % TRANSFER_IDS

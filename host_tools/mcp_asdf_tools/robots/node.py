@@ -160,7 +160,7 @@ class RobotNode:
 
     @property
     def reception(self) -> Reception:
-        """Frames heard so far; none but estimates and commands are told apart."""
+        """Frames heard so far; those that are neither estimates nor commands count as rejected."""
         return self._bus_robot.reception
 
     def start(self) -> list[can.Message]:
@@ -182,7 +182,7 @@ class RobotNode:
         self._bus_robot.settle()
         self.is_settled = True
         is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
-        return [self._bus_robot.telemetry_frame(self._now)] if is_due else []
+        return [self._bus_robot.telemetry(self._now)] if is_due else []
 
     def hear(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
@@ -221,7 +221,7 @@ class RobotNode:
 
     def _receive(self, message: Message) -> None:
         self._watch.hear(message)
-        self._bus_robot.receive(message)
+        self._bus_robot.receive(message.sender, message.x_hat, message.alpha)
 
     def _obey(self, command: Command) -> list[can.Message]:
         if command.target not in (self.settings.id, EVERY_ROBOT):

@@ -54,7 +54,7 @@ class NodeProcesses:
                 errors = process.stderr.read().strip() if process.stderr else ""
                 raise LockstepError(
                     f"the process of robot {robot} ended with exit code {process.returncode}: "
-                    f"{errors or 'it said nothing'}"
+                    f"{errors or 'no error output'}"
                 )
 
     def __enter__(self) -> NodeProcesses:

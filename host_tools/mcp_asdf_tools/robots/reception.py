@@ -19,14 +19,14 @@ from mcp_asdf_tools.bus import (
 )
 
 Content = Message | Heartbeat | Telemetry | Rejection
-"""Content of a frame, or the reason why it is no estimate."""
+"""Content of a frame, or the reason why it has none."""
 
 
 class Decoder:
-    """``decode`` with a cache, for many robots that hear the same frame object one after the other.
+    """Decoder with a cache, for many robots that hear the same frame object one after the other.
 
     Attributes:
-        frames: Where estimates are on the bus.
+        frames: Format of estimates.
     """
 
     def __init__(self, frames: FrameFormat) -> None:
@@ -34,21 +34,23 @@ class Decoder:
         self._last: dict[int, tuple[can.Message, Content]] = {}
 
     def __call__(self, frame: can.Message) -> Content:
-        """Decode a frame. It must not change once it has been decoded."""
+        """Decode a frame, which must not change any more."""
         known = self._last.get(frame.arbitration_id)
         if known is not None and known[0] is frame:
             return known[1]
-        content = self._decoded(frame)
+        content = self._content(frame)
         self._last[frame.arbitration_id] = frame, content
         return content
 
-    def _decoded(self, frame: can.Message) -> Content:
-        content: Content = decode(frame, self.frames)
-        if content is Rejection.SUBJECT:
-            for other in (decode_heartbeat(frame), decode_telemetry(frame)):
-                if not isinstance(other, Rejection):
-                    return other
-        return content
+    def _content(self, frame: can.Message) -> Content:
+        estimate = decode(frame, self.frames)
+        if estimate is not Rejection.SUBJECT:
+            return estimate
+        heartbeat = decode_heartbeat(frame)
+        if isinstance(heartbeat, Heartbeat):
+            return heartbeat
+        telemetry = decode_telemetry(frame)
+        return telemetry if isinstance(telemetry, Telemetry) else estimate
 
 
 @dataclass
@@ -77,7 +79,7 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def take_other(self, content: Heartbeat | Telemetry | Rejection) -> None:
+    def count(self, content: Heartbeat | Telemetry | Rejection) -> None:
         """Count a frame that is no estimate."""
         if isinstance(content, Heartbeat):
             self.heartbeats += 1

@@ -13,17 +13,17 @@ from mcp_asdf_tools.swarm.faults import Faults, SentFrame
 
 
 class Hearer(Protocol):
-    """A robot, as a medium knows it."""
+    """Robot as seen by a medium."""
 
     def hear(self, frame: can.Message) -> None:
-        """Take in a frame that a neighbour has sent, whatever has become of it."""
+        """Take a frame of a neighbour, possibly changed on its way."""
 
     def hear_stranger(self, frame: can.Message) -> None:
-        """Take in a frame that nobody of the swarm has sent."""
+        """Take a frame from outside the swarm."""
 
 
 class InRange(Protocol):
-    """A world, as the air knows it."""
+    """World as seen by the air."""
 
     def neighbours(self, robot: int) -> Collection[int]:
         """Ids of the robots that ``robot`` hears at present; never itself."""
@@ -60,7 +60,7 @@ class Air:
     def arrivals(self, receiver: int, tick: int, sent: Sequence[SentFrame]) -> list[can.Message]:
         """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
 
-        Ask once a tick. O((sent + late) log late).
+        Call once per tick. O((sent + late) log late).
         """
         if self._is_late:
             sent, self._held[receiver] = self._held.get(receiver, ()), tuple(sent)

@@ -1,4 +1,4 @@
-"""A connection to a bus of which it is known what will come."""
+"""Bus connection that tracks the frames it expects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""
 
 _MOST_RETURNED = 256
-"""Frames sent of which it is remembered that they may be returned."""
+"""Sent frames remembered, since the bus may return them."""
 
 
 class SwarmError(RuntimeError):
@@ -24,11 +24,11 @@ class SwarmError(RuntimeError):
 
 
 class Connection:
-    """A connection of which it is known what will come.
+    """Bus connection that tracks the frames it expects.
 
     Attributes:
         bus: The connection.
-        missed: Expected frames that did not come in time so far; they may have come later.
+        missed: Expected frames that were late or lost so far.
     """
 
     def __init__(
@@ -39,9 +39,9 @@ class Connection:
         stranger: FrameTaker | None = None,
         every: FrameTaker | None = None,
     ) -> None:
-        """``stranger`` takes each frame that nobody expects, ``every`` all frames.
+        """``stranger`` takes each unexpected frame, ``every`` all frames.
 
-        ``who`` listens for frames called ``what``, a format for a ``SentFrame``, where people read of them.
+        Errors name the listener ``who``, and missing frames by ``what``, a format for a ``SentFrame``.
         """
         self.bus = bus
         self.missed = 0
@@ -90,10 +90,7 @@ class Connection:
             self._sort(frame, left)
 
     def drain(self, frames: int) -> None:
-        """Read up to so many frames that have come, while none is expected.
-
-        A bus may return what was sent.
-        """
+        """Read up to ``frames`` frames while none is expected, since a bus may return sent ones."""
         for _ in range(frames):
             frame = self.bus.recv(0)
             if frame is not None:
@@ -106,7 +103,7 @@ class Connection:
         key = frame.arbitration_id, bytes(frame.data), frame.is_error_frame
         if _took(left, key) or self._stranger is None:
             return
-        # A bus may return what was sent. SocketCAN does not mark as received what comes from this computer.
+        # A bus may return sent frames. SocketCAN does not mark frames from this computer as received.
         if frame.is_rx or key not in self._own:
             self._stranger(frame)
 

@@ -1,4 +1,4 @@
-"""How each kind of fault strikes; ``mcp_asdf_tools.swarm.faults`` puts them to work."""
+"""Injectors, one for each kind of fault; ``mcp_asdf_tools.swarm.faults`` puts them to work."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ Words = tuple[int, ...]
 
 _WORD = 1 << 64
 _KEY = struct.Struct("<IIIBBB")
-_NOBODY = 255
-"""The receiver in draws that concern the sender alone."""
+_NO_RECEIVER = 255
+"""Receiver in draws that concern the sender alone."""
 
 _BUS_ERROR = 0x88
-"""As Linux tells it: a protocol violation, a bus error (CAN_ERR_PROT | CAN_ERR_BUSERROR)."""
+"""Linux's code of a protocol violation and bus error (CAN_ERR_PROT | CAN_ERR_BUSERROR)."""
 
 _Subject = TypeVar("_Subject")
 
 
 class Draws:
-    """The random words of one fault; ``number`` tells apart faults of one kind."""
+    """Random words of one fault; ``number`` distinguishes faults of one kind."""
 
     def __init__(self, seed: int, kind: FaultKind, number: int) -> None:
         person = f"{kind.value} {number}".encode()
         self._hash = hashlib.blake2b(digest_size=64, key=seed.to_bytes(16, "little"), person=person)
 
     def of_node(self, node: int, tick: int, number: int = 0) -> Words:
-        """Those of a node in a tick."""
-        return self._words(tick, number, 0, node, _NOBODY, 0)
+        """Words of a node in a tick."""
+        return self._words(tick, number, 0, node, _NO_RECEIVER, 0)
 
     def of_link(self, link: tuple[int, int], tick: int) -> Words:
-        """Those of a sender and a receiver in a tick."""
+        """Words of a sender and a receiver in a tick."""
         return self._words(tick, 0, 0, *link, 0)
 
-    def of_frame(self, sent: SentFrame, receiver: int = _NOBODY, version: int = 0) -> Words:
-        """Those of a frame, or of one of several that have become of it on its way to a receiver."""
+    def of_frame(self, sent: SentFrame, receiver: int = _NO_RECEIVER, version: int = 0) -> Words:
+        """Words of a frame, or of one of its copies on the way to a receiver."""
         return self._words(
             sent.tick, sent.number, sent.frame.arbitration_id, sent.sender, receiver, version % 256
         )
@@ -61,8 +61,8 @@ class Injector:
     """A fault with its draws.
 
     Attributes:
-        fault: What may go wrong.
-        injected: How often it did.
+        fault: The fault.
+        injected: How often it struck.
     """
 
     def __init__(self, fault: Fault, draws: Draws) -> None:
@@ -78,7 +78,7 @@ class Injector:
 
 
 class _Course(dict[_Subject, tuple[int, int]]):
-    """A number for each key that goes on from tick to tick, as ``step`` (of key, tick, number) says."""
+    """Number of each key that ``step`` (of key, tick and number) carries from tick to tick."""
 
     def __init__(self, start: int, step: Callable[[_Subject, int, int], int]) -> None:
         super().__init__()
@@ -86,10 +86,10 @@ class _Course(dict[_Subject, tuple[int, int]]):
         self._step = step
 
     def at(self, key: _Subject, tick: int) -> int:
-        """The number of ``key`` in this tick; 0 before the start. Raises ValueError if the tick falls."""
+        """The number of ``key`` in this tick; 0 before the start. Raises ValueError if the tick decreases."""
         known, number = self.get(key, (self._start - 1, 0))
         if tick < known and tick >= self._start:
-            raise ValueError(f"tick {tick} is asked for after tick {known}; ticks must not fall")
+            raise ValueError(f"tick {tick} comes after tick {known}; ticks must not decrease")
         for now in range(known + 1, tick + 1):
             number = self._step(key, now, number)
         if tick > known:
@@ -98,7 +98,7 @@ class _Course(dict[_Subject, tuple[int, int]]):
 
 
 class Spells(Injector):
-    """Crash and busoff: ticks at a stretch of a node. Each tick counts."""
+    """Crash and busoff: spells of several ticks, of a node. Each tick counts."""
 
     def __init__(self, fault: Fault, draws: Draws) -> None:
         super().__init__(fault, draws)
@@ -129,7 +129,7 @@ class Babbler(Injector):
 
 
 class AtSender(Injector, ABC):
-    """What happens to a frame before it is on the bus."""
+    """Fault that acts on a frame before it is on the bus."""
 
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws)
@@ -137,16 +137,16 @@ class AtSender(Injector, ABC):
 
     @abstractmethod
     def act(self, sent: SentFrame) -> list[SentFrame]:
-        """What becomes of the frame. Error frames stay what they are."""
+        """Frames that replace the frame. Error frames stay unchanged."""
 
     def _say(self, sent: SentFrame, own: Message, x_hat: int, alpha: int) -> list[SentFrame]:
-        """The estimate ``own`` with another content."""
+        """The estimate ``own`` with other content."""
         message = replace(own, x_hat=x_hat, alpha=alpha)
         return [replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))]
 
 
 class _InItsTicks(AtSender):
-    """Knows nothing of frames out of the fault's schedule."""
+    """Fault that ignores frames outside its schedule."""
 
     def act(self, sent: SentFrame) -> list[SentFrame]:
         if sent.frame.is_error_frame or not self.fault.is_on(sent.tick, sent.sender):
@@ -155,11 +155,11 @@ class _InItsTicks(AtSender):
 
     @abstractmethod
     def _act(self, sent: SentFrame) -> list[SentFrame]:
-        """What becomes of a frame that the fault may befall."""
+        """Frames that replace a frame in the fault's schedule."""
 
 
 class _Freeze(AtSender):
-    """Counts if there is something to repeat."""
+    """Freeze: strikes only where there is an estimate to repeat."""
 
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws, frames)
@@ -183,7 +183,7 @@ class _Liar(_InItsTicks):
         if not (isinstance(own, Message) and self._strikes(self._draws.of_frame(sent))):
             return [sent]
         (lie,) = self._say(sent, own, round(self.fault.x * ONE), 0)
-        # As claimed, where the codec would round it to what a firmware can hold.
+        # As claimed; the codec would round it to the firmware's grid.
         lie.frame.data[3:7] = bits_of(self.fault.alpha).to_bytes(4, "little")
         return [lie]
 
@@ -229,10 +229,10 @@ class _Queue(_InItsTicks):
 
 
 class OnTheWay(Injector, ABC):
-    """What happens to a frame on its way to one receiver."""
+    """Fault that acts on a frame on its way to one receiver."""
 
     def act(self, ways: Sequence[Delivery], sent: SentFrame, receiver: int) -> Sequence[Delivery]:
-        """What becomes of it, where it has become ``ways`` so far."""
+        """Deliveries that replace ``ways``, those left by earlier faults."""
         chosen = self.fault.receivers
         if not self.fault.is_on(sent.tick, sent.sender) or (chosen is not None and receiver not in chosen):
             return ways
@@ -242,11 +242,11 @@ class OnTheWay(Injector, ABC):
 
     @abstractmethod
     def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
-        """The same for one ``way`` in a tick of the fault, to a receiver that it may befall."""
+        """Deliveries that replace one ``way`` within the schedule, to a receiver that the fault affects."""
 
 
 class _ByDraw(OnTheWay):
-    """Strikes each frame by a draw of its own."""
+    """Fault that strikes each frame by a draw of its own."""
 
     def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
         words = self._draws.of_frame(sent, receiver, version)
@@ -254,7 +254,7 @@ class _ByDraw(OnTheWay):
 
     @abstractmethod
     def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        """What becomes of a frame that is struck."""
+        """Deliveries that replace one that is struck."""
 
 
 class _Loss(_ByDraw):
@@ -275,7 +275,7 @@ class _Burst(OnTheWay):
         return () if is_bad else (way,)
 
     def _step(self, link: tuple[int, int], tick: int, is_bad: int) -> int:
-        """Begins as it is in the long run; then bursts end, and new ones begin to make up for them."""
+        """Start in the stationary state; then bursts end, and new ones begin to keep their share."""
         share, length = self.fault.rate, self.fault.length
         words = self._draws.of_link(link, tick)
         if tick == self.fault.start:
@@ -333,7 +333,7 @@ def _below(words: Words, probability: float) -> bool:
 
 
 def _choice(width: int, count: int, words: Words) -> int:
-    """``count`` different bits of ``width`` (at most 64), all choices as likely but for 2**-100."""
+    """``count`` different bits of ``width`` (at most 64), all choices equally likely up to 2**-100."""
     drawn = sum(word << 64 * place for place, word in enumerate(words))
     places, chosen = list(range(width)), 0
     for _ in range(count):

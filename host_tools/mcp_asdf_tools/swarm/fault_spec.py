@@ -1,6 +1,6 @@
-"""What can go wrong between robots, said in one line of text each.
+"""Faults between robots, each described in one line of text.
 
-A fault is its kind, with a rate unless it is certain, then any options, all apart by commas:
+A fault is its kind, with a rate unless it is certain, then any options, separated by commas:
 ``loss=0.2,from=100,to=500,robots=3-5`` loses each frame that robots 3, 4 and 5 send from tick 100 on, until
 before tick 500, with probability 0.2 on its way to each neighbour. ``FaultKind`` lists the kinds.
 """
@@ -21,11 +21,11 @@ _MAX_ALPHA = float_of(0x7F7FFFFF)
 
 
 class FaultKind(Enum):
-    """What goes wrong. The value is the name in texts.
+    """Kind of fault. The value is its name in texts.
 
     Attributes:
-        options: Fields of ``Fault`` that mean something to it, beside rate, start, stop and robots.
-        text: What one injection is, for people.
+        options: Fields of ``Fault`` that it uses besides rate, start, stop and robots.
+        text: Description of one injection.
     """
 
     options: tuple[str, ...]
@@ -37,10 +37,10 @@ class FaultKind(Enum):
     DUPLICATE = "duplicate", ("receivers", "ticks"), "a frame comes once more, ticks later"
     REORDER = "reorder", ("receivers",), "a frame falls behind others of its tick"
     CORRUPT = "corrupt", ("receivers", "bits"), "bits of the data are flipped, unseen by the bus's checksum"
-    BABBLE = "babble", ("frames",), "a node sends frames of random content beside its own, each tick"
+    BABBLE = "babble", ("frames",), "a node sends frames of random content besides its own, each tick"
     CRASH = "crash", ("ticks", "rejoin"), "a node is dead for ticks, then rejoins new or restored"
     FREEZE = "freeze", (), "a broadcast repeats the estimate of the robot's last regular one"
-    LIAR = "liar", ("x", "alpha"), "a broadcast says x and alpha instead of the robot's own"
+    LIAR = "liar", ("x", "alpha"), "a broadcast carries x and alpha instead of the robot's own"
     COLLIDE = "collide", ("id",), "a node sends under another's id"
     ERROR = "error", (), "an error frame is seen by all, and the frame that it hit is sent again"
     BUSOFF = "busoff", ("ticks",), "a node neither sends nor hears for ticks, while its robot goes on"
@@ -55,25 +55,25 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong. Raises UsageError if a field is out of range or means nothing to the kind.
+    """One fault. Raises UsageError if a field is out of range or unused by the kind.
 
     Attributes:
-        kind: What goes wrong.
+        kind: Kind of fault.
         rate: Probability at each occasion, 0 .. 1: for ``burst`` the share of ticks in bursts, below
             length / (length + 1); for ``babble``, ``crash``, ``busoff`` and ``queue`` of each tick; for the
             kinds with receivers of each frame on its way to each receiver; for the others of each frame.
         start: First tick, from 0.
         stop: First tick after, above ``start``; None for no end.
-        robots: The senders it befalls; None for all. Always the nodes themselves, whatever id they use.
-        receivers: The receivers on whose way it happens; None for all.
+        robots: Affected senders, None for all: the nodes themselves, under any id they use.
+        receivers: Affected receivers; None for all.
         ticks: How late, or how long, 0 .. 2**32 - 1; 0 only for duplicates.
         length: Mean length of a burst in ticks, 1 or more.
         bits: Different bits of a frame that are flipped, 1 .. 64.
-        frames: Frames a tick, 0 .. 10000.
+        frames: Frames per tick, 0 .. 10000.
         rejoin: Whether a crashed robot rejoins ``new`` or ``restored`` as it was when it crashed.
         x: Estimate that a liar claims, 0 .. 1.
         alpha: Confidence that a liar claims, 0 up to the largest binary32.
-        id: Under which a node sends, 0 .. 127; must be given for ``collide``.
+        id: Id under which a node sends, 0 .. 127; required for ``collide``.
     """
 
     kind: FaultKind
@@ -94,10 +94,10 @@ class Fault:
     def __post_init__(self) -> None:
         check_types(self)
         self._check_options()
-        for name, (least, most) in _RANGES.items():
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise self._error(name, value, f"{least:g} to {most:g}")
+            if value is not None and not low <= value <= high:
+                raise self._error(name, value, f"{low:g} to {high:g}")
         if self.stop is not None and self.stop <= self.start:
             raise self._error("stop", self.stop, f"above from, {self.start}")
         if self.ticks == 0 and self.kind is not FaultKind.DUPLICATE:
@@ -105,8 +105,8 @@ class Fault:
         if self.rejoin not in ("new", "restored"):
             raise self._error("rejoin", self.rejoin, "new or restored")
         if self.kind is FaultKind.BURST and self.rate * (self.length + 1) > self.length:
-            most = self.length / (self.length + 1)
-            raise self._error("rate", self.rate, f"at most length / (length + 1), {most:.6g}")
+            limit = self.length / (self.length + 1)
+            raise self._error("rate", self.rate, f"at most length / (length + 1), {limit:.6g}")
 
     def _check_options(self) -> None:
         if self.kind is FaultKind.COLLIDE and self.id is None:
@@ -121,7 +121,7 @@ class Fault:
         )
 
     def is_on(self, tick: int, sender: int) -> bool:
-        """Whether the fault may befall ``sender`` in this tick. O(1)."""
+        """Whether the fault may affect ``sender`` in this tick. O(1)."""
         is_time = self.start <= tick and (self.stop is None or tick < self.stop)
         return is_time and (self.robots is None or sender in self.robots)
 
@@ -154,8 +154,8 @@ _RANGES: dict[str, tuple[float, float]] = {
 def parse_fault(text: str) -> Fault:
     """Read a fault such as ``delay=0.5,ticks=3,from=100,to=500,robots=0+3-5``.
 
-    The first item is the kind and its rate (1 if left out); ``robots`` and ``receivers`` take ids and ranges
-    of them, apart by +. Raises UsageError naming what is wrong and what would do.
+    The first item is the kind and its rate (1 if left out); ``robots`` and ``receivers`` take ids and
+    ranges of ids, separated by +. Raises UsageError that names the error and the fix.
     """
     first, *rest = (item.strip() for item in text.split(","))
     name, _, rate = first.partition("=")

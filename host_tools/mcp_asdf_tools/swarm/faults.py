@@ -1,23 +1,23 @@
 """Faults between robots, injected so that a run can be repeated to the bit.
 
-``Faults`` stands between nodes and whatever carries their frames, be it the medium of an emulated swarm or
-a bus with a real controller; it knows neither. In every tick it is used so:
+``Faults`` stands between nodes and the carrier of their frames, be it the medium of an emulated swarm or a
+bus with a real controller. It is used in every tick as follows:
 
     faults = Faults([parse_fault("loss=0.2,robots=3-5"), parse_fault("babble=0.1,frames=20")], seed=1)
 
-    if faults.crash(robot, tick):                              # dead: it neither observes nor settles
+    if not faults.survives(robot, tick):                       # dead: it neither observes nor settles
         ...
-    for frame in [*own_frames, *faults.babble(robot, tick)]:
-        for sent in faults.leave(frame, robot, tick):          # what gets onto the bus
-            for way in faults.deliver(sent, neighbour):        # what a neighbour hears of it
+    for frame in [*own_frames, *faults.babble(robot.id, tick)]:
+        for sent in faults.leave(frame, robot.id, tick):       # frames that get onto the bus
+            for way in faults.deliver(sent, neighbour):        # deliveries to a neighbour
                 ...                                            # way.frame in tick + way.delay
 
 Randomness: whether a fault strikes is decided by a draw that is a function of the seed, the fault, the tick,
 the sender, the receiver and which of the sender's frames in this tick it is, and of nothing else: not of
 what else is on the bus, nor of when frames come. It does not depend on the rate either: a larger rate strikes
-wherever a smaller one does (but for bursts). A draw is BLAKE2b of those numbers, keyed with the seed.
+wherever a smaller one does (except for bursts). A draw is BLAKE2b of those numbers, keyed with the seed.
 
-Faults act in the order given, each on what those before it have left.
+Faults act in the order given, each on the frames left by those before it.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ __all__ = ["Delivery", "Fault", "FaultKind", "Faults", "SentFrame", "parse_fault
 
 
 class Faults:
-    """Faults at work. A tick is 0 .. 2**32 - 1, and those asked for one after the other must not fall.
+    """Faults at work. Ticks are 0 .. 2**32 - 1, and must not decrease from call to call.
 
     Every call is O(faults), with crash, busoff and burst O(ticks since the last).
 
     Attributes:
-        faults: What may go wrong, in the order in which it acts.
+        faults: The faults, in the order in which they act.
     """
 
     def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat | None = None) -> None:
-        """Prepare. ``frames`` says which frames are estimates; those are what freeze and liar change.
+        """Prepare. ``frames`` is the format of estimates, which freeze and liar change.
 
         Raises UsageError if ``seed`` is not in 0 .. 2**128 - 1.
         """
@@ -89,14 +89,14 @@ class Faults:
         return robot.is_alive
 
     def is_off(self, robot: int, tick: int) -> bool:
-        """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``deliver`` heed it."""
-        # All are asked, since that is how they count.
+        """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``deliver`` respect it."""
+        # All are evaluated, since each counts its ticks.
         return any([each.lasts(robot, tick) for each in self._spells])
 
     def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
-        """The frames, stamped ``now`` (seconds), that the node sends beside its own.
+        """The frames, stamped ``now`` (seconds), that the node sends besides its own.
 
-        Ask once a tick, and give each to ``leave``.
+        Call once per tick, and pass each to ``leave``.
         """
         if self.is_off(robot, tick):
             return []
@@ -108,7 +108,7 @@ class Faults:
         ]
 
     def leave(self, frame: can.Message, sender: int, tick: int) -> list[SentFrame]:
-        """What gets onto the bus where a node sends ``frame``. Ask once for each frame, in the order sent."""
+        """Frames that get onto the bus when a node sends ``frame``. Call once per frame, in sending order."""
         if not self.faults:
             return [SentFrame(frame, sender, tick)]
         if self.is_off(sender, tick):
@@ -119,7 +119,7 @@ class Faults:
         return leaving
 
     def deliver(self, sent: SentFrame, receiver: int) -> Sequence[Delivery]:
-        """What ``receiver`` hears of a frame. Ask once for each; error frames reach everybody on the bus."""
+        """Deliveries of a frame to ``receiver``. Call once for each; error frames reach every node."""
         if self.is_off(receiver, sent.tick):
             return ()
         ways: Sequence[Delivery] = (Delivery(sent.frame),)
@@ -145,7 +145,7 @@ class Faults:
         return ON_THE_WAY[fault.kind](fault, draws)
 
     def _number(self, frame: can.Message, sender: int, tick: int) -> int:
-        """How many frames of its identifier the sender has sent before in this tick."""
+        """Number of frames with its identifier that the sender has sent before in this tick."""
         last, counts = self._numbers.get(sender, (-1, Counter()))
         if last != tick:
             self._numbers[sender] = tick, (counts := Counter())

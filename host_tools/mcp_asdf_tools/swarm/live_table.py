@@ -1,4 +1,4 @@
-"""What a person at a terminal sees of a swarm while it runs."""
+"""Live table of a running swarm on a terminal."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
 
 _SECONDS_BETWEEN_PICTURES = 0.15
 _BIT_RATE = 125_000
-"""Of the bus whose load is shown: the slowest that is usual, with figures one can still read."""
+"""Bit rate of the bus whose load is shown: the slowest usual one, whose figures are large enough to read."""
 _FLAWED_STYLE, _OTHER_STYLE, _DEAD_STYLE = "dark_orange", "", "strike"
 
 
 class LiveTable:
-    """A hook that shows the swarm on ``console`` while it runs; silent if that is no terminal.
+    """Hook that shows the swarm on ``console`` while it runs; silent if that is no terminal.
 
     The last picture stays.
     """
@@ -56,7 +56,7 @@ class LiveTable:
 def picture(swarm: Swarm) -> Group:
     """The swarm's present state: a row per robot and a line for all.
 
-    Robots of other processes on the bus have a row, too, with what their telemetry tells.
+    Robots of other processes on the bus have a row, too, filled from their telemetry.
     """
     table = Table(box=None, padding=(0, 1), header_style="bold")
     for name in ("robot", "t", "n/t", "b_hat", "x_hat", "alpha", "x", "heard", "updates", "rejected"):
@@ -111,6 +111,6 @@ def _headline(swarm: Swarm) -> Text:
 
 
 def _load(swarm: Swarm) -> float:
-    """Share of its time that the traffic so far would take of a bus of _BIT_RATE."""
+    """Load of the traffic so far on a bus of _BIT_RATE."""
     seconds = max(swarm.ticks, 1) / swarm.settings.steps_per_second
     return bus_load(swarm.traffic.bits, seconds, _BIT_RATE)

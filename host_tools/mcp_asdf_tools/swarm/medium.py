@@ -1,16 +1,16 @@
-"""What carries frames from robot to robot: who is in range, what goes wrong on the way, on which buses.
+"""Media that carry frames from robot to robot over python-can buses.
 
-``Air`` decides what each robot hears, and when. A medium lets the frames really pass over python-can buses:
+``Air`` decides which frames each robot hears, and when. A medium passes them over real connections:
 
-- ``SharedBus``: all robots are on one bus, which hands every frame to everybody, and each robot's radio lets
-  through what the air would. Another program on the bus sees what was sent.
+- ``SharedBus``: all robots are on one bus, which hands every frame to all of them, and each robot's radio
+  passes those that the air lets through. Another program on the bus sees the frames sent.
 - ``RemoteBus``: the same with robots that are not in this process.
-- ``ChannelPerRobot``: every robot has a bus to itself, with the medium at its other end, which reads what the
-  robot sends and writes what it hears. Another program on that bus sees what this robot sees.
+- ``ChannelPerRobot``: every robot has a bus to itself, with the medium at its other end, which reads the
+  robot's frames and writes those that it hears. Another program on that bus sees what this robot sees.
 
 - ``InProcess``, in a module of its own, hands frames over without a bus.
 
-All let a robot hear the same frames in the same order.
+With each of them a robot hears the same frames in the same order.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OpenBus = Callable[[int], can.BusABC]
 
 @dataclass(frozen=True)
 class Wiring:
-    """Which robots are on which buses.
+    """Assignment of robots to buses.
 
     Attributes:
         open_bus: Joins the bus of a robot. None for no bus: robots of this process that nothing else hears.
@@ -57,12 +57,12 @@ class Medium(Protocol):
     """Carries frames. A context manager: leaving it closes the buses."""
 
     def send(self, sent: SentFrame) -> None:
-        """Let the sender put a frame on its bus. Raises can.CanError if that does not take it."""
+        """Let the sender put a frame on its bus. Raises can.CanError if the bus does not take it."""
 
     def carry(self, tick: int) -> None:
-        """Let every robot hear what it hears in this tick, after all have sent.
+        """Let every robot hear its frames of this tick, after all have sent.
 
-        Raises SwarmError if a bus loses a frame and the clock waits for it. ``send`` may do so, too.
+        Raises SwarmError if a bus loses a frame and the clock waits for it. ``send`` may raise it, too.
         """
 
     @property
@@ -104,7 +104,7 @@ class SharedBus:
             self._read(sent.tick)
 
     def _read(self, tick: int) -> None:
-        """Let everybody read what was sent."""
+        """Let every robot read the frames sent."""
         unread, self._unread = self._unread, []
         for inbox in self._logs:
             inbox.take(unread, self._clock.patience(tick))
@@ -133,10 +133,10 @@ class SharedBus:
 
 
 class RemoteBus:
-    """Robots that are all elsewhere and on one bus, where they hear each other without anybody's help.
+    """Robots that are all elsewhere and on one bus, where they hear each other directly.
 
     Attributes:
-        end: The connection over which they are commanded.
+        end: The connection that commands them.
     """
 
     missed = 0
@@ -148,11 +148,11 @@ class RemoteBus:
         self._sent: list[SentFrame] = []
 
     def send(self, sent: SentFrame) -> None:
-        """It is on the bus already."""
+        """Note a frame that is on the bus already."""
         self._sent.append(sent)
 
     def carry(self, tick: int) -> None:
-        """Tell each robot's half that is here what the robot hears."""
+        """Pass each robot's local half the frames that the robot hears."""
         for robot, hearer in enumerate(self._hearers):
             others = [each for each in self._sent if each.sender != robot]
             for frame in self._air.arrivals(robot, tick, others):
@@ -176,9 +176,9 @@ class ChannelPerRobot:
     def __init__(
         self, hearers: Sequence[Hearer], air: Air, wiring: Wiring, clock: Clock, log: FrameTaker | None
     ) -> None:
-        """Let the medium join every robot's bus, and robots that are here theirs.
+        """Let the medium join every robot's bus, and local robots their own.
 
-        ``log`` takes what those send.
+        ``log`` takes the frames of those.
         """
         self._hearers = hearers
         self._air = air
@@ -197,7 +197,7 @@ class ChannelPerRobot:
         self._come: list[SentFrame] = []
 
     def send(self, sent: SentFrame) -> None:
-        """Let the sender put a frame on its bus, where that of a remote robot is already, and read it."""
+        """Let a local sender put a frame on its bus, and read the frame there."""
         radio = self._radios.get(sent.sender)
         if radio is None:
             self._come.append(sent)
@@ -208,7 +208,7 @@ class ChannelPerRobot:
             radio.drain(_BATCH)
 
     def carry(self, tick: int) -> None:
-        """Write on each robot's bus what the air lets it hear, and let it read that."""
+        """Write on each robot's bus the frames that the air lets through, and let it read them."""
         for robot, hearer in enumerate(self._hearers):
             others = [each for each in self._come if each.sender != robot]
             arrivals = self._air.arrivals(robot, tick, others)
@@ -221,7 +221,7 @@ class ChannelPerRobot:
         """Put ``frames`` on the robot's bus; returns what it reads there."""
         radio, end = self._radios.get(robot), self.ends[robot]
         if radio is None:
-            # An error frame is a driver's report: on a real bus nobody can send one.
+            # An error frame is a driver's report: it cannot be sent on a real bus.
             frames = [frame for frame in frames if not frame.is_error_frame]
         for frame in frames:
             end.send(frame)
@@ -248,4 +248,4 @@ class ChannelPerRobot:
 _FRAME = "frame {0.frame.arbitration_id:08X}"
 
 _BATCH = 64
-"""Frames after which they are read: a socket of usual size keeps more than 200."""
+"""Frames sent between two reads: a socket of usual size holds more than 200."""

@@ -1,4 +1,4 @@
-"""The picture of a swarm's run: b_hat, x_hat and x of every robot over time."""
+"""Plot of a swarm's run: b_hat, x_hat and x of every robot over time."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Robots of a swarm that run elsewhere, in a process or a controller of their own, driven in lockstep.
 
-A ``RemoteNode`` stands for one of them here: it knows of the robot what its frames tell. ``Driver`` commands
-those on one bus.
+A ``RemoteNode`` stands for one of them here and follows its state from its frames. ``Driver`` commands those
+on one bus.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ ANSWER_TIMEOUT = 10.0
 
 
 def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
-    """Raises UsageError if a swarm with these remote robots cannot be."""
+    """Raises UsageError if a swarm with these remote robots is impossible."""
     remote = wiring.remote
     if not remote:
         return
@@ -58,7 +58,7 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
     for fault in settings.faults:
         if fault.kind is FaultKind.CRASH and not set(remote).isdisjoint(fault.robots or remote):
             raise UsageError(
-                f"fault {fault} cannot befall robots that run elsewhere; name others, or use busoff"
+                f"fault {fault} cannot affect robots that run elsewhere; name others, or use busoff"
             )
     if not wiring.is_shared:
         return
@@ -67,8 +67,7 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
     is_plain = settings.topology is Topology.FULLY_CONNECTED and settings.latency == 0
     if settings.faults or not is_plain:
         raise UsageError(
-            "robots elsewhere on one bus hear everything from everybody; for faults, latency or a topology "
-            f"{EACH_A_BUS}"
+            f"robots elsewhere on one bus all hear each other; for faults, latency or a topology {EACH_A_BUS}"
         )
 
 
@@ -139,7 +138,7 @@ class Driver:
     """Commands the robots on one bus.
 
     Attributes:
-        nodes: Their halves that are here, by id.
+        nodes: Their local halves, by id.
     """
 
     def __init__(
@@ -165,9 +164,9 @@ class Driver:
         )
 
     def wait_until_up(self, timeout: float, check: Callable[[], None]) -> None:
-        """Return when all robots have said that they are there.
+        """Return when all robots have sent a heartbeat.
 
-        From now on ``check`` is called while robots are waited for; it may raise what ends that. Raises
+        From now on ``check`` is called while waiting; it may raise an error that ends it. Raises
         LockstepError after ``timeout`` seconds.
         """
         self._check = check
@@ -176,7 +175,7 @@ class Driver:
     def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[RemoteNode, can.Message]]:
         """Let robots observe, by id; returns the frames that they send in this tick, by rising id.
 
-        Other frames than estimates go with those of the next tick, since nobody can tell when they come.
+        Other frames than estimates count in the next tick, since their time is unpredictable.
         Raises as ``Lockstep``.
         """
         self._estimates = {}
@@ -200,7 +199,7 @@ class Driver:
         self._check()
 
     def _see(self, frame: can.Message) -> None:
-        """Keep what the robots send, but for their answers."""
+        """Keep the robots' frames except their answers."""
         if self._log is not None:
             self._log(frame)
         if _sender(frame) not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):

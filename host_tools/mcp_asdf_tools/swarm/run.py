@@ -1,4 +1,4 @@
-"""One run of a swarm from start to end: what it did over time, and what came out."""
+"""One run of a swarm from start to end: its history and its results."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
 from mcp_asdf_tools.swarm.traffic import Traffic
 
 QUANTITIES = ("b_hat", "x_hat", "x")
-"""What a history holds of each robot."""
+"""Quantities of each robot in a history."""
 
 MAX_SAMPLES = 2000
-"""About as many as a picture can show."""
+"""About as many as a plot can show."""
 
 SwarmHook = Callable[[Swarm], None]
 """Called after every tick."""
@@ -35,17 +35,17 @@ class History:
 
     def __init__(self, ticks: int) -> None:
         """Prepare for a run of ``ticks``."""
-        self._stride = -(-ticks // MAX_SAMPLES)
+        self._sampling_interval = -(-ticks // MAX_SAMPLES)
         self._ticks: list[int] = []
         self._rows: list[list[list[float]]] = []
 
     def sample(self, swarm: Swarm) -> None:
-        """Remember the present state if it is this tick's turn."""
-        if swarm.ticks % self._stride == 0:
+        """Keep the present state if a sample is due."""
+        if swarm.ticks % self._sampling_interval == 0:
             self.add(swarm)
 
     def add(self, swarm: Swarm) -> None:
-        """Remember the present state, once."""
+        """Keep the present state, once."""
         if self._ticks[-1:] != [swarm.ticks]:
             self._ticks.append(swarm.ticks)
             self._rows.append([[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES])
@@ -63,15 +63,15 @@ class History:
 
 @dataclass
 class SwarmRun:
-    """A run, finished or not.
+    """Run of a swarm, finished or not.
 
     Attributes:
-        settings: What was run.
+        settings: Its parameters.
         nodes: The robots in their last state.
-        history: The way there.
-        results: What came out, as plain values for JSON.
+        history: Their states over time.
+        results: Results as plain values, for JSON.
         interrupted: Whether Ctrl-C ended it.
-        failure: Why the bus ended it, None if it did not.
+        failure: Failure of the bus that ended it; None if there was none.
     """
 
     settings: SwarmSettings
@@ -96,7 +96,7 @@ class SwarmRun:
 def run_swarm(swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
     """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
 
-    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; what was done counts.
+    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; the ticks done count.
     """
     history = History(swarm.settings.steps)
     history.add(swarm)
@@ -153,27 +153,27 @@ def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any]
         "robots": len(robots),
         "before": fmean(chosen[0]),
         "after": fmean(after),
-        "after_least": float(after.min()),
-        "after_most": float(after.max()),
+        "after_min": float(after.min()),
+        "after_max": float(after.max()),
     }
 
 
 def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, float]]:
-    """Share of its time that the traffic of a run would take of one real bus, by bit rate.
+    """Load of a run's traffic on one real bus, by bit rate.
 
-    ``mean`` over the ``seconds`` of the run, and ``peak`` in the tick, of ``tick`` seconds, that has most.
+    ``mean`` over the ``seconds`` of the run, and ``peak`` in the busiest tick, of ``tick`` seconds.
     """
     return {
         str(rate): {
             "mean": bus_load(traffic.bits, seconds, rate) if seconds else 0.0,
-            "peak": bus_load(traffic.most_bits, tick, rate),
+            "peak": bus_load(traffic.peak_bits, tick, rate),
         }
         for rate in BIT_RATES
     }
 
 
 def _robot_figures(node: SwarmRobot) -> dict[str, Any]:
-    """What one robot heard and made of it."""
+    """Figures of one robot."""
     reception, counters = node.reception, node.counters
     return {
         "id": node.id,

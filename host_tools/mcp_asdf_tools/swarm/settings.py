@@ -17,13 +17,13 @@ MAX_ROBOTS_AND_TOOLS = 126
 
 @dataclass(frozen=True, kw_only=True)
 class SwarmSettings(Population):
-    """A run; equal settings give equal runs. Raises ParameterError, naming the field.
+    """Parameters of a run; equal settings give equal runs. Raises ParameterError, naming the field.
 
     Attributes:
-        telemetry_period: As its meaning says.
-        frames: Where estimates are on the bus.
-        faults: What goes wrong, in the order in which it acts; texts such as ``loss=0.1`` are read as faults.
-        clock: How the end of a step is found.
+        telemetry_period: Steps between telemetry frames of a robot; 0 for none.
+        frames: Format of estimates.
+        faults: Faults in the order in which they act; texts such as ``loss=0.1`` are parsed.
+        clock: Clock that ends steps.
     """
 
     telemetry_period: int = parameter(
@@ -57,7 +57,7 @@ class SwarmSettings(Population):
                 )
 
     def records(self) -> list[RobotRecord]:
-        """How each robot starts, by id."""
+        """Initial state of each robot, by id."""
         return [self.record(robot) for robot in range(self.robots)]
 
     def plain(self) -> dict[str, Any]:

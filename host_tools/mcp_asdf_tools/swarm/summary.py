@@ -1,4 +1,4 @@
-"""What came out of a swarm's run, for people."""
+"""Summary of a swarm's run in text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 
 def summary_table(run: SwarmRun, bus: str, seconds: float) -> Table:
-    """What came out of ``run`` on the ``bus`` so named, as a table of two columns."""
+    """Summary of ``run`` on ``bus`` as a table of two columns."""
     results, settings = run.results, run.settings
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(style="bold")
@@ -34,7 +34,7 @@ def summary_table(run: SwarmRun, bus: str, seconds: float) -> Table:
 
 
 def one_line(run: SwarmRun) -> str:
-    """The outcome in one line, for quiet runs."""
+    """Summary in one line, for quiet runs."""
     results = run.results
     return (
         f"seed {run.settings.seed}: {run.settings.robots} robots, {results['steps']} steps, "
@@ -59,13 +59,13 @@ def _options(settings: SwarmSettings) -> dict[str, Any]:
 
 
 def load_warning(results: dict[str, Any]) -> str | None:
-    """What to say of bit rates at which a real bus would be too busy; None if there are none."""
+    """Warning about bit rates at which a real bus would be too busy; None if there are none."""
     busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > LIMIT]
     if not busy:
         return None
     return (
         f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {LIMIT:.0%} of the time; "
-        "use a faster one, a longer --comms-period, or fewer ticks a second"
+        "use a faster one, a longer --comms-period, or fewer ticks per second"
     )
 
 
@@ -87,8 +87,8 @@ def _change(group: dict[str, float] | None, truth: float) -> str:
     if group is None:
         return "no such robots"
     return (
-        f"{group['before']:.4f} -> {group['after']:.4f} ({group['after_least']:.4f} to "
-        f"{group['after_most']:.4f}, {group['robots']} robots; b {truth:g})"
+        f"{group['before']:.4f} -> {group['after']:.4f} ({group['after_min']:.4f} to "
+        f"{group['after_max']:.4f}, {group['robots']} robots; b {truth:g})"
     )
 
 
@@ -103,7 +103,7 @@ def _frames(run: SwarmRun, bus: str) -> str:
 
 
 def _faults(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What was injected, and how much of the traffic arrived."""
+    """Faults injected, and the share of the traffic that arrived."""
     if not results["faults"]:
         return
     frames = results["frames"]
@@ -117,7 +117,7 @@ def _faults(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _rejections(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What each robot rejected and refused."""
+    """Frames that each robot rejected or refused."""
     for robot in results["robots"]:
         reasons = [f"{count} {reason}" for reason, count in robot["rejected"].items()]
         reasons += [f"{robot['refused']} refused"] if robot["refused"] else []

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import FrameFormat, Message, alpha_bits, decode, wire_bits
+from mcp_asdf_tools.bus import Message, alpha_bits, wire_bits
 from mcp_asdf_tools.recording import SidecarWriter
 from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.air import Air
@@ -33,12 +33,12 @@ class Swarm:
     """Robots on a bus. A context manager: leaving it takes them off the bus.
 
     Attributes:
-        settings: What the swarm is made of.
+        settings: Its parameters.
         world: The ground truth.
         nodes: The robots by id.
-        faults: What goes wrong between them.
-        clock: What tells when a tick is over.
-        traffic: What went over the bus so far.
+        faults: The faults between them.
+        clock: The clock that ends ticks.
+        traffic: Frames on the bus so far.
         ticks: Ticks done.
     """
 
@@ -51,9 +51,9 @@ class Swarm:
     ) -> None:
         """Make the robots and let each join its bus.
 
-        ``log`` takes every frame that robots send, ``sidecar`` what happens to each. If some run elsewhere,
-        call ``wait_until_up`` before the first tick. Raises UsageError if the firmware or the bus cannot be
-        had, or the settings ask what robots elsewhere cannot do.
+        ``log`` takes every frame that robots send, ``sidecar`` the events of each. If some run elsewhere,
+        call ``wait_until_up`` before the first tick. Raises UsageError if the firmware or the bus is not
+        available, or the settings are impossible for robots elsewhere.
         """
         self.settings = settings
         self.ticks = 0
@@ -61,23 +61,22 @@ class Swarm:
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
         self.clock = make_clock(settings.clock, settings.steps_per_second)
         self._sidecar = sidecar
-        decoder = Decoder(settings.frames)
+        self._decode = Decoder(settings.frames)
         self.nodes: list[SwarmRobot] = [
-            _robot_of(record, record.id in wiring.remote, decoder, sidecar) for record in settings.records()
+            _robot_of(record, record.id in wiring.remote, self._decode, sidecar)
+            for record in settings.records()
         ]
         self.traffic = Traffic([node.reception for node in self.nodes])
         self._air = Air(self.world, self.faults, settings.latency)
         taker = None if log is None else _as_received(log, wiring)
-        self._medium, self._drivers = self._connect(wiring, decoder, taker)
+        self._medium, self._drivers = self._connect(wiring, taker)
 
-    def _connect(
-        self, wiring: Wiring, decoder: Decoder, log: FrameTaker | None
-    ) -> tuple[Medium, list[Driver]]:
-        """What carries frames, and what drives remote robots."""
+    def _connect(self, wiring: Wiring, log: FrameTaker | None) -> tuple[Medium, list[Driver]]:
+        """Medium of the frames, and drivers of remote robots."""
         check_remote(self.settings, wiring)
         if wiring.open_bus is None:
             here = [node for node in self.nodes if isinstance(node, BusRobot)]
-            return InProcess(here, self._air, self.world, decoder, log), []
+            return InProcess(here, self._air, self.world, self._decode, log), []
         frames = self.settings.frames
         away = [node for node in self.nodes if isinstance(node, RemoteNode)]
         if not wiring.is_shared:
@@ -97,8 +96,8 @@ class Swarm:
     def wait_until_up(self, timeout: float, check: Callable[[], None] = lambda: None) -> None:
         """Return when all remote robots are there.
 
-        ``check`` is called while they are waited for, now and later; it may raise what ends that. Raises
-        LockstepError, naming who is not there, after ``timeout`` seconds.
+        ``check`` is called while waiting for them, now and later; it may raise an error that ends the wait.
+        Raises LockstepError, naming missing robots, after ``timeout`` seconds.
         """
         for driver in self._drivers:
             driver.wait_until_up(timeout, check)
@@ -107,8 +106,8 @@ class Swarm:
         """Let all robots take one step together.
 
         Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot does not
-        answer, can.CanError if the bus takes no frame; the swarm is then halfway through a tick and of no
-        further use. O(robots**2).
+        answer, can.CanError if the bus takes no frame; the swarm is then halfway through a tick and
+        unusable. O(robots**2).
         """
         self.clock.begin(self.ticks)
         seen = self.world.step()
@@ -131,7 +130,7 @@ class Swarm:
         """Let remote robots observe; yields what they send."""
         for driver in self._drivers:
             for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
-                is_estimate = isinstance(decode(frame, self.settings.frames), Message)
+                is_estimate = isinstance(self._decode(frame), Message)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
                 yield node, frame
@@ -145,7 +144,7 @@ class Swarm:
             yield from ((node, node.heartbeat(now)) for node in alive)
         if period and self.ticks % period == 0:
             self.traffic.telemetry_sent += len(alive)
-            yield from ((node, node.telemetry_frame(now)) for node in alive)
+            yield from ((node, node.telemetry(now)) for node in alive)
 
     def _estimates(
         self, alive: list[BusRobot], seen: Sequence[Observation | None]
@@ -157,11 +156,11 @@ class Swarm:
         return due
 
     def _send(self, node: SwarmRobot, frame: can.Message, is_own: bool = True) -> list[SentFrame]:
-        """Let a robot send what the faults leave of a frame, its own or one that it babbles."""
+        """Let a robot send the frames that the faults make of one, its own or one that it babbles."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
-        # What a robot elsewhere sends is on its bus, whatever the faults make of it here.
+        # A frame of a robot elsewhere is on its bus already, unchanged by faults.
         if self._sidecar is not None and isinstance(node, BusRobot):
-            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
+            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self._decode)
         for sent in leaving:
             self._medium.send(sent)
         return leaving
@@ -180,7 +179,7 @@ class Swarm:
         traffic = self.traffic
         traffic.on_the_bus += len(sent)
         traffic.bits += bits
-        traffic.most_bits = max(traffic.most_bits, bits)
+        traffic.peak_bits = max(traffic.peak_bits, bits)
         traffic.in_range, traffic.arrived = self._air.in_range, self._air.arrived
         traffic.missed = self._medium.missed
 
@@ -195,7 +194,7 @@ def _robot_of(
 
 
 def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
-    """Direction is that of the log's connection, where SocketCAN calls sent what comes from this computer."""
+    """Mark frames as received: SocketCAN marks those from this computer as sent."""
 
     def take(frame: can.Message) -> None:
         frame.is_rx = True
@@ -211,16 +210,13 @@ def _note_fate(
     robot: int,
     frame: can.Message | None,
     leaving: Sequence[SentFrame],
-    frames: FrameFormat,
+    decode: Decoder,
 ) -> None:
-    """Tell ``sidecar`` what differs between ``frame``, which the robot would send, and what leaves it.
-
-    None is what a babbling node would send.
-    """
-    own = None if frame is None else decode(frame, frames)
+    """Record how the frames ``leaving`` the robot differ from its own ``frame``, None if it babbles."""
+    own = None if frame is None else decode(frame)
     is_heard = False
     for sent in leaving:
-        said = decode(sent.frame, frames)
+        said = decode(sent.frame)
         if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
             is_heard = True
             if frame is not None and sent.frame.data != frame.data:

@@ -1,4 +1,4 @@
-"""What went over the bus of a swarm, counted."""
+"""Counts of the frames on a swarm's bus."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mcp_asdf_tools.robots import Reception
 
 @dataclass
 class Traffic:
-    """What went over the bus, in frames.
+    """Frames on the bus, counted.
 
     Attributes:
-        receptions: What each robot heard, by id.
+        receptions: Frames that each robot heard, by id.
         sent: Messages that robots sent.
         heartbeats_sent: Heartbeats.
         telemetry_sent: Telemetry.
         on_the_bus: All frames that got onto the bus, after the faults of their senders.
         in_range: Those, counted once for each robot in range of their senders.
         arrived: Frames that robots heard of those, late ones and copies included.
-        missed: Frames that the bus lost or brought after the time of their tick; none in lockstep.
+        missed: Frames that the bus lost or delivered after their tick; none in lockstep.
         bits: Length of all frames on a bus shared by all (``mcp_asdf_tools.bus.load.wire_bits``).
-        most_bits: The same of the tick that has most.
+        peak_bits: The same in the busiest tick.
     """
 
     receptions: Sequence[Reception]
@@ -37,7 +37,7 @@ class Traffic:
     arrived: int = 0
     missed: int = 0
     bits: int = 0
-    most_bits: int = 0
+    peak_bits: int = 0
 
     def total(self, name: str) -> int:
         """The sum over robots of one of the numbers in ``Reception``."""
@@ -45,7 +45,7 @@ class Traffic:
 
     @property
     def id_conflicts(self) -> dict[int, int]:
-        """How many messages under its own id each robot heard, by id; robots that heard none left out."""
+        """Estimates under its own id that each robot heard, by id; robots that heard none are left out."""
         return {robot: each.id_conflicts for robot, each in enumerate(self.receptions) if each.id_conflicts}
 
     @property

@@ -8,7 +8,7 @@ from functools import cached_property
 import can
 
 Key = tuple[int, bytes, bool]
-"""What a frame is told by: identifier, data, and whether it is an error frame."""
+"""Identity of a frame: identifier, data, and whether it is an error frame."""
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,9 @@ class SentFrame:
 
     Attributes:
         frame: As it is there.
-        sender: The node that has sent it, whatever id the frame tells.
+        sender: The node that has sent it, which may differ from the id in the frame.
         tick: When.
-        number: How many frames of its identifier the node has sent before in this tick.
+        number: Frames with its identifier that the node has sent before in this tick.
     """
 
     frame: can.Message
@@ -29,7 +29,7 @@ class SentFrame:
 
     @cached_property
     def key(self) -> Key:
-        """What the frame is told by. It must not change any more."""
+        """Identity of the frame, which must not change any more."""
         return self.frame.arbitration_id, bytes(self.frame.data), self.frame.is_error_frame
 
 
@@ -38,10 +38,10 @@ class Delivery:
     """A frame on its way to one receiver.
 
     Attributes:
-        frame: What the receiver hears.
+        frame: Frame that the receiver hears.
         delay: Ticks until it arrives, from 0.
-        place: Where in that tick, from 0 up to 1: frames of one tick arrive by rising ``place``, and those
-            with the same in the order sent.
+        place: Where in that tick, from 0 up to 1: frames of one tick arrive by rising ``place``, and at
+            equal places in the order sent.
     """
 
     frame: can.Message

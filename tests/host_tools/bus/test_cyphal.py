@@ -112,7 +112,7 @@ class Seen:
 
 
 def seen_by_pycyphal(frame: can.Message) -> Seen | None:
-    """What a fresh receiver makes of one frame; None unless it is a message transfer of its own."""
+    """Transfer that a fresh receiver finds in one frame; None unless it holds a complete message."""
     data = media.DataFrame(media.FrameFormat.EXTENDED, frame.arbitration_id, bytearray(frame.data))
     capture = cyphal_can.CANCapture(transport.Timestamp.now(), data, own=False)
     trace = cyphal_can.CANTransport.make_tracer().update(capture)
@@ -212,7 +212,7 @@ def test_the_constants_of_the_dsdl_are_ours(types: Types) -> None:
 
 
 CONTENT = {Rejection.X_HAT, Rejection.ALPHA}
-"""What Cyphal does not check."""
+"""Conditions that Cyphal does not check."""
 
 
 @fixed

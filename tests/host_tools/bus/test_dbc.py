@@ -103,7 +103,7 @@ def physical(message: Any) -> dict[str, float]:
 
 
 def frame_of(database: Any, name: str, values: dict[str, float], node: int = 0, **how: Any) -> can.Message:
-    """What cantools makes of the values, sent by ``node``."""
+    """The values, sent by ``node``, as cantools decodes them."""
     kind = database.get_message_by_name(name)
     return can.Message(arbitration_id=kind.frame_id | node, data=kind.encode(values, **how))
 
@@ -212,7 +212,7 @@ def test_every_comment_reaches_its_place(chosen: list[int] | None) -> None:
 
 
 def decoded_by_the_command_line(lines: str, folder: Path) -> list[str]:
-    """What ``cantools decode`` finds in candump's lines."""
+    """Output of ``cantools decode`` for candump's lines."""
     assert main(["dbc", "--output", str(folder / "ours.dbc")]) == 0
     done = subprocess.run(
         [sys.executable, "-m", "cantools", "decode", "-s", "-m", f"{ANY_NODE_MASK:#x}", folder / "ours.dbc"],

@@ -20,19 +20,19 @@ def broadcast(sender: int, number: int) -> Message:
 
 
 def first_noticed(messages: Iterable[Message]) -> int | None:
-    """How many messages were heard when a collision was reported; None if none was."""
+    """Number of messages heard when a conflict was reported; None if none was."""
     watch = IdConflictWatch()
     for count, message in enumerate(messages, 1):
-        collision = watch.hear(message)
-        assert (collision is None) == (not watch.found)
-        if collision is not None:
-            assert watch.found == {message.sender: collision}
+        conflict = watch.hear(message)
+        assert (conflict is None) == (not watch.found)
+        if conflict is not None:
+            assert watch.found == {message.sender: conflict}
             return count
     return None
 
 
 def one_sender(seed: str, messages: int, loss: float, repeats: float, late: int) -> list[Message]:
-    """What arrives: each message with its chances to be lost, repeated, and delayed by up to ``late``."""
+    """Messages that arrive; each may be lost, repeated, and delayed by up to ``late``."""
     draw = random.Random(seed)
     arrivals = []
     for number in range(messages):
@@ -45,14 +45,14 @@ def one_sender(seed: str, messages: int, loss: float, repeats: float, late: int)
 
 @pytest.mark.parametrize("loss", [0.0, 0.1, 0.5, 0.8, 0.9, 0.95, 0.99])
 @pytest.mark.parametrize(("repeats", "late"), [(0.0, 0), (0.3, 0), (0.3, 3), (0.3, 12)])
-def test_one_sender_on_a_bad_bus_is_no_collision(loss: float, repeats: float, late: int) -> None:
+def test_one_sender_on_a_bad_bus_is_no_conflict(loss: float, repeats: float, late: int) -> None:
     seed = f"{SEED} {loss} {repeats} {late}"
     arriving = one_sender(seed, 20_000, loss, repeats, late)
     assert first_noticed(arriving) is None, f"replay: one_sender({seed!r}, 20_000, {loss}, {repeats}, {late})"
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.9])
-def test_a_node_that_restarts_is_no_collision(loss: float) -> None:
+def test_a_node_that_restarts_is_no_conflict(loss: float) -> None:
     draw = random.Random(SEED)
     number, arriving = 0, []
     for content in range(20_000):

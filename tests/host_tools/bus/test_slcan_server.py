@@ -108,7 +108,7 @@ def raw(server: SlcanServer) -> socket.socket:
 
 
 def answers(program: socket.socket, length: int) -> bytes:
-    """What the adapter says, ``length`` bytes or a little more."""
+    """Output of the adapter, ``length`` bytes or a little more."""
     text = b""
     while len(text) < length:
         more = program.recv(100)
@@ -146,7 +146,7 @@ def test_fd_and_error_frames_stay_where_they_are(server: SlcanServer) -> None:
         assert answers(program, len(expected)) == expected
 
 
-def test_a_slow_program_loses_whole_frames_and_stops_nobody(server: SlcanServer) -> None:
+def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServer) -> None:
     with join() as bus, socket.socket() as program:
         program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         program.connect(("127.0.0.1", server.port))

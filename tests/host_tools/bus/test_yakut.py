@@ -32,7 +32,7 @@ CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Variables that tell yakut where types are: OpenCyphal's and ours; and a home for what it compiles."""
+    """Variables that show yakut OpenCyphal's types and ours, and a home for its compiled files."""
     folder = tmp_path_factory.mktemp("types")
     layouts = yaml.safe_load((ROOT / "tests/data/uavcan_types.yml").read_text(encoding="utf-8"))
     for name, text in layouts.items():
@@ -100,7 +100,7 @@ def logged(log: Path) -> set[Message]:
 
 
 def test_every_robot_is_in_its_monitor(environment: dict[str, str]) -> None:
-    """Operational and healthy, beside the monitor itself, which is node 126; with the subjects they send."""
+    """Operational and healthy, next to the monitor itself, node 126; with the subjects that they send."""
     with swarm(environment) as yakut:
         screen = watched([*yakut, "monitor"], environment, shows_all)
     assert shows_all(screen), CONTROL.sub("", screen)
@@ -114,7 +114,7 @@ def shows_all(screen: str) -> bool:
 
 
 def watched(command: list[str], environment: dict[str, str], is_enough: Callable[[str], bool]) -> str:
-    """What a program writes to its terminal until that is enough, or for too long."""
+    """Output of a program on its terminal until it is enough, or for too long."""
     ours, its = pty.openpty()
     with subprocess.Popen(command, env=environment, stdin=its, stdout=its, stderr=its) as program:
         screen, deadline = "", time.monotonic() + PATIENCE

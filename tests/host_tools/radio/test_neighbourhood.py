@@ -169,7 +169,7 @@ def test_ids_are_chosen_around_the_controller() -> None:
 # Odd frames
 
 
-def test_odd_frames_are_odd() -> None:
+def test_malformed_frames_are_no_estimates() -> None:
     draw, subjects, reasons = random.Random(1), Subjects(), set[Rejection]()
     for _ in range(200):
         for frame in malformed(draw, subjects, 9):
@@ -199,7 +199,7 @@ def test_stray_commands_are_not_obeyed(tick: int) -> None:
 def judge(
     controller: RobotNode, plan: RadioSettings | None = None, phases: Sequence[Phase] = PHASES
 ) -> ControllerVerdict:
-    """What the judge says of a controller."""
+    """Verdict on a controller."""
     with still():
         return Verification(plan or settings(), ControllerBench(Wire(controller), TICKS, 0.05), phases).run()
 
@@ -284,7 +284,7 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     verdict = Verification(settings(), ControllerBench(Losing(obedient()), TICKS, 0.05)).run()
     assert verdict.has_passed, verdict
     assert verdict.repeated == 2
-    assert headline(verdict.plain()).endswith("; 2 commands had to be said twice")
+    assert headline(verdict.plain()).endswith("; 2 commands were repeated")
     assert "twice" not in headline(judge(obedient()).plain())
 
 
@@ -384,7 +384,7 @@ class SettlesInAnyTick(Controller):
 
 
 class StaysInATick(Controller):
-    """Waits for the settle of the tick that is open, whatever comes."""
+    """Waits for the settle of the open tick, ignoring everything else."""
 
     def _obey(self, command: Any) -> list[can.Message]:
         is_stuck = not self.is_settled and command.tick != self._tick_of_command
@@ -470,7 +470,7 @@ class HangsAfterAWhile(Controller):
         return super().hear(frame) if self.ticks < 100 else []
 
 
-class ForgetsAfterACollision(Controller):
+class ForgetsAfterAConflict(Controller):
     def _receive(self, message: Message) -> None:
         if message.sender == ID:
             self._bus_robot._drive(record(ID, "native", 0.55).make())
@@ -523,12 +523,12 @@ WRONG: dict[str, tuple[Callable[[], RobotNode], str, str]] = {
     ),
     "counts repeated messages": (CountsRepeated, "delay", "telemetry"),
     "hears itself": (HearsItself, "node-id conflict", "telemetry"),
-    "forgets after a collision": (ForgetsAfterACollision, "node-id conflict", ""),
+    "forgets after a conflict": (ForgetsAfterAConflict, "node-id conflict", ""),
     "stops listening": (StopsListening, "flood", "telemetry"),
     "counts nothing as white": (CountsNothingAsWhite, "no observations", "estimate"),
     "rounds telemetry": (RoundsTelemetry, "nothing wrong", "telemetry: the controller sent x 0x"),
     "sends more of alpha": (SendsMoreOfAlpha, "nothing wrong", "estimate: the controller sent x_hat"),
-    "numbers modulo 16": (NumbersModulo16, "nothing wrong", "transfer 0, the model x_hat"),
+    "numbers modulo 16": (NumbersModulo16, "nothing wrong", "transfer_id 0, the model x_hat"),
     "says it twice": (SaysItTwice, "nothing wrong", "estimate: the controller sent x_hat"),
     "answers twice": (AnswersTwice, "nothing wrong", "tick 1: telemetry: the controller sent x"),
     "malformed": (Malformed, "nothing wrong", "sent a malformed frame (not a single-frame transfer)"),
@@ -571,7 +571,7 @@ def test_a_controller_that_closes_a_round_in_every_tick_fails() -> None:
 
 @pytest.mark.parametrize("what", LAX)
 def test_lax_codecs_fail(what: str) -> None:
-    phases = [phase for phase in PHASES if phase.odd == "malformed"]
+    phases = [phase for phase in PHASES if phase.invalid == "malformed"]
     assert judge(obedient(), phases=phases).has_passed
     verdict = judge(accepting(*LAX[what])(), phases=phases)
     assert verdict.difference is not None
@@ -707,7 +707,7 @@ BAD = {
     "--id 3 --timeout 2": "--timeout is for a verification",
     "--id 3 --verify --timeout 0": "timeout is 0.0",
     "--id 3 --verify --wait nan": "wait is nan",
-    "--id 3 --verify --report x.txt": "cannot tell what report x.txt is to be",
+    "--id 3 --verify --report x.txt": "report x.txt has no known format",
     "--id 126 --verify": "robot 126 has the id of the simulator",
     "--id 3 --log run.db": "SQLite",
     "--id 3 --command-subject 3000": "choose three different ones",

@@ -1,4 +1,4 @@
-"""Robots run again from a log say the same to the bit; any other value is found, whatever the format."""
+"""Robots run again from a log send the same bits; any other value is found, in every format."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ SLCAN = "--interface slcan --channel socket://127.0.0.1:{port} --bus-kwargs slee
 
 
 def play_to_slcan(log: Path, options: str) -> list[can.Message]:
-    """What gets onto a bus behind an slcan adapter when the command plays ``log`` onto it."""
+    """Frames on a bus behind an slcan adapter when the command plays ``log`` onto it."""
     pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
 
     def join() -> can.BusABC:

@@ -1,4 +1,4 @@
-"""What a sidecar is told it tells again; what is no sidecar is refused with its line."""
+"""A sidecar returns the events written to it; a malformed one is refused with its line."""
 
 from __future__ import annotations
 
@@ -137,8 +137,8 @@ def spoiled(**changes: Any) -> str:
 GOOD = json.dumps(HEADER.plain())
 BAD = {
     "": "line 1: not JSON",
-    "{}": 'line 1: it does not say "format": "mcp-asdf events"',
-    "[1]": "line 1: it does not say",
+    "{}": 'line 1: "format": "mcp-asdf events" is missing',
+    "[1]": 'line 1: "format": ',
     "(1.0) vcan0 1#00": "line 1: not JSON",
     "[" * 100_000: "line 1: not JSON",
     spoiled(

@@ -25,7 +25,7 @@ class Watch:
 
 
 def run(watch: Watch, work: list[float], rate: float = 8) -> tuple[RealTimeClock, list[float]]:
-    """When each tick began, after the first, where tick k takes work[k] seconds."""
+    """Beginnings of ticks after the first, where tick k takes work[k] seconds."""
     clock, began = RealTimeClock(rate, watch.read, watch.sleep), []
     for tick, seconds in enumerate(work):
         clock.begin(tick)

@@ -55,7 +55,7 @@ def see(robot: Robot, z: Observation | None) -> None:
 
 
 def kind(frame: can.Message) -> str:
-    """What a frame is: heartbeat, estimate or telemetry."""
+    """Kinds of the frames: heartbeat, estimate or telemetry."""
     decoded = {"h": decode_heartbeat(frame), "e": decode(frame, FrameFormat()), "t": decode_telemetry(frame)}
     return "".join(letter for letter, what in decoded.items() if not isinstance(what, Rejection))
 
@@ -91,7 +91,7 @@ def test_the_rules_one_by_one() -> None:
 
 
 def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
-    """Whatever commands are lost: each observe counts, each round is closed once, each settle answered."""
+    """With any commands lost, each observe counts, each round is closed once and each settle answered."""
     draw, robot, twin = random.Random(12), node(5), node(5).robot
     ticks, unsettled, is_open = 0, 0, False
     for number in range(400):
@@ -443,8 +443,8 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
     assert nodes.reports == {}
 
 
-def test_processes_end_when_whoever_started_them_dies() -> None:
-    """Their standard input ends then; nothing else tells them."""
+def test_processes_end_when_their_parent_dies() -> None:
+    """Their standard input ends then; they get no other sign."""
     choice = multicast(3)
     with choice.open() as bus, start_nodes([record(3)], lambda robot: choice, Subjects(), 10) as nodes:
         Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)

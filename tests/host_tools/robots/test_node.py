@@ -195,7 +195,7 @@ class Echoing(can.BusABC):
         return 99
 
 
-def test_nobody_hears_himself_on_a_bus_that_echoes() -> None:
+def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
     everybody: list[Echoing] = []
     connections = [WithoutEcho(Echoing(everybody)) for _ in range(3)]
     draw, heard, due = random.Random(2), [[], [], []], [[], [], []]  # type: ignore[var-annotated]
@@ -546,7 +546,7 @@ def test_without_a_standard_input_nothing_can_read_it(
 
 
 def test_a_missing_vcan_is_told_how_to_make(capsys: pytest.CaptureFixture[str]) -> None:
-    """Whether this kernel has no CAN or only lacks the interface."""
+    """Either this kernel has no CAN or it only lacks the interface."""
     assert main(shlex.split("node --id 1 --interface socketcan --channel vcan97")) == 2
     shown = capsys.readouterr().err
     for way in ("modprobe vcan", "ip link add dev vcan97 type vcan", "ip link set vcan97 up"):

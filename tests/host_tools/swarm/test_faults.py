@@ -1,4 +1,4 @@
-"""Every kind of fault strikes where and as often as it should, and as the seed says, whoever asks when."""
+"""Every kind of fault strikes where and as often as it should, by the seed alone, in any order of calls."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def counts(faults: Faults) -> list[int]:
 
 
 def estimate(sender: int, tick: int) -> can.Message:
-    """A message whose content tells where it comes from."""
+    """A message whose content shows its origin."""
     alpha = alpha_word(7 * tick + sender)
     return encode(Message(sender, 1000 * sender + tick, alpha, tick % 32), FORMAT, tick / 10)
 
 
 def run(faults: Faults, robots: int = 4, ticks: int = 50) -> dict[Link, list[Delivery]]:
-    """What becomes of one message of every robot to every other in each tick."""
+    """Deliveries of one message of every robot to every other in each tick."""
     heard: dict[Link, list[Delivery]] = {}
     for tick, sender in itertools.product(range(ticks), range(robots)):
         on_the_bus = faults.leave(estimate(sender, tick), sender, tick)
@@ -481,7 +481,7 @@ def test_faults_act_in_the_order_given() -> None:
     for faults in (lying_first, frozen_first):
         for tick in range(3):
             faults.leave(estimate(1, tick), 1, tick)
-    # What a frozen robot repeats is a lie if the liar comes before, and the liar has the last word after.
+    # A frozen robot repeats a lie if the liar comes before it; after it the liar has the last word.
     assert counts(lying_first) == [3, 2]
     assert counts(frozen_first) == [2, 3]
 
@@ -490,12 +490,12 @@ def test_time_must_not_run_backwards() -> None:
     faults = faults_of("crash=0.1")
     faults.crash(0, 10)
     faults.crash(1, 5)
-    with pytest.raises(ValueError, match="tick 9 is asked for after tick 10"):
+    with pytest.raises(ValueError, match="tick 9 comes after tick 10"):
         faults.crash(0, 9)
 
 
 def test_other_frames_on_the_wire_change_no_fate() -> None:
-    """Telemetry and heartbeats beside the estimates draw numbers of their own."""
+    """Telemetry and heartbeats next to the estimates draw numbers of their own."""
     plain, beside = faults_of("loss=0.5"), faults_of("loss=0.5")
     for tick in range(50):
         (alone,) = plain.leave(estimate(1, tick), 1, tick)

@@ -1,4 +1,4 @@
-"""What the air lets a robot hear, in which order, and what a connection makes of what comes."""
+"""Frames that the air delivers, their order, and how a connection sorts those that come."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_what_comes_late_is_had_with_the_next(strangers: list[can.Message]) -> N
 
 @pytest.mark.parametrize("marks", [True, False])
 def test_returned_frames_are_no_strangers(strangers: list[can.Message], marks: bool) -> None:
-    """Whether they are marked as own, or everything is that comes from this computer."""
+    """Marked as own, or as every frame from this computer is."""
     other, own = pair(strangers, returns=True)
     with other, own.bus:
         own.send(estimate(7, 0).frame)

@@ -146,7 +146,7 @@ def test_with_a_bus_each(away: set[int], faults: tuple[str, ...], comms_period: 
             *(true.t, true.n, true.x, true.counters.updates),
         )
         assert known.b_hat == int(true.b_hat * 2**24) / 2**24
-        # What it thinks between broadcasts it tells nobody.
+        # Between broadcasts its estimate is unknown.
         assert comms_period > 1 or known.x_hat == true.x_hat
     x = [node.robot.x for node in run.nodes]
     assert x == [node.robot.x for node in here.nodes]
@@ -205,7 +205,7 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
             {},
             ("crash=0.1",),
             Wiring(own_bus, False, frozenset({1})),
-            "cannot befall robots that run else",
+            "cannot affect robots that run else",
         ),
         ({}, (), Wiring(one_bus, True, frozenset({1})), "need a bus each: write {robot}"),
         (

@@ -96,7 +96,7 @@ def record(
 
 
 def content(frames: list[can.Message]) -> list[tuple[int, bytes]]:
-    """What identifies frames apart from time and place."""
+    """Identity of frames, without time and place."""
     return [(frame.arbitration_id, bytes(frame.data)) for frame in frames]
 
 
@@ -295,7 +295,7 @@ def test_results_count_on_where_the_firmware_s_counters_wrap(monkeypatch: pytest
 
 
 class Confidant:
-    """A robot's outside that notes what it is told."""
+    """A robot's outside that notes its calls."""
 
     x_hat, alpha = 0.3, 2.0 / 3
 
@@ -775,7 +775,7 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".txt", ".log.gz"])
 @pytest.mark.parametrize("bytes_left", [0, 3000, 9000, 20_000])
 def test_a_full_disk_is_told_and_leaves_nothing(suffix: str, bytes_left: int, tmp_path: Path) -> None:
-    """Whether it is full at once, in the midst of the run or when the files are completed."""
+    """Full at once, during the run, or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     options = ("--steps", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
     errors = io.StringIO()  # pytest captures in files, which are limited, too

@@ -291,7 +291,7 @@ def test_frozen_values_and_lies() -> None:
     assert {(m.x_hat, m.alpha) for m in said[2]} == {(ONE, alpha_to_word(1000.0))}
 
 
-def test_a_collision_of_ids_is_reported_and_the_first_message_counts() -> None:
+def test_an_id_conflict_is_reported_and_the_first_message_counts() -> None:
     run, _ = record(make("collide,robots=3,id=2"))
     assert injected(run) == [66]
     assert figures(run)["id_conflicts"] == {"2": 60}
@@ -406,7 +406,7 @@ def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
 
 
 def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
-    """Two cliques that hear nothing of each other, and one robot that nobody hears."""
+    """Two cliques that hear nothing of each other, and one robot that no other hears."""
     (tmp_path / "g").write_text("0 1\n1 2\n0 2\n3 4\n4 > 0\n0 > 5\n")
     settings = make(robots=6, topology="graph", graph=tmp_path / "g")
     for medium in ("one bus", "a bus for each"):
@@ -483,9 +483,9 @@ def test_the_load_of_a_real_bus() -> None:
     assert 131 * len(frames) < bits < 160 * len(frames)
     for rate, share in run.results["bus_load"].items():
         assert share["mean"] == pytest.approx(bits / (6.0 * int(rate)))
-        assert share["peak"] == pytest.approx(figures(run)["most_bits"] / (0.1 * int(rate)))
+        assert share["peak"] == pytest.approx(figures(run)["peak_bits"] / (0.1 * int(rate)))
     # Heartbeats and estimates in one tick are the most.
-    assert 131 * 10 < figures(run)["most_bits"] < 160 * 10
+    assert 131 * 10 < figures(run)["peak_bits"] < 160 * 10
     assert load_warning(run.results) is None
 
 
@@ -516,7 +516,7 @@ def test_a_flood_is_read_while_it_comes() -> None:
     assert figures(run)["arrived"] == (3 + 1) * 5 * 4 + 600 * 4
 
 
-# What the sidecar tells
+# The sidecar
 
 
 @pytest.mark.parametrize("faults", [(), MIX], ids=["lossless", "mix"])
