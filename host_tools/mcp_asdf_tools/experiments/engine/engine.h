@@ -33,7 +33,7 @@
  *                 black[i trial_stride + k step_stride + j robot_stride] is that of the i-th of these
  *                 trials in step k for robot j, all from 0. In a moving world it is that on a black floor;
  *                 on a white one the robot observes white with it
- *   thinning      record every robot each `thinning` steps; 0 for never
+ *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
  *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next */
@@ -50,7 +50,7 @@ typedef struct {
     size_t trial_stride;
     size_t step_stride;
     size_t robot_stride;
-    uint32_t thinning;
+    uint32_t sampling_interval;
     const mcp_asdf_arena_config_t *arenas;
     uint32_t observation_period;
     uint32_t latency;
@@ -74,7 +74,7 @@ typedef struct {
  *             connected swarm if comms_period is 1, as all robots then have the same x to the bit, otherwise
  *             N
  *   b_hat     [trials][T / (filter_period comms_period)][N] assumed accuracies after each filter step
- *   records   [trials][T / thinning][N]; not used if thinning is 0 */
+ *   records   [trials][T / sampling_interval][N]; not used if sampling_interval is 0 */
 typedef struct {
     mcp_asdf_t *robots;
     uint32_t *x;

@@ -181,7 +181,7 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     const bool is_alike = experiment->trial_stride == 0 && experiment->robot_stride == 0;
     return experiment->comms_period == 1 && (is_alike || experiment->arenas != NULL) &&
-           experiment->thinning == 0;
+           experiment->sampling_interval == 0;
 }
 
 mcp_asdf_status_t mcp_asdf_engine_run_lanes(const mcp_asdf_experiment_t *experiment,

@@ -107,8 +107,9 @@ void engine_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, 
             trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
         }
     }
-    if (trial->records != 0 && step % experiment->thinning == 0) {
-        record(trial->robots, count, &trial->records[(step / experiment->thinning - 1) * (size_t)count]);
+    if (trial->records != 0 && step % experiment->sampling_interval == 0) {
+        record(trial->robots, count,
+               &trial->records[(step / experiment->sampling_interval - 1) * (size_t)count]);
     }
 }
 

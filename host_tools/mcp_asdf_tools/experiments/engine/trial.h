@@ -40,7 +40,8 @@ static inline trial_t engine_trial(const mcp_asdf_experiment_t *experiment, cons
                                    uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
-    const size_t records = experiment->thinning == 0 ? 0 : steps / experiment->thinning * count;
+    const size_t records =
+        experiment->sampling_interval == 0 ? 0 : steps / experiment->sampling_interval * count;
     return (trial_t){outcome->robots + index * count,
                      outcome->x + (size_t)index * engine_columns(experiment) * (steps + 1),
                      outcome->b_hat + index * (steps / engine_filter_ticks(experiment)) * count,
