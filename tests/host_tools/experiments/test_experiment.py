@@ -281,7 +281,7 @@ def test_the_physical_experiment_comes_with_the_program() -> None:
     assert first.steps / first.steps_per_second == 1000, "seconds"
     density = first.robots * np.pi * first.radio_range**2 / np.prod(first.sides)
     assert density == pytest.approx(1.3, abs=0.05)
-    with pytest.raises(UsageError, match=r"no file studio; what comes with the program is .*physical"):
+    with pytest.raises(UsageError, match=r"no file studio; those that come with the program are .*physical"):
         read_experiments(Path("studio"))
 
 
