@@ -98,7 +98,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Raises FirmwareError for what is no table; robots check the rest, as the C does."""
-        if not isinstance(self.table, Table | None):
+        if self.table is not None and not hasattr(self.table, "words"):
             raise FirmwareError(Status.ERR_TABLE, f"table is {self.table!r}; give a Table or None")
 
 
