@@ -15,8 +15,8 @@ help: ## list the commands
 
 setup: .venv/ready-to-test ## make .venv with the project and all that tests need
 
-swarm: .venv/ready-to-run ## watch twenty robots that run the C firmware calibrate themselves
-	@$(BIN)/mcp-asdf swarm
+swarm: .venv/ready-to-run ## watch twenty robots, half of them flawed, calibrate themselves, and see what it is good for
+	@$(BIN)/mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare
 
 test: .venv/ready-to-test ## run the tests of everything, 5 minutes: C and Python, analysers, documentation
 	@rm -rf build/reports

@@ -168,12 +168,13 @@ class FixedPointView(ABC):
         """Receive ``messages`` messages at once, of which these are the exact sums."""
         whole = Sums(**{name: whole_number(value) for name, value in vars(sums).items()})
         unheard = self._unheard()
-        if not (sums_possible(whole) and whole.count <= whole_number(messages) <= len(unheard)):
+        number = whole_number(messages)
+        if not (sums_possible(whole) and whole.count <= number <= len(unheard)):
             raise ValueError(
                 f"{messages} messages of {len(unheard)} robots not heard yet cannot sum up to {whole}"
             )
-        self._note_heard(unheard[:messages])
-        self.receive_sums(whole, messages)
+        self._note_heard(unheard[:number])
+        self.receive_sums(whole, number)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message; values off the firmware's grids are rounded down.

@@ -54,7 +54,7 @@ FILTER_PERIOD = 25
 SEED = 20261121
 PACE = 400
 SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
-SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan.c"}
+SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
 LINUX = ROOT / "c_ref/ports/linux"
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|")
 

@@ -1,6 +1,5 @@
 /* A robot as a node of the bus, without bus, clock or operating system: frames in, frames out. docs/frame.md
- * has the rules that it follows in lockstep; host_tools/mcp_asdf_tools/robots/node.py is the same node in
- * Python.
+ * has the rules that it follows in lockstep; mcp_asdf_tools/robots/node.py is the same node in Python.
  *
  * A control tick, of which every comms_period-th is due:
  *

@@ -43,4 +43,18 @@ slcan_event_t slcan_take(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame);
 /* Send a frame; returns whether it is on its way. While the bus is closed it goes nowhere. */
 bool slcan_send(slcan_link_t *link, const mcp_asdf_frame_t *frame);
 
+/* ---- Between slcan_link.c and slcan_commands.c ---- */
+
+/* Put a line, with its end, behind those that wait; false, and counted, if there is no room. */
+bool slcan_put(slcan_link_t *link, const char *text, uint8_t length);
+
+/* Tell a host; with an adapter at the other end say nothing. */
+void slcan_answer(slcan_link_t *link, const char *text);
+
+/* Count the line that has come as dropped, and tell a host. */
+void slcan_drop(slcan_link_t *link);
+
+/* Do what the line that has come asks for, which is no frame. */
+slcan_event_t slcan_obey(slcan_link_t *link);
+
 #endif

@@ -112,8 +112,8 @@ def _go(
         source = None if args.lockstep else stack.enter_context(closing(_source_of(args)))
         bus = stack.enter_context(choice.open())
         bus.set_filters(_filters(node.settings, args.lockstep))
-        is_told_to_stop = _ending(stack.enter_context(stopping()), args.until_eof)
-        link = BusLink(bus, is_told_to_stop, endures=not args.lockstep, log=log)
+        should_stop = _ending(stack.enter_context(stopping()), args.until_eof)
+        link = BusLink(bus, should_stop, endures=not args.lockstep, log=log)
         run = NodeRun(node, link, args.steps, stack.enter_context(_Watch(console, node, link)))
         if source is None:
             run.in_lockstep()
@@ -169,12 +169,12 @@ def settings_of(args: argparse.Namespace) -> NodeSettings:
     return NodeSettings(args.id, subjects_of(args), args.steps_per_second, period)
 
 
-def _ending(is_told: Callable[[], bool], until_eof: bool) -> Callable[[], bool]:
+def _ending(is_asked: Callable[[], bool], until_eof: bool) -> Callable[[], bool]:
     """Condition that ends the node."""
     if not until_eof:
-        return is_told
+        return is_asked
     fd = standard_input()
-    return lambda: is_told() or has_ended(fd)
+    return lambda: is_asked() or has_ended(fd)
 
 
 def _filters(settings: NodeSettings, lockstep: bool) -> CanFilters:

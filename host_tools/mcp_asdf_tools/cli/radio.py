@@ -219,7 +219,7 @@ def _judge(
         log, events = outputs
         bench.log = bench.log if log is None else log
         bench.recorder = None if events is None else events.robots[settings.controller.id]
-        bench.is_told_to_stop = stack.enter_context(stopping())
+        bench.should_stop = stack.enter_context(stopping())
         verification = Verification(settings, bench)
         progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
         task = progress.add_task("verifying", total=len(verification.verdict.phases) * bench.ticks)

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
 from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
-from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, start_nodes
+from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
     LiveTable,
@@ -29,6 +30,7 @@ from mcp_asdf_tools.swarm import (
     SwarmRun,
     SwarmSettings,
     Wiring,
+    comparison,
     load_warning,
     one_line,
     run_swarm,
@@ -42,6 +44,7 @@ EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
   mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
+  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
@@ -70,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_of(args)
     choice = interfaces.choose_bus(args)
     wiring = wiring_of(args, settings, choice)
+    _check_comparison(args, settings, wiring)
     draw = _drawer(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
@@ -78,6 +82,11 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as ending:
             with logging_to(args.log, header) as outputs:
                 outcome, report = _emulate(args, settings, choice, wiring, outputs)
+                if args.compare and not (outcome.interrupted or outcome.failure):
+                    baseline = _run(args, settings.without_filter(), wiring)
+                    report["without_filter"] = baseline.results
+                    if baseline.interrupted or baseline.failure:
+                        outcome = replace(outcome, interrupted=baseline.interrupted, failure=baseline.failure)
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             with FileSet() as files:
@@ -102,18 +111,37 @@ def _emulate(
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
-    console = Console(quiet=args.quiet or args.json)
     with ExitStack() as stack:
         port = _admit(args, settings, choice, stack)
         swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
         nodes = stack.enter_context(_start(args, settings, choice))
-        with console.status("waiting for robots elsewhere"):
+        with _console(args).status("waiting for robots elsewhere"):
             swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        table, stop = stack.enter_context(LiveTable(console)), stack.enter_context(_interruptible())
-        outcome = run_swarm(swarm, [table, stop])
+        outcome = _watched(args, swarm)
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
     return outcome, report
+
+
+def _check_comparison(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> None:
+    if args.compare and (wiring.remote or settings.filter is Filtering.NONE):
+        reason = "robots elsewhere run once" if wiring.remote else "filter is none"
+        raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
+
+
+def _run(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> SwarmRun:
+    with Swarm(settings, wiring) as swarm:
+        return _watched(args, swarm)
+
+
+def _watched(args: argparse.Namespace, swarm: Swarm) -> SwarmRun:
+    """Run a swarm to its end or Ctrl-C, with the live table."""
+    with LiveTable(_console(args)) as table, _interruptible() as stop:
+        return run_swarm(swarm, [table, stop])
+
+
+def _console(args: argparse.Namespace) -> Console:
+    return Console(quiet=args.quiet or args.json)
 
 
 def _admit(
@@ -177,11 +205,18 @@ def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], 
         print(json.dumps(report, indent=2))
     elif args.quiet:
         print(one_line(outcome))
+        _print_comparison(report)
     else:
         Console(soft_wrap=True).print(table)
+        _print_comparison(report)
         warning = load_warning(outcome.results)
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
+
+
+def _print_comparison(report: dict[str, Any]) -> None:
+    if "without_filter" in report:
+        print(comparison(report["results"], report["without_filter"]))
 
 
 def _exit_code(outcome: SwarmRun) -> int:

@@ -89,6 +89,11 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; FILE.events gets what each "
         "robot saw and heard",
     )
+    output.add_argument(
+        "--compare",
+        action="store_true",
+        help="also run the same swarm without the filter, and compare",
+    )
     output.add_argument("--quiet", action="store_true", help="no live table, and one line for a summary")
 
 

@@ -53,7 +53,7 @@ class RadioRun:
                 self._tick()
                 self.watch()
         except (Stopped, KeyboardInterrupt):
-            self.outcome.ending = "told to stop"
+            self.outcome.ending = "stopped"
             self.outcome.is_interrupted = self._ticks is not None
         finally:
             self.outcome.lateness = clock.figures()

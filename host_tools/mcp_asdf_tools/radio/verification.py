@@ -173,7 +173,7 @@ class ControllerBench:
         recorder: Takes the controller's events; None if they are not recorded.
         log: Takes all frames, sent and heard.
         progress: Called after each tick with the number of ticks done.
-        is_told_to_stop: Checked before each tick.
+        should_stop: Checked before each tick.
     """
 
     bus: can.BusABC
@@ -183,7 +183,7 @@ class ControllerBench:
     recorder: Recorder | None = None
     log: Callable[[can.Message], None] = lambda frame: None
     progress: Callable[[int], None] = lambda ticks: None
-    is_told_to_stop: Callable[[], bool] = lambda: False
+    should_stop: Callable[[], bool] = lambda: False
 
 
 class Verification:
@@ -233,7 +233,7 @@ class Verification:
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
         before = self._injected()
         while result.ticks < self._bench.ticks:
-            if self._bench.is_told_to_stop():
+            if self._bench.should_stop():
                 raise KeyboardInterrupt
             self._tick(phase, result)
             result.ticks += 1

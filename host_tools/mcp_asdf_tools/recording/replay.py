@@ -281,7 +281,7 @@ class Player:
         bus: Bus to send on.
         speed: Recorded seconds per second; 0 for as fast as the bus takes frames.
         left_out: Node ids whose frames are not sent, such as that of a robot on the bus.
-        is_told_to_stop: Checked several times per second.
+        should_stop: Checked several times per second.
         progress: Called after each frame.
         playback: Figures so far.
     """
@@ -289,7 +289,7 @@ class Player:
     bus: can.BusABC
     speed: float = 1.0
     left_out: Collection[int] = ()
-    is_told_to_stop: Callable[[], bool] = lambda: False
+    should_stop: Callable[[], bool] = lambda: False
     progress: Callable[[], None] = lambda: None
     playback: Playback = field(default_factory=Playback)
 
@@ -313,7 +313,7 @@ class Player:
 
     def _wait(self, due: float) -> bool:
         """Wait until ``due``; returns whether to go on."""
-        while not self.is_told_to_stop():
+        while not self.should_stop():
             left = due - time.monotonic()
             if left <= 0:
                 if self.speed:

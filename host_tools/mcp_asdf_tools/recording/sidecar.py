@@ -163,7 +163,7 @@ class SidecarReader:
         self._file.close()
 
     def lines(self) -> Iterator[tuple[int, Sequence[Event]] | str]:
-        """Yield what follows the header: a robot with its next events, or an injected frame as text.
+        """Yield the lines after the header: a robot with its next events, or an injected frame as text.
 
         Raises UsageError, naming the line, if one is malformed.
         """

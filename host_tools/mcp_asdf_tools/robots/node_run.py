@@ -39,7 +39,7 @@ class BusLink:
 
     Attributes:
         bus: The connection; its filters should pass only frames that the node needs.
-        is_told_to_stop: Checked while waiting.
+        should_stop: Checked while waiting.
         endures: Whether to go on when the bus fails, as a robot must.
         log: Takes all frames sent and received; they are stamped with the time of day.
         failures: How often sending or receiving failed.
@@ -47,7 +47,7 @@ class BusLink:
     """
 
     bus: can.BusABC
-    is_told_to_stop: Callable[[], bool] = lambda: False
+    should_stop: Callable[[], bool] = lambda: False
     endures: bool = False
     log: FrameTaker | None = None
     failures: int = 0
@@ -73,7 +73,7 @@ class BusLink:
 
         Raises Stopped if the node was asked to stop, can.CanError as ``send``.
         """
-        if self.is_told_to_stop():
+        if self.should_stop():
             raise Stopped
         seconds = min(seconds, _SLICE)
         try:
@@ -164,7 +164,7 @@ class NodeRun:
             self._send(self.node.start())
             work()
         except (Stopped, KeyboardInterrupt):
-            self.outcome.ending = "told to stop"
+            self.outcome.ending = "stopped"
             self.outcome.is_interrupted = self._ticks is not None
         except can.CanError as error:
             self.outcome.ending = f"the bus failed: {error}"

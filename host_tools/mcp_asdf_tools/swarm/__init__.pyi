@@ -15,6 +15,7 @@ from .run import SwarmRun as SwarmRun
 from .run import run_swarm as run_swarm
 from .settings import MAX_ROBOTS_AND_TOOLS as MAX_ROBOTS_AND_TOOLS
 from .settings import SwarmSettings as SwarmSettings
+from .summary import comparison as comparison
 from .summary import load_warning as load_warning
 from .summary import one_line as one_line
 from .summary import summary_table as summary_table

@@ -36,7 +36,7 @@ def draw(run: SwarmRun) -> Figure:
         _draw_lines(axes, run, quantity)
         _finish(axes, label, name, truth, run.history.values(quantity))
     top, *_, bottom = figure.axes
-    bottom.set_xlabel("tick")
+    bottom.set_xlabel("step")
     bottom.set_xlim(0, max(1, int(run.history.ticks[-1])))
     top.set_title(_title(run), loc="left", fontsize=11)
     figure.legend(handles=_legend(run), loc="outside lower center", ncols=4, frameon=False)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mcp_asdf_tools.bus import TELEMETRY, FrameFormat
 from mcp_asdf_tools.common import ParameterError, as_type, member_of, parameter
-from mcp_asdf_tools.robots import ClockKind, Population, RobotRecord
+from mcp_asdf_tools.robots import ClockKind, Filtering, Population, RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
-from mcp_asdf_tools.world import MAX_PERIOD
+from mcp_asdf_tools.world import MAX_PERIOD, default_of
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""
@@ -55,6 +55,11 @@ class SwarmSettings(Population):
                     f"fault {fault} names robot {max(named)}, but the ids of {self.robots} robots are 0 to "
                     f"{self.robots - 1}; take more robots or name another",
                 )
+
+    def without_filter(self) -> SwarmSettings:
+        """The same swarm, of which no robot recalibrates."""
+        usual = {name: default_of(self, name) for name in ("omega", "activation")}
+        return replace(self, filter=Filtering.NONE, **usual)
 
     def records(self) -> list[RobotRecord]:
         """Initial state of each robot, by id."""

@@ -58,6 +58,19 @@ def _options(settings: SwarmSettings) -> dict[str, Any]:
     return {**plain, **plain["frames"], "frames": None, "faults": None}
 
 
+def comparison(results: dict[str, Any], without: dict[str, Any]) -> str:
+    """The difference that the filter made, in one sentence."""
+    errors = [each["mean_error"] for each in (without, results)]
+    change = results["b_hat"]["flawed"]
+    said = (
+        f"With the filter the mean error is {errors[1]:.3f}; without it, on the same seed, {errors[0]:.3f}."
+    )
+    if change is None:
+        return said
+    before, after = change["before"], change["after"]
+    return f"{said} The flawed robots took their sensors for {before:.2f} accurate, now for {after:.2f}."
+
+
 def load_warning(results: dict[str, Any]) -> str | None:
     """Warning about bit rates at which a real bus would be too busy; None if there are none."""
     busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > LIMIT]

@@ -13,6 +13,7 @@ from .sensors import sensor_model as sensor_model
 from .settings import MAX_PERIOD as MAX_PERIOD
 from .settings import Topology as Topology
 from .settings import WorldSettings as WorldSettings
+from .settings import default_of as default_of
 from .topology import Graph as Graph
 from .world import Scene as Scene
 from .world import World as World

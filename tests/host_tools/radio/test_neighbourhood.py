@@ -255,7 +255,7 @@ def test_a_phase_in_which_nothing_happens_proves_nothing() -> None:
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     controller, done = obedient(), list[int]()
     bench = ControllerBench(
-        Wire(controller), TICKS, 0.05, progress=done.append, is_told_to_stop=lambda: len(done) == TICKS + 3
+        Wire(controller), TICKS, 0.05, progress=done.append, should_stop=lambda: len(done) == TICKS + 3
     )
     verdict = Verification(settings(), bench).run()
     assert (verdict.is_interrupted, verdict.has_passed, verdict.difference) == (True, False, None)

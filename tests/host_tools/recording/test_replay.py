@@ -290,7 +290,7 @@ def test_a_bus_that_refuses_frames_is_counted(clock: Clock) -> None:
 
 
 def test_playing_stops_when_told(clock: Clock) -> None:
-    playing = player(clock, is_told_to_stop=lambda: clock.now > 1001)
+    playing = player(clock, should_stop=lambda: clock.now > 1001)
     playing.play(frames_at(0.0, 0.5, 100.0))
     assert len(clock.sent) == 2
     assert playing.playback.is_stopped

@@ -428,7 +428,7 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
         assert results["robot"] == state_of(twin)
         # Filters keep heartbeats and telemetry away from a process.
         assert results["frames"] == twin.figures() | {"rejected": {}}
-        assert (results["steps"], results["ending"]) == (60, "told to stop")
+        assert (results["steps"], results["ending"]) == (60, "stopped")
 
 
 def test_a_process_that_ends_is_named_with_what_it_said() -> None:

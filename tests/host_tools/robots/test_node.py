@@ -418,7 +418,7 @@ def test_signals_end_it_with_all_saved(
             main(["node", *shlex.split(f"--id 3 --steps-per-second 50 {ticks} --json --log"), str(log)])
             == code
         )
-    assert report_of(capsys)["results"]["ending"] == "told to stop"
+    assert report_of(capsys)["results"]["ending"] == "stopped"
     assert main(["replay", str(log)]) == 0
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
 

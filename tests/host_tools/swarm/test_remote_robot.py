@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import random
 import socket
 import struct
 import threading
@@ -17,16 +18,20 @@ import can
 import pytest
 from can.interfaces import virtual
 
-from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf.robot import FixedPointRobot, Observation
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode
 from mcp_asdf_tools.bus.slcan_server import SlcanServer
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.reception import Decoder
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.remote_robot import RemoteNode
 from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -360,3 +365,25 @@ def test_bad_usage(arguments: str, complaint: str, capsys: pytest.CaptureFixture
     captured = capsys.readouterr()
     assert complaint in captured.err
     assert captured.out == ""
+
+
+def test_the_events_of_a_robot_elsewhere_are_those_of_one_here() -> None:
+    """From the same commands and frames. Its firmware is elsewhere, so its state is known only in part."""
+    settings = make(comms_period=2)
+    lines: dict[str, list[str]] = {"here": [], "elsewhere": []}
+    decoder, start = Decoder(settings.frames), settings.records()[1]
+    here = BusRobot(1, start.make, decoder, Recorder(1, lines["here"].append))
+    elsewhere = RemoteNode(start, decoder, Recorder(1, lines["elsewhere"].append))
+    draw = random.Random(5)
+    for tick in range(60):
+        z = draw.choice([None, Observation.WHITE, Observation.BLACK])
+        assert here.begin(z) == elsewhere.begin(z)
+        for sender in draw.sample([0, 2, 3], 2):
+            frame = encode(Message(sender, draw.randrange(1 << 23), 1 << 30, tick % 32), settings.frames)
+            here.hear(frame)
+            elsewhere.hear(frame)
+        here.settle()
+        elsewhere.settle()
+        assert (here.robot.t, here.robot.n) == (elsewhere.robot.t, elsewhere.robot.n)
+    assert lines["here"] == lines["elsewhere"]
+    assert here.reception.delivered == elsewhere.reception.delivered == 120
