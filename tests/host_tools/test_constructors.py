@@ -22,6 +22,9 @@ from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings
+from mcp_asdf_tools.robots.lockstep import LockstepSettings
+from mcp_asdf_tools.robots.node import NodeSettings, Subjects
 from mcp_asdf_tools.robots.population import Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
@@ -43,11 +46,26 @@ SOUND: dict[type[Any], dict[str, Any]] = {
     TickConfig: {},
     RobotRecord: {"id": 1, "firmware": "mirror", "b_hat": 0.75, "config": TickConfig(filter=Filter.OFF)},
     FrameFormat: {},
+    Subjects: {},
+    NodeSettings: {"id": 3},
+    LockstepSettings: {},
+    RadioSettings: {
+        "controller": RobotRecord(0, "mirror", 0.75, TickConfig(filter=Filter.OFF)),
+        "neighbours": (),
+        "swarm": SwarmSettings(robots=1, flawed=0),
+        "subjects": Subjects(),
+    },
     Fault: {"kind": FaultKind.LOSS},
 }
 """Public dataclasses of the tools that people fill in, and what they must be given."""
 
-NAMES = {"start": "from", "stop": "to", "faults": "fault"}
+NAMES = {
+    "start": "from",
+    "stop": "to",
+    "faults": "fault",
+    "steps_per_second": "steps-per-second",
+    "telemetry_period": "telemetry-period",
+}
 """Names of fields in messages where they are others."""
 
 WRONG: list[Any] = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, Subjects
 from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, SentFrame, SwarmSettings
 from mcp_asdf_tools.world import World
@@ -53,6 +53,7 @@ class RadioSettings:
     faults: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
+        check_types(self)
         ids = [self.controller.id, *(each.id for each in self.neighbours)]
         if len(set(ids)) < len(ids):
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")

@@ -19,7 +19,7 @@ from typing import NoReturn
 
 import can
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.bus import (
     TRANSFER_IDS,
     Action,
@@ -32,7 +32,7 @@ from mcp_asdf_tools.bus import (
     decode_telemetry,
     encode_command,
 )
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.node import Subjects, send_all
 
 DRIVER_ID = 126
@@ -57,6 +57,12 @@ class LockstepSettings:
 
     subjects: Subjects = field(default_factory=Subjects)
     node_id: int = DRIVER_ID
+
+    def __post_init__(self) -> None:
+        """Raises UsageError for a field that is wrong."""
+        check_types(self)
+        if not 0 <= self.node_id <= MAX_ID:
+            raise UsageError(f"node_id is {self.node_id}; it must be 0 to {MAX_ID}")
 
 
 class Lockstep:

@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus import (
     decode,
     decode_command,
 )
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.reception import Decoder, Reception
@@ -59,6 +59,7 @@ class Subjects:
     commands: FrameFormat = COMMANDS
 
     def __post_init__(self) -> None:
+        check_types(self)
         chosen = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
         if len(set(chosen)) < len(chosen):
             raise UsageError(
@@ -105,6 +106,7 @@ class NodeSettings:
     telemetry_period: int = 1
 
     def __post_init__(self) -> None:
+        check_types(self)
         for name, low, high in (
             ("id", 0, MAX_NODE_ID),
             ("steps_per_second", 1, 10**6),
