@@ -86,7 +86,7 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
 
 @pytest.mark.parametrize("kind", PLOTS)
 def test_every_kind_of_picture_is_drawn(kind: str) -> None:
-    experiment = m.Experiment(topology="dynamic", robots=12, steps=60, filter_period=20, trials=2)  # type: ignore[arg-type]
+    experiment = m.Experiment(topology="dynamic", robots=12, steps=60, filter_period=20, trials=2)
     table = m.simulate(experiment, record=20)
     assert isinstance(m.plot(table, kind, trial=1, step=30), Figure)
 
