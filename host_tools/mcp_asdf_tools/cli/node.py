@@ -58,7 +58,7 @@ examples:
   mcp-asdf node --id 3 --interface socketcan --channel vcan0 --lockstep   # obeys command frames
 Observations come from the emulated world (robot ID of seed N sees what it sees in "swarm --seed N"), or are
 lines 0 (white), 1 (black), - (nothing). In real time a tick lasts until the next one begins.
-exit code: 0 done, 1 the bus failed, 2 bad usage, 130 told to stop before --steps were done"""
+exit code: 0 done, 1 the bus failed, 2 bad usage, 130 stopped before --steps were done"""
 
 _INTERRUPTED = 130
 _SECONDS_BETWEEN_PICTURES = 0.15
