@@ -35,7 +35,7 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     """A swarm in this process, before its first step: a context manager, in which ``tick`` takes a step.
 
     With a ``channel`` it is on python-can's virtual bus of that name, for others in this process to join.
-    Without, which is many times as fast, frames go from robot to robot; the robots end in the same bits.
+    Without, which is faster, frames go from robot to robot; the robots end in the same bits.
     """
     if channel is None:
         return Swarm(settings, Wiring())
