@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments import (
 HELP = "run one experiment: a swarm, many trials, the paper's scores"
 EPILOG = """\
 examples:
-  mcp-asdf simulate                                 # the paper's fully connected swarm, 3 of 10 robots flawed
+  mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
   mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
