@@ -72,33 +72,33 @@ static bus_event_t note_failure(bus_t *bus)
 
 bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
 {
-    for (;;) {
-        struct canfd_frame raw = {0};
-        union {
-            struct cmsghdr align;
-            char bytes[CMSG_SPACE(sizeof(uint32_t))];
-        } control;
-        struct iovec part = {.iov_base = &raw, .iov_len = sizeof raw};
-        struct msghdr message = {.msg_iov = &part,
-                                 .msg_iovlen = 1,
-                                 .msg_control = control.bytes,
-                                 .msg_controllen = sizeof control.bytes};
-        const ssize_t size = recvmsg(bus->fd, &message, MSG_DONTWAIT);
-        if (size <= 0) {
-            return size == 0 ? BUS_CLOSED : note_failure(bus);
-        }
-        ++bus->counts.received;
-        bus->is_down = false;
-        note_overflow(bus, &message);
-        if (size != CAN_MTU && size != CANFD_MTU) {
-            ++bus->counts.odd_packets;
-        } else if ((raw.can_id & CAN_ERR_FLAG) != 0) {
-            note_error_frame(bus, &raw);
-        } else {
-            copy_in(frame, &raw, size == CANFD_MTU);
-            return BUS_FRAME;
-        }
+    struct canfd_frame raw = {0};
+    union {
+        struct cmsghdr align;
+        char bytes[CMSG_SPACE(sizeof(uint32_t))];
+    } control;
+    struct iovec part = {.iov_base = &raw, .iov_len = sizeof raw};
+    struct msghdr message = {.msg_iov = &part,
+                             .msg_iovlen = 1,
+                             .msg_control = control.bytes,
+                             .msg_controllen = sizeof control.bytes};
+    const ssize_t size = recvmsg(bus->fd, &message, MSG_DONTWAIT);
+    if (size <= 0) {
+        return size == 0 ? BUS_CLOSED : note_failure(bus);
     }
+    ++bus->counts.received;
+    bus->is_down = false;
+    note_overflow(bus, &message);
+    if (size != CAN_MTU && size != CANFD_MTU) {
+        ++bus->counts.odd_packets;
+        return BUS_OTHER;
+    }
+    if ((raw.can_id & CAN_ERR_FLAG) != 0) {
+        note_error_frame(bus, &raw);
+        return BUS_OTHER;
+    }
+    copy_in(frame, &raw, size == CANFD_MTU);
+    return BUS_FRAME;
 }
 
 /* ---- Sending ---------------------------------------------------------------------------------------- */

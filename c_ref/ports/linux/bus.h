@@ -43,15 +43,16 @@ typedef struct {
     bus_counts_t counts;
 } bus_t;
 
-typedef enum { BUS_NOTHING, BUS_FRAME, BUS_CLOSED } bus_event_t;
+/* BUS_OTHER: an error frame, or a packet that is no frame. It is counted. */
+typedef enum { BUS_NOTHING, BUS_FRAME, BUS_OTHER, BUS_CLOSED } bus_event_t;
 
 /* Join the bus `name`. Returns 0, or what went wrong as an errno; then fd is -1. */
 int bus_open(bus_t *bus);
 
 void bus_close(bus_t *bus);
 
-/* Take the next frame, if there is one. BUS_CLOSED: the owner of the Unix socket has gone, for good. An
- * interface that vanishes closes fd; bus_open() may be tried again later. */
+/* Take the next packet, one at most, and write *frame if it is a frame. BUS_CLOSED: the owner of the Unix
+ * socket has gone, for good. An interface that vanishes closes fd; bus_open() may be tried again later. */
 bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame);
 
 /* Send a frame; returns whether the bus took it. `context` is a bus_t. */

@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define MOST_FRAMES 256 /* taken in a row, so that a babbling node cannot keep us from ticking */
+#define MOST_PACKETS 256 /* taken in a row, so that a babbling node cannot keep us from ticking */
 
 typedef struct {
     options_t options;
@@ -157,14 +157,16 @@ static void hear(run_t *run)
 {
     mcp_asdf_frame_t frame;
     bus_event_t event = BUS_FRAME;
-    for (int i = 0; i < MOST_FRAMES && run->ended == NULL && run->bus.fd >= 0; ++i) {
+    for (int i = 0; i < MOST_PACKETS && run->ended == NULL && run->bus.fd >= 0; ++i) {
         event = bus_receive(&run->bus, &frame);
-        if (event != BUS_FRAME) {
+        if (event == BUS_NOTHING || event == BUS_CLOSED) {
             break;
         }
         run->node.health = run->bus.health;
-        node_hear(&run->node, &frame);
-        note_progress(run);
+        if (event == BUS_FRAME) {
+            node_hear(&run->node, &frame);
+            note_progress(run);
+        }
     }
     if (event == BUS_CLOSED) {
         end(run, "bus closed", EXIT_FAILURE);
