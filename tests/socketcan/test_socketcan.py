@@ -190,6 +190,10 @@ def test_an_interface_may_vanish_and_come_back(start: Start, vcan: Vcan, tmp_pat
     check_interruption(start, vcan, tmp_path, vcan.delete, vcan.add)
 
 
+_ABSENCE = 3.0
+"""Seconds: 150 ticks of the node, of which an emulated guest on a busy machine leaves some."""
+
+
 def check_interruption(
     start: Start, vcan: Vcan, folder: Path, begin: Callable[[], None], end: Callable[[], None]
 ) -> None:
@@ -200,7 +204,7 @@ def check_interruption(
     with vcan.bus() as bus:
         wait_for(bus, 5)
     begin()
-    time.sleep(0.5)
+    time.sleep(_ABSENCE)
     end()
     with vcan.bus() as bus:
         wait_for(bus, 5)
