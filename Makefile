@@ -1,6 +1,8 @@
 # The few commands that people type; each sets up what it needs first. `make` alone lists them.
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
+# Tests start hundreds of processes; each would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 # What the installed project is built from: the rest is used where it stands.
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \

@@ -540,13 +540,13 @@ def test_an_equation_outside_its_domain_raises(
 @pytest.mark.parametrize("message", NO_MESSAGES)
 def test_means_of_what_is_no_message_raise(message: Message) -> None:
     for messages in ([message], [SAID, message], [message, SAID]):
-        with pytest.raises(ValueError, match="a message says"):
+        with pytest.raises(ValueError, match="a message has"):
             social_estimate(messages)
-        with pytest.raises(ValueError, match="a message says"):
+        with pytest.raises(ValueError, match="a message has"):
             social_confidence(messages)
-        with pytest.raises(ValueError, match="a message says"):
+        with pytest.raises(ValueError, match="a message has"):
             informed_estimate(SAID, messages)
-        with pytest.raises(ValueError, match="a message says"):
+        with pytest.raises(ValueError, match="a message has"):
             informed_estimate(messages[0], messages[1:])
 
 
