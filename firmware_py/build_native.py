@@ -22,7 +22,7 @@ _INLINE_FUNCTION = re.compile(r"static inline ([^{;]*?)\s*\{[^}]*\}")
 
 
 def declarations(header: str) -> str:
-    """What cffi declares, from the text of a header: its constants, types and functions."""
+    """Declarations for cffi from the text of a header: its constants, types and functions."""
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
     constants = [_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)]

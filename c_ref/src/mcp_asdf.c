@@ -18,7 +18,7 @@
 #define HASH_START UINT32_C(0x811C9DC5)
 #define HASH_FACTOR UINT32_C(0x01000193)
 
-/* What the compiler can see of the bounds that the comments rely on. */
+/* Bounds that the comments rely on, as far as the compiler can see them. */
 #define ASSERT(name, condition) typedef char assert_##name[(condition) ? 1 : -1]
 ASSERT(enough_senders, sizeof(((mcp_asdf_t *)0)->heard) * 8 == MCP_ASDF_MAX_ID + 1);
 ASSERT(t_is_a_word, MCP_ASDF_MEMORY_MAX <= ONE_HALF);

@@ -56,7 +56,7 @@ typedef struct {
 #define MCP_ASDF_FRAME_ERROR 4U    /* a driver's report of an error on the bus, no frame at all */
 #define MCP_ASDF_FRAME_FD 8U       /* CAN FD */
 
-/* What a frame lacks, in the order in which it is looked for. The numbers are none of mcp_asdf_status_t's, so
+/* Reasons to refuse a frame, in the order of the checks. The numbers are none of mcp_asdf_status_t's, so
  * that one log may hold both; host_tools/mcp_asdf_tools/bus/frames.py uses the same. */
 typedef enum {
     MCP_ASDF_FRAME_OK = 0,
@@ -150,7 +150,7 @@ typedef struct {
 #define MCP_ASDF_FRAME_B_HAT_MIN UINT32_C(0x000010) /* 2^-20 */
 #define MCP_ASDF_FRAME_B_HAT_MAX UINT32_C(0xFFFFF0) /* 1 - 2^-20 */
 
-/* What a robot tells its watchers.
+/* State of a robot for observers of the bus.
  *   x         informed estimate, unit 2^-23, 0 .. 2^23
  *   b_hat     assumed accuracy, unit 2^-24, MCP_ASDF_FRAME_B_HAT_MIN .. _MAX: mcp_asdf_b_hat() >> 8
  *   updates   number of re-estimates of b_hat modulo 256 */

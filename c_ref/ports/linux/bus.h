@@ -13,7 +13,7 @@
 
 #define BUS_PATIENCE_MS 20 /* how long a frame waits for room in the queue before it is dropped */
 
-/* What happened on the bus; all count from 0.
+/* Events on the bus; all count from 0.
  *   received       frames that woke this program
  *   overflowed     frames that the kernel dropped because the receive buffer was full
  *   queue_full     waits for room in the send queue

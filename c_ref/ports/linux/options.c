@@ -196,7 +196,7 @@ static void answer_questions(const char *const given[ALL])
     }
 }
 
-/* What no option can see alone. */
+/* Checks that need more than one option. */
 static void check(const options_t *options, const char *const given[ALL])
 {
     const node_settings_t *node = &options->node;

@@ -29,7 +29,7 @@ typedef struct {
 /* Returns 0, or what went wrong as an errno. */
 int source_open(source_t *source);
 
-/* What is observed in the tick that begins: MCP_ASDF_OBSERVE_WHITE, BLACK or NONE. Does not wait. */
+/* The observation of the tick that begins: MCP_ASDF_OBSERVE_WHITE, BLACK or NONE. Does not wait. */
 mcp_asdf_action_t source_next(source_t *source);
 
 #endif

@@ -1,4 +1,4 @@
-/* What a run comes to. */
+/* Summary of a run. */
 #ifndef MCP_ASDF_LINUX_SUMMARY_H
 #define MCP_ASDF_LINUX_SUMMARY_H
 

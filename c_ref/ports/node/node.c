@@ -1,7 +1,7 @@
 /* The node; node.h is its manual. */
 #include "node.h"
 
-/* What a receiver refuses before it looks at the content: kernel filters keep those frames away. */
+/* Frames refused before their content is looked at: kernel filters keep those frames away. */
 #define IS_OTHER(status) ((status) >= MCP_ASDF_FRAME_ERR_SUBJECT)
 
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)

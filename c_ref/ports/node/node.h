@@ -16,7 +16,7 @@
 #include "mcp_asdf.h"
 #include "mcp_asdf_frame.h"
 
-/* What a node is told at start.
+/* Settings of a node.
  *   table, memory, filter   as in mcp_asdf_config_t
  *   comms_period       ticks between broadcasts, 1 or more
  *   filter_period      ticks between runs of the filter, the paper's tau: a multiple of comms_period

@@ -1,4 +1,4 @@
-/* What a node says; node.h is its manual. */
+/* Frames that a node sends; node.h is its manual. */
 #include "node.h"
 
 #define HEARTBEAT_PRIORITY 4

@@ -1,4 +1,4 @@
-/* What hosts ask of an adapter. */
+/* Commands that hosts send to an adapter. */
 #include "slcan_link.h"
 
 /* Only an adapter answers: two programs that answer each other's answers would never end. */

@@ -36,7 +36,7 @@ typedef enum {
     MCP_ASDF_ARENA_ERR_TICK = -9
 } mcp_asdf_arena_status_t;
 
-/* What the wheels do: both at full speed, the inner one slower, or turning on the spot. */
+/* Modes of the wheels: both at full speed, the inner one slower, or turning on the spot. */
 typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN = 2 } mcp_asdf_wheels_t;
 
 /* Settings of a world.

@@ -1,4 +1,4 @@
-/* What the C files of the arena share; not for others. arena.c says which file does what. */
+/* Declarations shared by the C files of the arena, private to them. arena.c lists the files. */
 #ifndef MCP_ASDF_ARENA_PRIVATE_H
 #define MCP_ASDF_ARENA_PRIVATE_H
 
