@@ -57,6 +57,12 @@ class Air:
         self.in_range += frames
         self.arrived += frames
 
+    def hand_over(self, hearers: Sequence[Hearer], tick: int, sent: Sequence[SentFrame]) -> None:
+        """Let every robot, by id, hear its arrivals of this tick, without a bus. O(robots sent)."""
+        for robot, hearer in enumerate(hearers):
+            for frame in self.arrivals(robot, tick, [each for each in sent if each.sender != robot]):
+                hearer.hear(frame)
+
     def arrivals(self, receiver: int, tick: int, sent: Sequence[SentFrame]) -> list[can.Message]:
         """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
 

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import fields
 
 import numpy as np
 
-from mcp_asdf.fixed_point import alpha_units
+from mcp_asdf.fixed_point import sums_add
 from mcp_asdf.robot import FixedPointRobot, Sums
 from mcp_asdf_tools.bus import Message
 from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.transmission import SentFrame
 from mcp_asdf_tools.world import World
-
-_TERMS = len(fields(Sums))
 
 
 class InProcess:
@@ -52,12 +49,8 @@ class InProcess:
         sent, self._sent = self._sent, []
         if self._can_sum:
             self._carry_sums(sent)
-            return
-        for robot in self._robots:
-            for frame in self._air.arrivals(
-                robot.id, tick, [each for each in sent if each.sender != robot.id]
-            ):
-                robot.hear(frame)
+        else:
+            self._air.hand_over(self._robots, tick, sent)
 
     def _carry_sums(self, sent: Sequence[SentFrame]) -> None:
         """Hand over other frames one by one, then the estimates of a round at once."""
@@ -72,10 +65,9 @@ class InProcess:
             self._end_round(messages)
 
     def _hand_over(self, sent: SentFrame) -> None:
-        for robot in self._robots:
-            if sent.sender in self._world.neighbours(robot.id):
-                self._air.count(1)
-                robot.hear(sent.frame)
+        for receiver in np.flatnonzero(self._world.hears[:, sent.sender]).tolist():
+            self._air.count(1)
+            self._robots[receiver].hear(sent.frame)
 
     def _end_round(self, messages: dict[int, Message]) -> None:
         """All robots send their estimates in the same tick, in which they also close their rounds."""
@@ -95,7 +87,6 @@ class InProcess:
 
 def _terms(message: Message) -> list[int]:
     """Terms of a message in ``Sums``; sums of 127 of each are below 2^62, so that 64 bits hold them."""
-    units, x = alpha_units(message.alpha), message.x_hat
-    if units == 0:
-        return [0] * _TERMS
-    return [units, (units & 0xFFFFFFFF) * x, (units >> 32) * x, x * x, x, 1]
+    sums = Sums()
+    sums_add(sums, message.x_hat, message.alpha)
+    return list(vars(sums).values())

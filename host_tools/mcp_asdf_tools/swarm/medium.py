@@ -153,10 +153,7 @@ class RemoteBus:
 
     def carry(self, tick: int) -> None:
         """Pass each robot's local half the frames that the robot hears."""
-        for robot, hearer in enumerate(self._hearers):
-            others = [each for each in self._sent if each.sender != robot]
-            for frame in self._air.arrivals(robot, tick, others):
-                hearer.hear(frame)
+        self._air.hand_over(self._hearers, tick, self._sent)
         self._sent.clear()
 
     def __enter__(self) -> RemoteBus:

@@ -66,6 +66,7 @@ class Swarm:
             _robot_of(record, record.id in wiring.remote, self._decode, sidecar)
             for record in settings.records()
         ]
+        self._here = [node for node in self.nodes if isinstance(node, BusRobot)]
         self.traffic = Traffic([node.reception for node in self.nodes])
         self._air = Air(self.world, self.faults, settings.latency)
         taker = None if log is None else _as_received(log, wiring)
@@ -75,8 +76,7 @@ class Swarm:
         """Medium of the frames, and drivers of remote robots."""
         check_remote(self.settings, wiring)
         if wiring.open_bus is None:
-            here = [node for node in self.nodes if isinstance(node, BusRobot)]
-            return InProcess(here, self._air, self.world, self._decode, log), []
+            return InProcess(self._here, self._air, self.world, self._decode, log), []
         frames = self.settings.frames
         away = [node for node in self.nodes if isinstance(node, RemoteNode)]
         if not wiring.is_shared:
@@ -111,8 +111,7 @@ class Swarm:
         """
         self.clock.begin(self.ticks)
         seen = self.world.step()
-        here = [node for node in self.nodes if isinstance(node, BusRobot)]
-        alive = [node for node in here if self.faults.survives(node, self.ticks)]
+        alive = [node for node in self._here if self.faults.survives(node, self.ticks)]
         frames: list[tuple[SwarmRobot, can.Message]] = [*self._reports(alive)]
         frames += self._estimates(alive, seen)
         frames += self._commanded(seen)
