@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from mcp_asdf_tools.common import Meaning, ParameterError, UsageError, extensions, meaning_of, plain_value
-from mcp_asdf_tools.robots import Population, firmware_names
+from mcp_asdf_tools.robots import Population, firmware_names, parameter_names
 from mcp_asdf_tools.world import Topology, WorldSettings
 
 Settings = TypeVar("Settings", bound=WorldSettings)
@@ -57,8 +57,7 @@ def _choices(declared: Field[Any]) -> list[str] | None:
 
 def given_parameters(args: argparse.Namespace, kind: type[WorldSettings]) -> dict[str, Any]:
     """The parameters that were given, by name."""
-    names = [declared.name for declared in fields(kind) if meaning_of(declared) is not None]
-    given = {name: getattr(args, name, None) for name in names}
+    given = {name: getattr(args, name, None) for name in parameter_names(kind)}
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -82,13 +81,12 @@ def run(args: argparse.Namespace) -> int:
         with ExitStack() as ending:
             with logging_to(args.log, header) as outputs:
                 outcome, report = _emulate(args, settings, choice, wiring, outputs)
-                if args.compare and not (outcome.interrupted or outcome.failure):
-                    baseline = _run(args, settings.without_filter(), wiring)
-                    report["without_filter"] = baseline.results
-                    if baseline.interrupted or baseline.failure:
-                        outcome = replace(outcome, interrupted=baseline.interrupted, failure=baseline.failure)
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
+            last = outcome
+            if args.compare and not (outcome.interrupted or outcome.failure):
+                last = _run(args, settings.without_filter(), wiring)
+                report["without_filter"] = last.results
             with FileSet() as files:
                 if args.plot is not None:
                     files.write(args.plot, draw(outcome))
@@ -97,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(outcome)
+    return _exit_code(last)
 
 
 def _emulate(

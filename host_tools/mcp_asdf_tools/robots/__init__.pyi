@@ -42,6 +42,7 @@ from .options import subjects_of as subjects_of
 from .population import Activation as Activation
 from .population import Filtering as Filtering
 from .population import Population as Population
+from .population import parameter_names as parameter_names
 from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
 from .reception import Decoder as Decoder

@@ -107,7 +107,7 @@ class Population(WorldSettings):
     @property
     def flawed_robots(self) -> int:
         """How many robots are flawed; they have the first ids."""
-        return flawed_count(self.flawed, self.robots)
+        return int(self.flawed)  # a count since the constructor has run
 
     def is_flawed(self, robot: int) -> bool:
         """Whether a robot is among the flawed."""
