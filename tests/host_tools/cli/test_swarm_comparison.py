@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.experiments import Experiment
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.robots.population import Filtering
+from support import ROOT
 
 SMALL = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
 
@@ -46,3 +52,16 @@ def test_what_cannot_be_compared_is_refused(
 ) -> None:
     assert main([*SMALL, *options, "--compare"]) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
+    """Computed by the engine, since a swarm is trial 0 of the experiment with the same parameters."""
+    common = Experiment(topology="dynamic", filter=Filtering.ASDF_MINUS, flawed="50%", trials=1)
+    errors = []
+    for experiment in (common, replace(common, filter=Filtering.NONE)):
+        x = native.run(experiment, 0, 1).x[0, :, -1] / 2**23
+        errors.append(float(np.abs(x - experiment.fill_ratio).mean()))
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert f"is {errors[0]:.3f} at the end; without it, on the same seed, it is {errors[1]:.3f}." in readme
+    options = "--topology dynamic --filter asdf-minus --flawed 50% --compare"
+    assert f"mcp-asdf swarm {options}\n" in (ROOT / "Makefile").read_text(encoding="utf-8")
