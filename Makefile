@@ -5,7 +5,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 unexport PYTHONDONTWRITEBYTECODE
 
 # What the installed project is built from: the rest is used where it stands.
-BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
+BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')

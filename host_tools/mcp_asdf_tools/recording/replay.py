@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict, dataclass, field
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
 
 from mcp_asdf_tools.bus import (
     TRANSFER_IDS,
@@ -62,15 +64,26 @@ class Rerun:
 
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
-        for event in events:
-            if isinstance(event, list):
-                self._take(event)
-            elif isinstance(event, str):
+        for is_message, group in groupby(events, _is_message):
+            if is_message:
+                self._robot.receive(np.array(list(group), np.uint32))
+                continue
+            for event in group:
                 self._suffer(event)
-            elif event == SETTLE:
-                self._robot.settle()
-            else:
-                self._observe(Action(event))
+
+    def _suffer(self, event: Event) -> None:
+        if isinstance(event, list):
+            x_hat, bits = event
+            last = self._last("falsified")
+            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
+        elif event == RESTART:
+            self._robot.restart()
+        elif isinstance(event, str):
+            self._last(event)
+        elif event == SETTLE:
+            self._robot.settle()
+        else:
+            self._observe(Action(event))
 
     def _observe(self, action: Action) -> None:
         if self._robot.begin(action.observation):
@@ -78,25 +91,15 @@ class Rerun:
             alpha = binary32_of(estimate.alpha)
             self.broadcasts.append(Broadcast(self._robot.ticks, estimate.transfer_id, estimate.x_hat, alpha))
 
-    def _take(self, values: Sequence[int]) -> None:
-        if len(values) == 3:
-            self._robot.receive(*values)
-        else:
-            x_hat, bits = values
-            last = self._last("falsified")
-            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
-
-    def _suffer(self, event: str) -> None:
-        if event == RESTART:
-            self._robot.restart()
-        else:
-            self._last(event)
-
     def _last(self, what: str) -> Broadcast:
         """Take back the last broadcast."""
         if not self.broadcasts:
             raise ValueError(f"robot {self._robot.id} has a broadcast {what} before it made one")
         return self.broadcasts.pop()
+
+
+def _is_message(event: Event) -> bool:
+    return isinstance(event, list) and len(event) == 3
 
 
 @dataclass(frozen=True)

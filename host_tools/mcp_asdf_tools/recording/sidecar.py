@@ -244,7 +244,7 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
 
 def _is_event(event: Any) -> bool:
     if isinstance(event, list):
-        return len(event) in (2, 3) and all(map(is_plain_int, event)) and event[-1] <= _MAX_WORD
+        return len(event) in (2, 3) and all(map(is_plain_int, event)) and max(event) <= _MAX_WORD
     return event in (SILENT, RESTART) if isinstance(event, str) else is_plain_int(event) and event <= SETTLE
 
 

@@ -56,7 +56,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         sender = draw.randrange(128)
         calls: list[tuple[Callable[[], None], Any]] = [
             (lambda: recorder.observe(z), 2 if z is None else int(z)),
-            (lambda: recorder.receive(sender, *values), [sender, *values]),
+            (lambda: recorder.receive([[sender, *values]]), [sender, *values]),
             (recorder.settle, 3),
             (recorder.silent, "silent"),
             (lambda: recorder.falsified(values[0], values[1]), values),
