@@ -1,4 +1,4 @@
-"""What tests of several rooms share: where the project is, and running its tools."""
+"""Helpers that tests of several rooms share: paths of the project, and running its tools."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PATIENCE = 600.0
 
 
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
-    """What the command prints; fails with all that it said unless it exits with 0."""
+    """Run a command; returns its output. Fails with all that it printed unless it exits with 0."""
     done = subprocess.run(
         command,
         cwd=cwd,

@@ -103,7 +103,7 @@ NEEDED = {
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
-"""What commands want beside Python and a C compiler, by a part of the command."""
+"""Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
 
 
 def blocks(page: Path, *languages: str) -> list[str]:
@@ -135,7 +135,7 @@ def is_run_elsewhere(page: Path, command: str) -> bool:
 
 
 def is_run(page: Path, command: str) -> bool:
-    """Whether it is for the page's own test; ``make`` would set up or test everything."""
+    """True for commands of the page's own test; ``make`` would set up or test everything."""
     others = (*HERE_WITH_MULTICAST, *C_NODES, *NOT_RUN)
     return not (command.startswith("make ") or command in others or is_run_elsewhere(page, command))
 

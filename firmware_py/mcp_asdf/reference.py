@@ -176,7 +176,7 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
 def rejects(
     x_hat: float, neighbours: Sequence[float], omega: float, conventions: Conventions = PAPER
 ) -> bool:
-    """Whether ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
+    """True if ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
 
     Never for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
     """

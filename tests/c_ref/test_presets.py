@@ -18,7 +18,7 @@ CHOSEN = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_tex
 
 
 def compiles(*compiler: str) -> bool:
-    """Whether the compiler makes a program with the standard library."""
+    """True if the compiler makes a program with the standard library."""
     source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
     command = [*compiler, "-x", "c", "-", "-o", "/dev/null"]
     done = subprocess.run(command, input=source, text=True, stderr=subprocess.DEVNULL, check=False)
@@ -70,7 +70,7 @@ KINDS = {
     "left shift": "unsigned-shift-base",
     "implicit conversion": "implicit-signed-integer-truncation",
 }
-"""What the sanitizer reports, and the section of the list in which it is allowed."""
+"""Kinds of the sanitizer's reports, and the section of the list that allows each."""
 REPORT = re.compile(rf"(\S*/c_ref/src/\S*?):(\d+):\d+: runtime error: ({'|'.join(KINDS)}|.*)")
 DEFINITION = re.compile(r"\b(?!if\b|for\b|while\b|switch\b)(\w+)\([^(){};]*\)\s*\{")
 VARIANTS = (("2", "1", "0", "0"), ("3", "0", "1", "0"))

@@ -1,4 +1,4 @@
-"""What holds for every sequence of calls (docs/invariants.md), tried by Hypothesis on the mirror and the C.
+"""Properties of every sequence of calls (docs/invariants.md), tried by Hypothesis on the mirror and the C.
 
 Examples are derandomised: a failure prints the smallest calls that show it, and another run finds it again.
 """

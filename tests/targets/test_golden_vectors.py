@@ -50,7 +50,7 @@ BAND = 1 << 19
 
 
 def facts_of(scenario: GoldenScenario) -> Iterator[str]:
-    """What is met on the way, in words."""
+    """Situations that a scenario passes through, in words."""
     player = Player(scenario.setup)
     yield player.made.name
     if player.robot is not None:
@@ -150,7 +150,7 @@ def test_the_edges_are_met() -> None:
 
 
 def verdicts_on_images(name: str) -> list[str]:
-    """What becomes of each restore of a scenario, and where rounds end."""
+    """The outcome of each restore of a scenario, and where rounds end."""
     (scenario,) = (each for each in edge_scenarios() if each.name == name)
     player, said = Player(scenario.setup), []
     for call in scenario.calls():
@@ -273,7 +273,7 @@ def test_a_crowd_goes_around_at_the_end_of_ids_and_numbers() -> None:
 
 
 def printed(number: int, change: int | None, field: str = "state") -> str:
-    """What a target would print that gets the call ``change`` of a scenario wrong, and all that follow."""
+    """Output of a target that gets the call ``change`` of a scenario wrong, and all that follow."""
     lines = [f"scenario {number} expected 1 found 2"]
     for index, (_, outcome) in enumerate(outcomes(SCENARIOS[number])):
         values = {"status": outcome.status, "x": outcome.x, "x_bar": outcome.x_bar, "state": outcome.state}

@@ -189,7 +189,7 @@ def _source_of(args: argparse.Namespace) -> ObservationSource:
 
 
 class _Watch:
-    """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
+    """Shows the node's state on a terminal, and reports at once what needs attention."""
 
     def __init__(self, console: Console, node: RobotNode, link: BusLink) -> None:
         self._console = console

@@ -49,7 +49,7 @@ class Air:
 
     @property
     def is_plain(self) -> bool:
-        """Whether every frame reaches the robots in range in the tick in which it is sent."""
+        """True if every frame reaches the robots in range in the tick in which it is sent."""
         return not self._is_late and not self._faults.faults
 
     def count(self, frames: int) -> None:

@@ -71,7 +71,7 @@ class Injector:
         self.injected = 0
 
     def _strikes(self, words: Words) -> bool:
-        """Whether the fault strikes by this draw; counts if so."""
+        """Let the fault strike or not by this draw; True if it did, which counts."""
         strikes = _below(words, self.fault.rate)
         self.injected += strikes
         return strikes
@@ -105,7 +105,7 @@ class Spells(Injector):
         self._left: _Course[int] = _Course(fault.start, self._step)
 
     def lasts(self, node: int, tick: int) -> bool:
-        """Whether a spell of the node lasts in this tick. O(ticks since the last call for it)."""
+        """True if a spell of the node lasts in this tick. O(ticks since the last call for it)."""
         return self._left.at(node, tick) > 0
 
     def _step(self, node: int, tick: int, left: int) -> int:
@@ -328,7 +328,7 @@ ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
 
 
 def _below(words: Words, probability: float) -> bool:
-    """Whether the draw is below the probability: with 1 always, with 0 never."""
+    """True if the draw is below the probability: with 1 always, with 0 never."""
     return words[0] < probability * _WORD
 
 

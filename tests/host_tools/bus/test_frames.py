@@ -72,7 +72,7 @@ def value_of(word: int) -> Fraction:
 
 
 def is_normal(word: int) -> bool:
-    """Whether the word has the smallest shift, as the firmware forms it."""
+    """True if the word has the smallest shift, as the firmware forms it."""
     return word & 0xE0 == 0 and (word >> 31 == 1 or word % 256 == 0)
 
 

@@ -1024,7 +1024,7 @@ def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, told: st
 
 
 def test_what_watches_leaves_no_trace() -> None:
-    """Neither on robots nor on whoever else watches, such as a debugger."""
+    """Neither for robots nor for other watchers, such as a debugger."""
 
     def other(frame: object, event: str, argument: object) -> None:
         return None

@@ -111,7 +111,7 @@ def gauss(t: Decimal) -> Decimal:
 
 
 def is_rounded(entry: int, m: int, omega: Decimal, probability: Callable[[Decimal], Decimal]) -> bool:
-    """Whether ``entry`` is k_m in units of 2**-26 to nearest; ``probability`` is that of (-t, t)."""
+    """True if ``entry`` is k_m in units of 2**-26 to nearest; ``probability`` is that of (-t, t)."""
 
     def side(halves: int) -> Decimal:
         k = Decimal(halves) / 2**27
@@ -217,7 +217,7 @@ def table_omega(table: Table) -> Decimal:
 def test_a_value_beside_a_tie_is_computed_to_more_digits(
     monkeypatch: pytest.MonkeyPatch, sign: str, up: int
 ) -> None:
-    """40 digits put the value on the wrong side of the tie, 80 still too close, 160 tell."""
+    """40 digits put the value on the wrong side of the tie, 80 still too close, 160 decide."""
     table = generate(Decimal("0.05"), 3)
     opposite = "" if sign else "-"
     offsets = {40: f"{opposite}1e-25", 80: f"{opposite}1e-62", 160: f"{sign}1e-70"}
