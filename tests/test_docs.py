@@ -210,7 +210,7 @@ def test_a_slow_command_has_a_quick_one_beside_it() -> None:
 @pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
 def test_what_is_not_run_is_parsed(command: str) -> None:
     _, name, *words = shlex.split(command)
-    cli._parser_for(cli._load(name), f"mcp-asdf {name}").parse_args(words)
+    cli._parser_for(name, cli._load(name)).parse_args(words)
 
 
 def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:

@@ -49,7 +49,6 @@ from mcp_asdf_tools.robots import (
     subjects_of,
 )
 
-HELP = "run one robot on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf node --id 3 --interface udp_multicast   # with others on this machine, until Ctrl-C
