@@ -68,7 +68,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_version_of_a_source_tree_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(versions, "PROGRAM", "no-such-distribution")
-    assert versions.own_version() == "not installed"
+    assert versions.software_versions()["mcp-asdf"] == versions.own_version() == "not installed"
 
 
 def test_unknown_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
