@@ -316,8 +316,11 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
-    for code in blocks(page, "python"):
-        run(sys.executable, "-c", code, cwd=tmp_path)
+    """One after the other in one process, which loads libraries once, but each in a module of its own."""
+    programs = blocks(page, "python")
+    script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
+    if programs:
+        run(sys.executable, "-c", script, cwd=tmp_path)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

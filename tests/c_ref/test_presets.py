@@ -44,7 +44,8 @@ def test_c_tests_pass(preset: str, choice: str) -> None:
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
     report = ROOT / f"build/reports/ctest-{preset}.xml"
-    quickly = [] if preset == "small-target" else ["-DCMAKE_BUILD_TYPE=Debug"]
+    debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
+    quickly = [] if preset == "small-target" else debug
     run(require("cmake"), "--preset", preset, "-B", folder, f"-DTEST_VARIANTS={choice}", *quickly)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)

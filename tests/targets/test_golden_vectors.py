@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,12 @@ def margin_of(robot: mirror.MirrorRobot) -> Fraction:
     return (sums.x - sums.count * robot.s.x_hat) ** 2 - k * (sums.count * sums.x_squared - sums.x**2)
 
 
+@cache
+def digests_of_edges() -> list[int]:
+    """Those of the right mirror, as the tests that change it begin with it."""
+    return [digest(scenario) for scenario in edge_scenarios()]
+
+
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
@@ -227,9 +234,9 @@ def margin_of(robot: mirror.MirrorRobot) -> Fraction:
 def test_small_faults_change_a_digest(
     name: str, fault: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = list(map(digest, edge_scenarios()))
+    expected = digests_of_edges()
     monkeypatch.setattr(mirror, name, fault(getattr(mirror, name)))
-    assert list(map(digest, edge_scenarios())) != expected
+    assert any(digest(each) != right for each, right in zip(edge_scenarios(), expected, strict=True))
 
 
 # ---- Runs ----
