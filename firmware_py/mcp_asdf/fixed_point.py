@@ -77,7 +77,7 @@ def sums_add(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
+    """True if sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
     return (
         alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
         and 0 <= alpha_x_low < 1 << 62
@@ -87,7 +87,7 @@ def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
 
 
 def sums_possible(sums: Sums) -> bool:
-    """Whether ``count`` messages can have given these sums."""
+    """True if ``count`` messages can have given these sums."""
     return (
         0 <= sums.count <= MAX_ID
         and 0 <= sums.x <= sums.count * ONE

@@ -185,7 +185,7 @@ class NativeRobot(FixedPointView):
         return dict(_flatten("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
 
     def holds_invariants(self) -> bool:
-        """Whether the state could have come from calls alone (``docs/invariants.md``)."""
+        """True if the state could have come from calls alone (``docs/invariants.md``)."""
         return bool(lib.mcp_asdf_invariants_hold(self.pointer))
 
 

@@ -142,8 +142,8 @@ class Robot(Protocol):
     Constructors take ``(config, robot_id, b_hat)``: a :class:`Config`, an id in 0..127 and the
     initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise :class:`FirmwareError`.
 
-    Where an ``int`` is asked for any integer will do, NumPy's included, and where a ``float`` any real
-    number; another type raises TypeError and changes nothing.
+    An ``int`` may be any integer, NumPy's included, and a ``float`` any real number; another type raises
+    TypeError and changes nothing.
     """
 
     def observe(self, z: Observation) -> Status:
@@ -246,7 +246,7 @@ class FixedPointRobot(Robot, Protocol):
         """Every field of the state by name, for comparing two firmwares bit for bit."""
 
     def holds_invariants(self) -> bool:
-        """Whether the state could have come from calls of this interface alone. O(1)."""
+        """True if the state could have come from calls of this interface alone. O(1)."""
 
     @property
     def b_hat_raw(self) -> int:

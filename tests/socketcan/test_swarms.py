@@ -25,7 +25,7 @@ from support import PATIENCE
 from targets.c_node import PLAIN, CNode, built
 
 ESTIMATE = struct.Struct("<I4xHBIx")
-"""What a robot needs of a frame: identifier, x_hat in two parts, alpha as binary32."""
+"""The parts of a frame that a robot needs: identifier, x_hat in two parts, alpha as binary32."""
 
 pytestmark = pytest.mark.socketcan
 

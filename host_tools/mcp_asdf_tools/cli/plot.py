@@ -15,7 +15,6 @@ from mcp_asdf_tools.library import PLOTS, plot_trials
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HELP = "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom"
 EPILOG = """\
 examples:
   mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots

@@ -44,7 +44,6 @@ from mcp_asdf_tools.robots import (
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
-HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C

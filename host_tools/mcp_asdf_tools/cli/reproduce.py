@@ -31,7 +31,6 @@ from mcp_asdf_tools.robots import FIRMWARES
 if TYPE_CHECKING:
     from mcp_asdf_tools.reproduction import Decided
 
-HELP = "run the paper's whole study and report which of its claims hold"
 EPILOG = """\
 examples:
   mcp-asdf reproduce                                # everything; report in reproduction/report.md

@@ -36,9 +36,8 @@ from mcp_asdf_tools.swarm import (
     summary_table,
 )
 
-__all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
+__all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 
-HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process

@@ -13,7 +13,6 @@ from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common import progress
 from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
-HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
 EPILOG = """\
 examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet

@@ -132,7 +132,7 @@ class ControllerVerdict:
 
     @property
     def has_passed(self) -> bool:
-        """Whether every phase has passed."""
+        """True if every phase has passed."""
         return all(phase.outcome == PASSED for phase in self.phases)
 
     def plain(self) -> dict[str, Any]:

@@ -249,5 +249,5 @@ def _is_event(event: Any) -> bool:
 
 
 def is_plain_int(value: Any) -> bool:
-    """Whether ``value`` is an integer >= 0, but no bool."""
+    """True for an integer >= 0 that is no bool."""
     return type(value) is int and value >= 0

@@ -110,11 +110,11 @@ class Population(WorldSettings):
         return int(self.flawed)  # a count since the constructor has run
 
     def is_flawed(self, robot: int) -> bool:
-        """Whether a robot is among the flawed."""
+        """True if a robot is among the flawed."""
         return robot < self.flawed_robots
 
     def filters(self, robot: int) -> bool:
-        """Whether a robot re-estimates its accuracy."""
+        """True if a robot re-estimates its accuracy."""
         return self.filter is Filtering.ASDF_PLUS or (
             self.filter is Filtering.ASDF_MINUS and self.is_flawed(robot)
         )

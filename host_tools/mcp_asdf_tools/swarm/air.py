@@ -34,7 +34,7 @@ class InRange(Protocol):
 
     @property
     def hears(self) -> NDArray[np.bool_]:
-        """Whether robot i hears j at present, by id; never itself."""
+        """True if robot i hears j at present, by id; never itself."""
 
 
 @dataclass(frozen=True)

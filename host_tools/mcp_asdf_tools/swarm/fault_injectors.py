@@ -109,7 +109,7 @@ class Injector:
         self.injected = 0
 
     def _strikes(self, words: Words) -> bool:
-        """Whether the fault strikes by this draw; counts if so."""
+        """Let the fault strike or not by this draw; True if it did, which counts."""
         strikes = _below(words, self.fault.rate)
         self.injected += strikes
         return strikes
@@ -143,7 +143,7 @@ class Spells(Injector):
         self._left: _Course[int] = _Course(fault.start, self._step)
 
     def lasts(self, node: int, tick: int) -> bool:
-        """Whether a spell of the node lasts in this tick. O(ticks since the last call for it)."""
+        """True if a spell of the node lasts in this tick. O(ticks since the last call for it)."""
         return self._left.at(node, tick) > 0
 
     def _step(self, node: int, tick: int, left: int) -> int:
@@ -283,7 +283,7 @@ class OnTheWay(Injector, ABC):
     """Fault that acts on a frame on its way to one receiver."""
 
     loses = False
-    """Whether nothing is left of a delivery that is struck."""
+    """True if nothing is left of a delivery that is struck."""
 
     def act(self, sent: Sequence[SentFrame], ways: Ways) -> None:
         """Change the ``ways`` of the frames ``sent``, those left by earlier faults. O(frames receivers)."""
@@ -326,7 +326,7 @@ class OnTheWay(Injector, ABC):
 
     @abstractmethod
     def _strikes_at(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
-        """Whether the fault strikes a frame's copies for each receiver, shape (receivers,)."""
+        """True if the fault strikes a frame's copies for each receiver, shape (receivers,)."""
 
     def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
         """Deliveries that replace one that is struck."""
@@ -426,12 +426,12 @@ def _limit(probability: float) -> int:
 
 
 def _below(words: Words, probability: float) -> bool:
-    """Whether the first word strikes."""
+    """True if the first word strikes."""
     return words[0] < _limit(probability)
 
 
 def _each_below(words: Row, probability: float) -> NDArray[np.bool_]:
-    """Whether each word strikes."""
+    """True if each word strikes."""
     limit = _limit(probability)
     if limit == 0:
         return np.zeros(len(words), np.bool_)

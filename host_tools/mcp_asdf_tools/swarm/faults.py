@@ -90,7 +90,7 @@ class Faults:
         return robot.is_alive
 
     def is_off(self, robot: int, tick: int) -> bool:
-        """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""
+        """True if the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""
         # All are evaluated, since each counts its ticks.
         return any([each.lasts(robot, tick) for each in self._spells])
 

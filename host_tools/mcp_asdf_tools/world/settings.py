@@ -75,7 +75,7 @@ class Drift(Enum):
 
     @property
     def is_random(self) -> bool:
-        """Whether trials differ in it."""
+        """True if trials differ in it."""
         return self is Drift.WIENER
 
 
@@ -127,7 +127,7 @@ class WorldSettings:
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the robots move."""
+        """True if the robots move."""
         return self.topology is Topology.DYNAMIC
 
     @property

@@ -7,7 +7,6 @@ import os
 import random
 from collections.abc import Callable
 from decimal import Decimal
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter, sidecar_path
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
@@ -188,11 +186,3 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="is no text"):
         SidecarReader(tmp_path / "x")
-
-
-def test_an_installed_package_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> str:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
-    assert software_versions()["mcp-asdf"] == "not installed"

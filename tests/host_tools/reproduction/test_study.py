@@ -97,7 +97,7 @@ def test_flawed_robots_are_counted() -> None:
     ],
 )
 def test_the_same_experiment_has_one_form(given: Cell, same: Cell) -> None:
-    """What the normal form leaves out makes no difference to what comes out."""
+    """Settings that the normal form leaves out do not change results."""
     assert given.normal == same.normal
     results = [run_trials(_shortened(cell), 0, 2) for cell in (given, same, given.normal)]
     for other in results[1:]:

@@ -30,6 +30,9 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.faults import Delivery, Fault, FaultKind, Faults, SentFrame, Ways, parse_fault
+from support import draws
+
+pytestmark = pytest.mark.random
 
 SEED = 20241029
 FORMAT = FrameFormat()
@@ -199,7 +202,7 @@ def any_fault(draw: st.DrawFn) -> Fault:
     return Fault(kind, rate, start, stop, robots=draw(st.none() | _IDS), **chosen)
 
 
-@settings(max_examples=200, derandomize=True, database=None)
+@settings(max_examples=draws(200), derandomize=True, database=None)
 @given(any_fault())
 def test_the_text_of_a_fault_reads_back(fault: Fault) -> None:
     assert parse_fault(str(fault)) == fault
