@@ -28,6 +28,7 @@ COMMANDS = (
     "sweep",
     "score",
     "plot",
+    "view",
     "reproduce",
 )
 """Names of the commands; ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``."""
