@@ -28,6 +28,7 @@ COMMANDS = {
     "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
     "score": "score results: K, e, h_K, h_e and H",
     "plot": "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom",
+    "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
     "reproduce": "run the paper's whole study and report which of its claims hold",
 }
 """A line on each command ``NAME``, which is the module ``mcp_asdf_tools.cli.NAME``. The lines stand here, so

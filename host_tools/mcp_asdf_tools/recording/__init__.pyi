@@ -6,6 +6,7 @@ from .frame_logs import read_log as read_log
 from .replay import Playback as Playback
 from .replay import Player as Player
 from .replay import ReplayVerdict as ReplayVerdict
+from .replay import rerun as rerun
 from .replay import verify as verify
 from .sidecar import SidecarHeader as SidecarHeader
 from .sidecar import SidecarReader as SidecarReader

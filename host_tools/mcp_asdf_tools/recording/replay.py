@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import can
 import numpy as np
 
+from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import (
     TRANSFER_IDS,
     Action,
@@ -61,6 +62,11 @@ class Rerun:
         """Prepare a robot that starts like the one recorded."""
         self.broadcasts: deque[Broadcast] = deque()
         self._robot = BusRobot(record.id, record.make, Decoder(FrameFormat()))
+
+    @property
+    def state(self) -> Robot:
+        """Its firmware in the present state."""
+        return self._robot.robot
 
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
@@ -182,6 +188,21 @@ def verify(
     return comparison.verdict
 
 
+def rerun(sidecar: SidecarReader) -> Iterator[tuple[int, Robot]]:
+    """Run every robot of ``sidecar`` again; yields an id, and that robot's state, each time that one settles.
+
+    Robots settle in the order of the file. O(1) an event. Raises UsageError as ``verify``.
+    """
+    robots = {record.id: Rerun(record) for record in sidecar.header.robots}
+    for line in sidecar.lines():
+        if not isinstance(line, str):
+            robot, events = line
+            _do(robots[robot], events, sidecar)
+            if events[-1:] == [SETTLE]:
+                robots[robot].broadcasts.clear()
+                yield robot, robots[robot].state
+
+
 def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[dict[int, Rerun], Counter[str]]:
     """The robots after all their events, and the frames that none of them sent."""
     robots = {record.id: Rerun(record) for record in sidecar.header.robots}
@@ -191,12 +212,16 @@ def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[di
             foreign[line] += 1
         else:
             robot, events = line
-            try:
-                robots[robot].do(events)
-            except ValueError as error:
-                raise sidecar.wrong(str(error)) from error
+            _do(robots[robot], events, sidecar)
         progress()
     return robots, foreign
+
+
+def _do(robot: Rerun, events: Iterable[Event], sidecar: SidecarReader) -> None:
+    try:
+        robot.do(events)
+    except ValueError as error:
+        raise sidecar.wrong(str(error)) from error
 
 
 class _Comparison:
