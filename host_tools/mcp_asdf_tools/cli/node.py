@@ -19,6 +19,7 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.common import (
+    INTERRUPTED,
     UsageError,
     has_ended,
     results_beside,
@@ -58,9 +59,8 @@ examples:
   mcp-asdf node --id 3 --interface socketcan --channel vcan0 --lockstep   # obeys command frames
 Observations come from the emulated world (robot ID of seed N sees what it sees in "swarm --seed N"), or are
 lines 0 (white), 1 (black), - (nothing). In real time a tick lasts until the next one begins.
-exit code: 0 done, 1 the bus failed, 2 bad usage, 130 stopped before --steps were done"""
+exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 
-_INTERRUPTED = 130
 _SECONDS_BETWEEN_PICTURES = 0.15
 _MAX_RATE = 10_000
 
@@ -328,4 +328,4 @@ def _exit_code(run: NodeRun) -> int:
     if run.outcome.has_failed:
         print(f"mcp-asdf node: {run.outcome.ending}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return INTERRUPTED if run.outcome.is_interrupted else 0

@@ -17,7 +17,14 @@ from rich.table import Table
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
+from mcp_asdf_tools.common import (
+    INTERRUPTED,
+    UsageError,
+    results_beside,
+    software_versions,
+    stopping,
+    write_atomically,
+)
 from mcp_asdf_tools.radio import (
     COLUMNS,
     ControllerBench,
@@ -54,9 +61,8 @@ examples:
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
 through one phase for each class of fault, and must do, bit for bit, what its model does.
-exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 130 interrupted"""
+exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if interrupted"""
 
-_INTERRUPTED = 130
 _OF_WORLD = (
     "robots",
     "topology",
@@ -202,7 +208,7 @@ def _verify(
             ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
         if args.report is not None:
             write_verification_report(args.report, report)
-    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    return INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
 
 
 def _judge(
@@ -258,7 +264,7 @@ def _emulate(
             ending.callback(_print_results, args, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return INTERRUPTED if run.outcome.is_interrupted else 0
 
 
 def _go(

@@ -14,7 +14,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
-from mcp_asdf_tools.common import UsageError, stopping
+from mcp_asdf_tools.common import INTERRUPTED, UsageError, stopping
 from mcp_asdf_tools.recording import (
     Playback,
     Player,
@@ -33,9 +33,8 @@ examples:
   mcp-asdf replay run.log --interface socketcan --channel vcan0 --onto-bus --speed 0   # flat out
 Checking needs the file FILE.events that swarm and node write beside their logs. Without it the log is played
 onto the bus: --leave-out keeps back the frames of the robot that is there itself.
-exit code: 0 done, 1 a broadcast is not reproduced or the bus refused frames, 2 bad usage, 130 interrupted"""
-
-_INTERRUPTED = 130
+exit code: 0 done, 1 a broadcast is not reproduced or the bus refused frames, 2 bad usage, 128 + signal
+if interrupted"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +106,7 @@ def _play(args: argparse.Namespace) -> int:
         player.play(read_log(args.log))
     _print(args, {"log": str(args.log), "bus": str(choice), "playback": playback.plain()}, _line_of(playback))
     if playback.is_stopped:
-        return _INTERRUPTED
+        return INTERRUPTED
     if playback.failures:
         print(f"mcp-asdf replay: the bus refused frames: {playback.last_failure}", file=sys.stderr)
     return 1 if playback.failures else 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +17,7 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
 from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
@@ -59,10 +58,9 @@ media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
 --processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
 states stay the same to the bit.
-exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
-(what was done is saved)"""
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
+if interrupted (what was done is saved)"""
 
-_INTERRUPTED = 130
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
@@ -185,11 +183,11 @@ def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
 
 @contextmanager
 def _interruptible() -> Iterator[SwarmHook]:
-    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
-    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    Ctrl-C after that, if a tick does not end, acts at once.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
+    with stopping() as is_asked:
 
         def obey(swarm: Swarm) -> None:
             if is_asked():
@@ -221,4 +219,4 @@ def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0

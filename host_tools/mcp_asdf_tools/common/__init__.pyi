@@ -29,7 +29,10 @@ from .parameters import parameter as parameter
 from .parameters import plain_value as plain_value
 from .parameters import special_parameter as special_parameter
 from .progress_bar import progress as progress
+from .signals import ENDING_SIGNALS as ENDING_SIGNALS
+from .signals import INTERRUPTED as INTERRUPTED
 from .signals import has_ended as has_ended
+from .signals import interruptible as interruptible
 from .signals import standard_input as standard_input
 from .signals import stopping as stopping
 from .terminal import ReaderLeft as ReaderLeft

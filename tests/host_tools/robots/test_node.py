@@ -35,6 +35,7 @@ from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -399,13 +400,13 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("ticks", "code"), [("", 0), ("--steps 100000", 130)])
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
+@pytest.mark.parametrize(("ticks", "is_early"), [("", False), ("--steps 100000", True)])
 @interruptible()
 def test_signals_end_it_with_all_saved(
-    number: signal.Signals, ticks: str, code: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    number: signal.Signals, ticks: str, is_early: bool, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    log, handlers = tmp_path / "run.log", [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    log, handlers = tmp_path / "run.log", [signal.getsignal(each) for each in ENDING_SIGNALS]
 
     def end_it() -> None:
         with join() as bus:
@@ -416,11 +417,11 @@ def test_signals_end_it_with_all_saved(
     with meanwhile(end_it):
         assert (
             main(["node", *shlex.split(f"--id 3 --steps-per-second 50 {ticks} --json --log"), str(log)])
-            == code
+            == (128 + number) * is_early
         )
     assert report_of(capsys)["results"]["ending"] == "stopped"
     assert main(["replay", str(log)]) == 0
-    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert [signal.getsignal(each) for each in ENDING_SIGNALS] == handlers
 
 
 def test_it_ends_with_its_standard_input_if_asked_to(

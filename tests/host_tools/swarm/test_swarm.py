@@ -664,9 +664,12 @@ def test_wall_clock_time_stamps_can_be_had(tmp_path: Path) -> None:
 # Ends
 
 
-def press_ctrl_c(swarm: Swarm) -> None:
-    if swarm.ticks == 7:
-        os.kill(os.getpid(), signal.SIGINT)
+def sending(number: signal.Signals) -> Callable[[Swarm], None]:
+    def hook(swarm: Swarm) -> None:
+        if swarm.ticks == 7:
+            os.kill(os.getpid(), number)
+
+    return hook
 
 
 def raise_interrupt(swarm: Swarm) -> None:
@@ -674,10 +677,20 @@ def raise_interrupt(swarm: Swarm) -> None:
         raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("interrupt", [press_ctrl_c, raise_interrupt])
+@pytest.mark.parametrize(
+    ("interrupt", "code"),
+    [
+        (sending(signal.SIGINT), 130),
+        (sending(signal.SIGTERM), 143),
+        (sending(signal.SIGHUP), 129),
+        (raise_interrupt, 130),
+    ],
+    ids=["ctrl-c", "kill", "hang-up", "hook"],
+)
 @interruptible()
-def test_ctrl_c_saves_what_is_done(
+def test_a_signal_saves_what_is_done(
     interrupt: Callable[[Swarm], None],
+    code: int,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -685,7 +698,7 @@ def test_ctrl_c_saves_what_is_done(
     monkeypatch.setattr(LiveTable, "__call__", lambda self, swarm: interrupt(swarm))
     handler = signal.getsignal(signal.SIGINT)
     log, plot = tmp_path / "run.log", tmp_path / "run.png"
-    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == 130
+    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == code
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
