@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.common import (
     INTERRUPTED,
     UsageError,
@@ -28,7 +29,7 @@ from mcp_asdf_tools.common import (
     stopping,
     write_atomically,
 )
-from mcp_asdf_tools.recording import SidecarHeader, logging_to
+from mcp_asdf_tools.recording import SidecarHeader
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -92,15 +93,16 @@ def run(args: argparse.Namespace) -> int:
     record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
     results = None if args.log is None else results_beside(args.log)
     header = SidecarHeader([record], args.seed, settings.subjects.estimates, _parameters(args))
+    recording = recording_for("node", args.log, header, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, header) as (log, events):
+        with recording as (log, events):
             recorder = None if events is None else events.robots[record.id]
             run = _go(args, RobotNode(record.make(), settings, recorder), choice, log)
             report = _report(args, run, record, choice)
             ending.callback(_print, args, run, report, choice, record)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return _exit_code(run)
+    return exit_code(recording, _exit_code(run))
 
 
 def _go(

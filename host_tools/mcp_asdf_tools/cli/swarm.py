@@ -16,9 +16,10 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
@@ -74,10 +75,11 @@ def run(args: argparse.Namespace) -> int:
     draw = _drawer(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
-            with logging_to(args.log, header) as outputs:
+            with recording as outputs:
                 outcome, report = _emulate(args, settings, choice, wiring, outputs)
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
@@ -93,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(last)
+    return exit_code(recording, _exit_code(last))
 
 
 def _emulate(

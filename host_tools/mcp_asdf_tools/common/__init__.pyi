@@ -18,6 +18,8 @@ from .files import explaining as explaining
 from .files import refusal as refusal
 from .files import results_beside as results_beside
 from .files import write_atomically as write_atomically
+from .growing_files import PART as PART
+from .growing_files import GrowingFiles as GrowingFiles
 from .parameters import Meaning as Meaning
 from .parameters import ParameterError as ParameterError
 from .parameters import as_type as as_type

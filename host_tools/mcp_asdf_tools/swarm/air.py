@@ -80,7 +80,7 @@ class Air:
     def _heard(self, receiver: int, tick: int, in_range: Sequence[SentFrame]) -> list[can.Message]:
         late = self._late.setdefault(receiver, [])
         for each in in_range:
-            for way in self._faults.deliver(each, receiver):
+            for way in self._faults.deliver(each, receiver, tick):
                 heapq.heappush(late, (tick + way.delay, way.place, next(self._order), way.frame))
         heard = []
         while late and late[0][0] <= tick:

@@ -118,9 +118,12 @@ class Faults:
             leaving = [after for sent in leaving for after in each.act(sent)]
         return leaving
 
-    def deliver(self, sent: SentFrame, receiver: int) -> Sequence[Delivery]:
-        """Deliveries of a frame to ``receiver``. Call once for each; error frames reach every node."""
-        if self.is_off(receiver, sent.tick):
+    def deliver(self, sent: SentFrame, receiver: int, tick: int | None = None) -> Sequence[Delivery]:
+        """Deliveries of a frame that reaches ``receiver`` in ``tick``, if not in that in which it is sent.
+
+        Call once for each; error frames reach every node.
+        """
+        if self.is_off(receiver, sent.tick if tick is None else tick):
             return ()
         ways: Sequence[Delivery] = (Delivery(sent.frame),)
         if not sent.frame.is_error_frame:

@@ -34,10 +34,9 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all
 from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
@@ -46,6 +45,7 @@ from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 from node_thread import join, meanwhile, node_in_a_thread
 from robots import ALPHA_ONE
+from sidecars import sidecar_in
 from support import PATIENCE, interruptible
 from wire import node, record
 
@@ -294,7 +294,7 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
     log: list[can.Message] = []
     bus = Scripted(fails=lambda number: 5 <= number <= 20)
     header = SidecarHeader([record(5)], None, FrameFormat())
-    with FileSet() as files, SidecarWriter(tmp_path / "events", header, files) as writer:
+    with sidecar_in(tmp_path / "events", header) as writer:
         source = lines(tmp_path, "10" * 20)
         robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=2000), writer.robots[5])
         run = NodeRun(robot, BusLink(bus, endures=True, log=log.append))
