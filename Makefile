@@ -10,7 +10,7 @@ BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmw
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
-.PHONY: help setup swarm test verify lint format crosscheck cost targets loop socketcan docs clean
+.PHONY: help setup swarm test verify lint format crosscheck cost targets loop socketcan soak docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -49,6 +49,9 @@ loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bi
 
 socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
 	@$(BIN)/pytest tests/socketcan
+
+soak: .venv/ready-to-test ## run everything that goes wrong for HOURS=1 and list what was survived
+	@$(BIN)/python tests/soak.py --hours $(or $(HOURS),1)
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml

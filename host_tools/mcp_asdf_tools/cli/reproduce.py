@@ -38,7 +38,8 @@ examples:
   mcp-asdf reproduce --part fully_connected --seed 2 --output second
   mcp-asdf reproduce --firmware reference --conventions authors --output authors
 A run that was interrupted is resumed by the same command: finished trials are kept and not run again.
-exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 130 interrupted (what was finished is kept)"""
+exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
+was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,9 +17,10 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli import view
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
@@ -64,10 +64,9 @@ media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
 --processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
 states stay the same to the bit.
-exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
-(what was done is saved)"""
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
+if interrupted (what was done is saved)"""
 
-_INTERRUPTED = 130
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
@@ -82,12 +81,15 @@ def run(args: argparse.Namespace) -> int:
     animate = _animator(args.animate)
     beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
             camera = _camera(args, settings, ending)
-            with logging_to(args.log, header) as outputs:
-                outcome, report = _emulate(args, settings, choice, wiring, outputs, camera)
+            with recording as outputs:
+                outcome, report = _emulate(
+                    args, settings, choice, wiring, outputs, [camera] if camera else []
+                )
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             last = outcome
@@ -104,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(last)
+    return exit_code(recording, _exit_code(last))
 
 
 def _emulate(
@@ -227,11 +229,11 @@ def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
 
 @contextmanager
 def _interruptible() -> Iterator[SwarmHook]:
-    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
-    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    Ctrl-C after that, if a tick does not end, acts at once.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
+    with stopping() as is_asked:
 
         def obey(swarm: Swarm) -> None:
             if is_asked():
@@ -263,4 +265,4 @@ def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0

@@ -21,7 +21,7 @@ examples:
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.
-exit code: 0 done, 2 bad usage, 130 interrupted (what was finished is kept)"""
+exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -153,6 +153,7 @@ class ReplayVerdict:
         falsified: Those that went out with the values that a fault gave them.
         foreign: Frames under a robot's id that it did not send.
         not_logged: Broadcasts that the log lacks.
+        beyond: Estimates after the last event of a sidecar that was cut off.
         other: Frames that are no estimate of a recorded robot.
         difference: The first broadcast that is not reproduced; None if all are.
     """
@@ -161,6 +162,7 @@ class ReplayVerdict:
     falsified: int = 0
     foreign: int = 0
     not_logged: int = 0
+    beyond: int = 0
     other: int = 0
     difference: LogDifference | None = None
 
@@ -179,7 +181,7 @@ def verify(
     read or the sidecar contradicts itself.
     """
     robots, foreign = _run_again(sidecar, progress)
-    comparison = _Comparison(robots, foreign, sidecar.header.frames)
+    comparison = _Comparison(robots, foreign, sidecar.header.frames, sidecar.is_part)
     for number, frame in enumerate(log, start=1):
         if not comparison.take(number, frame):
             break
@@ -225,8 +227,11 @@ def _do(robot: Rerun, events: Iterable[Event], sidecar: SidecarReader) -> None:
 
 
 class _Comparison:
-    def __init__(self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat) -> None:
+    def __init__(
+        self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat, is_part: bool
+    ) -> None:
         self.verdict = ReplayVerdict()
+        self._is_part = is_part
         self._robots = robots
         self._foreign = foreign
         self._frames = frames
@@ -249,6 +254,9 @@ class _Comparison:
             return True
         if is_own and place is not None:
             self._pass(broadcasts, place)
+            return True
+        if self._is_part and not broadcasts:
+            self.verdict.beyond += 1
             return True
         expected = broadcasts[place or 0] if broadcasts else None
         self.verdict.difference = LogDifference(number, frame.timestamp, message, said[1], expected)
