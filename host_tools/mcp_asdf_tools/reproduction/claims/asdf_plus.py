@@ -148,9 +148,10 @@ ASDF_PLUS = (
         "plus_is_moderately_worse_than_minus",
         "IV-E, figure 3",
         "the ASDF+ is moderately worse than the ASDF- [...]. The only exception is when f = 0.55, b = 0.55",
-        "H against ASDF-, tau = 1000, P = 10 and 30 %: lower, by at most 10",
-        _moderately_worse,
+        "H against ASDF-, tau = 1000, P = 10 and 30 %, but for f = b = 0.55: lower",
+        lambda part: compare(BELOW, versus(cells(part, HARD, [10, 30], PLUS), MINUS)),
         (DYNAMIC,),
+        readings=(Reading("lower, and by no more than 10", _moderately_worse),),
     ),
     Claim(
         "plus_is_inferior_to_minus_at_half",
