@@ -26,7 +26,7 @@ COMMANDS = {
     "simulate": "run one experiment: a swarm, many trials, the paper's scores",
     "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
     "score": "score results: K, e, h_K, h_e and H",
-    "plot": "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom",
+    "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
     "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
     "reproduce": "run the paper's whole study and report which of its claims hold",
 }

@@ -92,7 +92,7 @@ class WorldSettings:
     topology: Topology | str = special_parameter(Topology.FULLY_CONNECTED, "who hears whom")
     graph: Graph | str = special_parameter("", "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)")
     fill_ratio: float = parameter(0.55, "f, share of black tiles", 0, 1)
-    true_accuracy: float = parameter(0.95, "b of every sensor, which unflawed robots assume", 0, 1)
+    true_accuracy: float = parameter(0.95, "b of every sensor", 0, 1)
     white_offset: float = parameter(0.0, "true accuracy on white tiles less that on black ones", -1, 1)
     sensor: str = parameter("", "installed sensor model, in place of the built-in one")
     drift: Drift = parameter(Drift.NONE, "how the true accuracy changes")
