@@ -50,3 +50,4 @@ from .reception import Reception as Reception
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
+from .rounds import TickedRobot as TickedRobot
