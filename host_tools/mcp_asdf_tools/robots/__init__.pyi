@@ -53,3 +53,4 @@ from .reception import words_of as words_of
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
+from .rounds import TickedRobot as TickedRobot
