@@ -123,7 +123,7 @@ Slot = tuple[float, float]
 
 def _slot(trials: Trials) -> Slot:
     experiment = trials.experiment
-    if not experiment.flawed_robots:
+    if not experiment.flawed:
         return 0.0, 0.0
     return _share(trials), round(experiment.flawed_accuracy - experiment.true_accuracy, 9)
 
@@ -248,7 +248,7 @@ def _in_panel(experiments: Sequence[Trials], f: float, b: float) -> list[Trials]
 
 
 def _share(trials: Trials) -> float:
-    return trials.experiment.flawed_robots / trials.experiment.robots
+    return trials.experiment.flawed / trials.experiment.robots
 
 
 def _check_size(panels: int, series: int) -> None:
@@ -303,7 +303,7 @@ def _draw_series(column: Sequence[Axes], trials: Trials, index: int) -> None:
         values = trials.records[quantity][index]
         steps = np.linspace(0, experiment.steps // (len(values) - 1) * (len(values) - 1), len(values))
         for robot in range(experiment.robots - 1, -1, -1):  # flawed ones on top
-            colour = FLAWED if robot < experiment.flawed_robots else OTHER
+            colour = FLAWED if robot < experiment.flawed else OTHER
             # b_hat jumps at updates and stands still between them.
             style = "steps-post" if quantity == "b_hat" else "default"
             axes.plot(steps, values[:, robot], color=colour, linewidth=1.2, alpha=0.75, drawstyle=style)

@@ -53,7 +53,7 @@ def _boxes(part: Part, mode: Filtering) -> ReportFigure:
     def draw(study: Study, scale: Scale) -> Figure:
         shown = _of_modes(study, part, (NONE, mode))
         if mode is MINUS:
-            shown = [each for each in shown if each.experiment.flawed_robots < each.experiment.robots]
+            shown = [each for each in shown if each.experiment.flawed < each.experiment.robots]
         return plots.boxes(shown)
 
     caption = f"H of {PART_NAMES[part]} swarms without filter and with {MODE_NAMES[mode]} (paper: figure 4)."

@@ -97,7 +97,7 @@ def cells_of(part: Part) -> tuple[Cell, ...]:
             each.fill_ratio,
             each.true_accuracy,
             each.flawed_accuracy,
-            round(100 * each.flawed_robots / each.robots),
+            round(100 * each.flawed / each.robots),
             each.filter,
             each.filter_period,
         )

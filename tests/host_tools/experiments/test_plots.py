@@ -71,7 +71,7 @@ def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
 
 
 def _swarm(trials: Trials) -> tuple[int, float]:
-    return trials.experiment.flawed_robots, trials.experiment.flawed_accuracy
+    return trials.experiment.flawed, trials.experiment.flawed_accuracy
 
 
 def _series(trials: Trials) -> int:
