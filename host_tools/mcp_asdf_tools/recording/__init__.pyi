@@ -1,6 +1,7 @@
 """Recordings of a bus and of what each robot saw: written, read and replayed."""
 
 from .frame_logs import LogOutputs as LogOutputs
+from .frame_logs import add_log_option as add_log_option
 from .frame_logs import logging_to as logging_to
 from .frame_logs import read_log as read_log
 from .replay import Playback as Playback

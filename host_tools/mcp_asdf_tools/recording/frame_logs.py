@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -14,9 +15,16 @@ from mcp_asdf_tools.common import FileSet, UsageError, explaining, refusal
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidecar_path
 
 _LOSSY = ".db"
+_FORMATS = ".log (candump), .asc, .blf, .csv, .trc or .txt"
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
 """Takers of frames and of events, None where there is no log."""
+
+
+def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
+    """Declare ``--log``; ``beside`` names the contents of the files beside the log."""
+    help_ = f"keep all frames: {_FORMATS}; {beside}"
+    output.add_argument("--log", metavar="FILE", type=Path, help=help_)
 
 
 class FrameLog:
@@ -38,8 +46,7 @@ class FrameLog:
             raise
         except (can.CanError, NotImplementedError, ValueError) as error:
             raise UsageError(
-                f"cannot write the log {path}: {error}; choose .log, .asc, .blf, .csv, .trc or .txt "
-                "(add .gz to compress; not .blf)"
+                f"cannot write the log {path}: {error}; choose {_FORMATS} (add .gz to compress; not .blf)"
             ) from error
 
     def write(self, frame: can.Message) -> None:
