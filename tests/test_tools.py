@@ -154,7 +154,7 @@ def test_docstrings_state_their_object_first() -> None:
         for path in paths
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        if isinstance(node.value.value, str) and node.value.value.startswith("What ")
+        if isinstance(node.value.value, str) and node.value.value.startswith(("What ", "Whether "))
     ]
     assert len(paths) > 200
     assert wrong == []

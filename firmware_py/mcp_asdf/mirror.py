@@ -278,8 +278,8 @@ class MirrorRobot(FixedPointView):
         for sender in senders:
             self.s.heard[sender >> 5] |= 1 << (sender & 31)
 
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """Add sums of messages to the open round."""
+    def _add_sums(self, sums: Sums, messages: int) -> None:
+        """Add the sums of this many messages to the open round."""
         s = self.s
         s.accepted = s.accepted + messages & COUNTER_MASK
         for name, value in vars(sums).items():

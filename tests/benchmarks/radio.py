@@ -116,7 +116,9 @@ def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
     if socketcan is not None:
         chosen[f"socketcan {socketcan}"] = (
             lambda robot: wrapped(
-                "socketcan", can.Bus(interface="socketcan", channel=socketcan, ignore_config=True)
+                "socketcan",
+                can.Bus(interface="socketcan", channel=socketcan, ignore_config=True),
+                socketcan,
             ),
             True,
         )

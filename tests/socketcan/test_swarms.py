@@ -31,13 +31,14 @@ pytestmark = pytest.mark.socketcan
 
 
 PERIODS = ("--filter-period", "4", "--telemetry-period", "4")
-SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, "--quiet")
+FAULTS = ("--fault=loss=0.2", "--fault=delay=0.2", "--fault=corrupt=0.1", "--fault=liar=0.1")
+SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, *FAULTS, "--quiet")
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The log of the swarm on a bus inside the process."""
-    return logged(tmp_path_factory.mktemp("simulated"), "--interface", "virtual")
+    """The log of the swarm without a bus."""
+    return logged(tmp_path_factory.mktemp("simulated"))
 
 
 def logged(folder: Path, *bus: str) -> list[str]:

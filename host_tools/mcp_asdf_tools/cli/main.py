@@ -1,19 +1,18 @@
 """The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``mcp_asdf_tools.cli``.
 
 Exit codes: 0 done, 1 a check or the bus failed, 2 bad usage, or a file or bus that cannot be opened or
-written, 130 interrupted, 141 output pipe closed.
+written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP), 141 output pipe closed.
 """
 
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol, cast
 
-from mcp_asdf_tools.common import ReaderLeft, UsageError, screen, stopping
+from mcp_asdf_tools.common import INTERRUPTED, ReaderLeft, UsageError, interruptible, screen, stopping
 
 PROGRAM = "mcp-asdf"
 COMMANDS = {
@@ -27,7 +26,8 @@ COMMANDS = {
     "simulate": "run one experiment: a swarm, many trials, the paper's scores",
     "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
     "score": "score results: K, e, h_K, h_e and H",
-    "plot": "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom",
+    "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
+    "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
     "reproduce": "run the paper's whole study and report which of its claims hold",
 }
 """A line on each command ``NAME``, which is the module ``mcp_asdf_tools.cli.NAME``. The lines stand here, so
@@ -56,12 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
-    with screen():
+    with interruptible() as exit_code, screen():
         if name is None:
             code = _attempt(title, lambda: _show_overview(arguments))
         else:
             code = _attempt(title, lambda: _run_command(name, arguments[1:]))
-        return _attempt(title, _flush) or code
+        return _attempt(title, _flush) or exit_code(code)
 
 
 def _attempt(title: str, work: Callable[[], int]) -> int:
@@ -75,7 +75,7 @@ def _attempt(title: str, work: Callable[[], int]) -> int:
         return 2
     except KeyboardInterrupt:
         print(f"{title}: interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except ReaderLeft:
         return 141
 
@@ -93,8 +93,8 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
 
 
 def _load(name: str) -> Command:
-    """Import a command. Ctrl-C acts afterwards: inside a library's import it may raise anything."""
-    with stopping((signal.SIGINT,)) as is_asked:
+    """Import a command. A signal acts afterwards: inside a library's import it may raise anything."""
+    with stopping() as is_asked:
         command = cast(Command, import_module(f"mcp_asdf_tools.cli.{name}"))
     if is_asked():
         raise KeyboardInterrupt

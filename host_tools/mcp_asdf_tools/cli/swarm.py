@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import can
 from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
+from mcp_asdf_tools.cli import view
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
@@ -36,6 +37,9 @@ from mcp_asdf_tools.swarm import (
     summary_table,
 )
 
+if TYPE_CHECKING:
+    from mcp_asdf_tools.view import SwarmCamera
+
 __all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 
 EPILOG = """\
@@ -43,6 +47,8 @@ examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
   mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
+  mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
+  mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
@@ -58,10 +64,9 @@ media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
 --processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
 states stay the same to the bit.
-exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
-(what was done is saved)"""
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
+if interrupted (what was done is saved)"""
 
-_INTERRUPTED = 130
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
@@ -73,13 +78,18 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
     draw = _drawer(args.plot)
-    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    animate = _animator(args.animate)
+    beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
-            with logging_to(args.log, header) as outputs:
-                outcome, report = _emulate(args, settings, choice, wiring, outputs)
+            camera = _camera(args, settings, ending)
+            with recording as outputs:
+                outcome, report = _emulate(
+                    args, settings, choice, wiring, outputs, [camera] if camera else []
+                )
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             last = outcome
@@ -89,12 +99,14 @@ def run(args: argparse.Namespace) -> int:
             with FileSet() as files:
                 if args.plot is not None:
                     files.write(args.plot, draw(outcome))
+                if args.animate is not None and camera is not None:
+                    files.write(args.animate, animate(camera))
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(last)
+    return exit_code(recording, _exit_code(last))
 
 
 def _emulate(
@@ -103,6 +115,7 @@ def _emulate(
     choice: interfaces.BusChoice,
     wiring: Wiring,
     outputs: LogOutputs,
+    hooks: Sequence[SwarmHook],
 ) -> tuple[SwarmRun, dict[str, Any]]:
     """Run the swarm; returns what came out, and all of it with all settings as plain values.
 
@@ -114,7 +127,7 @@ def _emulate(
         nodes = stack.enter_context(_start(args, settings, choice))
         with _console(args).status("waiting for robots elsewhere"):
             swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        outcome = _watched(args, swarm)
+        outcome = _watched(args, swarm, hooks)
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
     return outcome, report
@@ -131,10 +144,42 @@ def _run(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> S
         return _watched(args, swarm)
 
 
-def _watched(args: argparse.Namespace, swarm: Swarm) -> SwarmRun:
+def _watched(args: argparse.Namespace, swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
     """Run a swarm to its end or Ctrl-C, with the live table."""
     with LiveTable(_console(args)) as table, _interruptible() as stop:
-        return run_swarm(swarm, [table, stop])
+        return run_swarm(swarm, [table, *hooks, stop])
+
+
+def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
+    """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
+    if not (args.view or args.animate):
+        return None
+    from mcp_asdf_tools.view import SwarmCamera, serving  # noqa: PLC0415 (loads slowly)
+
+    camera = SwarmCamera(settings)
+    if args.view:
+        view.announce(args, ending.enter_context(serving(camera.film, args.port)))
+        ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
+    return camera
+
+
+def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -> None:
+    """The run is over; its page stays until Ctrl-C, unless an error ended it."""
+    camera.film.end()
+    sys.stdout.flush()
+    if is_regular:
+        with stopping() as should_stop:
+            view.wait(should_stop)
+
+
+def _animator(path: Path | None) -> Callable[[SwarmCamera], bytes]:
+    """Function that draws an animation. Raises UsageError if it cannot be written."""
+    if path is None:
+        return lambda camera: b""
+    from mcp_asdf_tools.view import check_animation_path, image_of_film  # noqa: PLC0415 (loads slowly)
+
+    checked = check_animation_path(path)
+    return lambda camera: image_of_film(camera.film.developed(), checked)
 
 
 def _console(args: argparse.Namespace) -> Console:
@@ -184,11 +229,11 @@ def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
 
 @contextmanager
 def _interruptible() -> Iterator[SwarmHook]:
-    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
-    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    Ctrl-C after that, if a tick does not end, acts at once.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
+    with stopping() as is_asked:
 
         def obey(swarm: Swarm) -> None:
             if is_asked():
@@ -220,4 +265,4 @@ def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0

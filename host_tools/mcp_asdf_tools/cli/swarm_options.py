@@ -9,7 +9,7 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.cli import parameter_options, view
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.recording import add_log_option
 from mcp_asdf_tools.robots import ClockKind, add_estimate_options, format_of
@@ -79,6 +79,11 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also run the same swarm without the filter, and compare",
     )
+    output.add_argument(
+        "--animate", metavar="FILE", type=Path, help="draw the run as an animation: .webp or .gif"
+    )
+    output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    view.add_server_options(output)
     output.add_argument("--quiet", action="store_true", help="no live table, and one line for a summary")
 
 
@@ -126,4 +131,4 @@ def _open_device(interface: str, channel: str) -> can.BusABC:
         raise UsageError(
             f"cannot open the device at {interface}:{channel}: {error}; is it there, and not in use?"
         ) from error
-    return interfaces.wrapped(interface, bus)
+    return interfaces.wrapped(interface, bus, channel)

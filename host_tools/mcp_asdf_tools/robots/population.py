@@ -58,6 +58,9 @@ class Population(WorldSettings):
         "flawed robots: a count (6) or a share (30%, 0.3)", default="30%"
     )
     flawed_accuracy: float = parameter("b_hat that flawed robots assume at the start", 0, 1, default=0.55)
+    unflawed_accuracy: float = parameter(
+        "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
+    )
     filter: Given[Filtering, Literal["none", "asdf-minus", "asdf-plus"]] = parameter(
         "robots that recalibrate", default=Filtering.ASDF_PLUS
     )
@@ -126,7 +129,8 @@ class Population(WorldSettings):
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
-        accuracy = self.flawed_accuracy if self.is_flawed(robot) else self.true_accuracy
+        correct = self.unflawed_accuracy or self.true_accuracy
+        accuracy = self.flawed_accuracy if self.is_flawed(robot) else correct
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> TickConfig:

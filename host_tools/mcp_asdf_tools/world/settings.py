@@ -96,7 +96,7 @@ class WorldSettings:
         "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default=""
     )
     fill_ratio: float = parameter("f, share of black tiles", 0, 1, default=0.55)
-    true_accuracy: float = parameter("b of every sensor, which unflawed robots assume", 0, 1, default=0.95)
+    true_accuracy: float = parameter("b of every sensor", 0, 1, default=0.95)
     white_offset: float = parameter(
         "true accuracy on white tiles less that on black ones", -1, 1, default=0.0
     )

@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common import files, versions
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from support import interruptible
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,13 +38,13 @@ def python(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.Complet
     )
 
 
-def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException) -> None:
-    """Make ``mcp-asdf table`` return ``outcome`` or raise it."""
+def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException | Callable[[], int]) -> None:
+    """Make ``mcp-asdf table`` return ``outcome``, raise it or call it."""
 
     def run(args: argparse.Namespace) -> int:
         if isinstance(outcome, BaseException):
             raise outcome
-        return outcome
+        return outcome() if callable(outcome) else outcome
 
     command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=run)
     monkeypatch.setattr(cli, "_load", lambda name: command)
@@ -99,6 +101,69 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     fake_command(monkeypatch, KeyboardInterrupt())
     assert cli.main(["table"]) == 130
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
+
+
+ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@interruptible()
+def test_every_signal_that_asks_to_end_acts_as_ctrl_c(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = []
+
+    def work() -> int:
+        try:
+            os.kill(os.getpid(), number)
+            signal.pause()
+        finally:
+            for second in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
+                os.kill(os.getpid(), second)
+            saved.append("all")
+        return 0
+
+    handlers = [signal.getsignal(each) for each in ENDINGS]
+    fake_command(monkeypatch, work)
+    assert cli.main(["table"]) == ENDINGS[number]
+    assert saved == ["all"]
+    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
+    assert [signal.getsignal(each) for each in ENDINGS] == handlers
+
+
+def test_commands_that_end_by_themselves_tell_the_signal_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> int:
+        with stopping() as is_asked:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert is_asked()
+        return INTERRUPTED
+
+    fake_command(monkeypatch, work)
+    assert cli.main(["table"]) == 143
+
+
+@interruptible()
+def test_a_second_ctrl_c_acts_at_once() -> None:
+    with pytest.raises(KeyboardInterrupt), stopping():
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_what_the_program_was_started_to_ignore_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> int:
+        os.kill(os.getpid(), signal.SIGHUP)
+        with stopping() as is_asked:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not is_asked()
+        return 0
+
+    fake_command(monkeypatch, work)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
+    try:
+        assert cli.main(["table"]) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @interruptible()
@@ -255,10 +320,7 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
 def test_files_of_a_set_appear_together(tmp_path: Path) -> None:
     with files.FileSet() as together:
         together.write(tmp_path / "a", "1")
-        draft = together.begin(tmp_path / "b", ".log.gz")
-        assert draft.parent == tmp_path
-        assert draft.suffixes == [".log", ".gz"]
-        draft.write_text("2")
+        together.write(tmp_path / "b", "2")
         assert not (tmp_path / "a").exists()
     assert {entry.name: entry.read_text() for entry in tmp_path.iterdir()} == {"a": "1", "b": "2"}
 
