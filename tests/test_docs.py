@@ -16,10 +16,8 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, PATIENCE, ROOT, require, run
+from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
@@ -104,10 +102,6 @@ NEEDED = {
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
 """Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
 
 
 def commands_in(block: str) -> list[str]:

@@ -34,8 +34,10 @@ from .node_run import state_of as state_of
 from .observations import LineSource as LineSource
 from .observations import ObservationSource as ObservationSource
 from .observations import WorldSource as WorldSource
+from .options import add_estimate_options as add_estimate_options
 from .options import add_robot_options as add_robot_options
 from .options import add_subject_options as add_subject_options
+from .options import format_of as format_of
 from .options import robot_arguments as robot_arguments
 from .options import robot_of as robot_of
 from .options import subject_arguments as subject_arguments

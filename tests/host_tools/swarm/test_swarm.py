@@ -238,7 +238,7 @@ def test_flawed_robots_recalibrate() -> None:
     [(20, 0.3, 6), (10, 0.25, 3), (10, 0.24, 2), (7, 1.0, 7), (7, 0.0, 0), (1, 0.5, 1)],
 )
 def test_how_many_are_flawed(robots: int, flawed: float, count: int) -> None:
-    assert SwarmSettings(robots=robots, flawed=flawed).flawed_robots == count
+    assert SwarmSettings(robots=robots, flawed=flawed).flawed == count
 
 
 @pytest.mark.parametrize("accuracy", [0.0, 1.0])
