@@ -23,6 +23,8 @@ from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
 from mcp_asdf_tools.swarm.watch import Recalibration, Watch, mean_error
 
 _SECONDS_BETWEEN_PICTURES = 0.3
+_SHARE_OF_PICTURES = 0.03
+"""Of the time of a run, at most."""
 _LINES_OF_A_RUN = 20
 _BIT_RATE = 125_000
 """Bit rate of the bus whose load is shown: the slowest usual one, whose figures are large enough to read."""
@@ -78,15 +80,17 @@ class LiveView:
             self._watch(swarm)
             if time.monotonic() >= self._next:
                 self._show(swarm)
-                # After the picture, so that a slow terminal does not slow the run down.
-                self._next = time.monotonic() + _SECONDS_BETWEEN_PICTURES
         elif self._has_lines:
             self._watch(swarm)
             self._print_lines(swarm)
 
     def _show(self, swarm: Swarm) -> None:
-        seconds = time.monotonic() - self._began
-        self._live.update(SwarmPicture(swarm, self._watch, self._companion, seconds), refresh=True)
+        now = time.monotonic()
+        picture = SwarmPicture(swarm, self._watch, self._companion, now - self._began)
+        self._live.update(picture, refresh=True)
+        # On a slow terminal or a busy machine there are fewer pictures, so that the run is not slowed down.
+        took = time.monotonic() - now
+        self._next = now + max(_SECONDS_BETWEEN_PICTURES, took / _SHARE_OF_PICTURES)
 
     def _print_lines(self, swarm: Swarm) -> None:
         for event in self._watch.recalibrations[self._printed :]:
