@@ -98,7 +98,7 @@ def measure(
 
 
 def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
-    """What to measure: how to join each robot's bus, and whether that is one for all."""
+    """Swarms to measure: how to join each robot's bus, and whether that is one for all."""
 
     def virtual(name: str) -> can.BusABC:
         return can.Bus(interface="virtual", channel=name, ignore_config=True)
@@ -116,7 +116,9 @@ def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
     if socketcan is not None:
         chosen[f"socketcan {socketcan}"] = (
             lambda robot: wrapped(
-                "socketcan", can.Bus(interface="socketcan", channel=socketcan, ignore_config=True)
+                "socketcan",
+                can.Bus(interface="socketcan", channel=socketcan, ignore_config=True),
+                socketcan,
             ),
             True,
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -17,9 +16,10 @@ from rich.console import Console
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli import view
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
@@ -42,9 +42,8 @@ from mcp_asdf_tools.swarm import (
 if TYPE_CHECKING:
     from mcp_asdf_tools.view import SwarmCamera
 
-__all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
+__all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 
-HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
@@ -67,10 +66,9 @@ media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
 --processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
 states stay the same to the bit.
-exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
-(what was done is saved)"""
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
+if interrupted (what was done is saved)"""
 
-_INTERRUPTED = 130
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
@@ -107,11 +105,12 @@ def run(args: argparse.Namespace) -> int:
     pictures = _Pictures(args)
     beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
             attached = _attach(args, settings, ending)
-            with logging_to(args.log, header) as outputs:
+            with recording as outputs:
                 outcome, report = _emulate(args, (settings, choice, wiring), outputs, attached)
                 seconds = time.monotonic() - began - attached.seconds
                 # Printed even if a file cannot be completed.
@@ -123,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(outcome)
+    return exit_code(recording, _exit_code(outcome))
 
 
 def _attach(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> _Attached:
@@ -258,11 +257,11 @@ class _Pictures:
 
 @contextmanager
 def _interruptible() -> Iterator[SwarmHook]:
-    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
-    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    Ctrl-C after that, if a tick does not end, acts at once.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
+    with stopping() as is_asked:
 
         def obey(swarm: Swarm) -> None:
             if is_asked():
@@ -296,4 +295,4 @@ def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0

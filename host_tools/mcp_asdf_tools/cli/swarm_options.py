@@ -151,4 +151,4 @@ def _open_device(interface: str, channel: str) -> can.BusABC:
         raise UsageError(
             f"cannot open the device at {interface}:{channel}: {error}; is it there, and not in use?"
         ) from error
-    return interfaces.wrapped(interface, bus)
+    return interfaces.wrapped(interface, bus, channel)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.experiments import Trials
     from mcp_asdf_tools.view import Film
 
-HELP = "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody"
 EPILOG = """\
 examples:
   mcp-asdf view run.parquet                         # trial 0 of what simulate has kept

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
 
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import (
@@ -68,15 +70,26 @@ class Rerun:
 
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
-        for event in events:
-            if isinstance(event, list):
-                self._take(event)
-            elif isinstance(event, str):
+        for is_message, group in groupby(events, _is_message):
+            if is_message:
+                self._robot.receive(np.array(list(group), np.uint32))
+                continue
+            for event in group:
                 self._suffer(event)
-            elif event == SETTLE:
-                self._robot.settle()
-            else:
-                self._observe(Action(event))
+
+    def _suffer(self, event: Event) -> None:
+        if isinstance(event, list):
+            x_hat, bits = event
+            last = self._last("falsified")
+            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
+        elif event == RESTART:
+            self._robot.restart()
+        elif isinstance(event, str):
+            self._last(event)
+        elif event == SETTLE:
+            self._robot.settle()
+        else:
+            self._observe(Action(event))
 
     def _observe(self, action: Action) -> None:
         if self._robot.begin(action.observation):
@@ -84,25 +97,15 @@ class Rerun:
             alpha = binary32_of(estimate.alpha)
             self.broadcasts.append(Broadcast(self._robot.ticks, estimate.transfer_id, estimate.x_hat, alpha))
 
-    def _take(self, values: Sequence[int]) -> None:
-        if len(values) == 3:
-            self._robot.receive(*values)
-        else:
-            x_hat, bits = values
-            last = self._last("falsified")
-            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
-
-    def _suffer(self, event: str) -> None:
-        if event == RESTART:
-            self._robot.restart()
-        else:
-            self._last(event)
-
     def _last(self, what: str) -> Broadcast:
         """Take back the last broadcast."""
         if not self.broadcasts:
             raise ValueError(f"robot {self._robot.id} has a broadcast {what} before it made one")
         return self.broadcasts.pop()
+
+
+def _is_message(event: Event) -> bool:
+    return isinstance(event, list) and len(event) == 3
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,7 @@ class ReplayVerdict:
         falsified: Those that went out with the values that a fault gave them.
         foreign: Frames under a robot's id that it did not send.
         not_logged: Broadcasts that the log lacks.
+        beyond: Estimates after the last event of a sidecar that was cut off.
         other: Frames that are no estimate of a recorded robot.
         difference: The first broadcast that is not reproduced; None if all are.
     """
@@ -158,6 +162,7 @@ class ReplayVerdict:
     falsified: int = 0
     foreign: int = 0
     not_logged: int = 0
+    beyond: int = 0
     other: int = 0
     difference: LogDifference | None = None
 
@@ -176,7 +181,7 @@ def verify(
     read or the sidecar contradicts itself.
     """
     robots, foreign = _run_again(sidecar, progress)
-    comparison = _Comparison(robots, foreign, sidecar.header.frames)
+    comparison = _Comparison(robots, foreign, sidecar.header.frames, sidecar.is_part)
     for number, frame in enumerate(log, start=1):
         if not comparison.take(number, frame):
             break
@@ -222,8 +227,11 @@ def _do(robot: Rerun, events: Iterable[Event], sidecar: SidecarReader) -> None:
 
 
 class _Comparison:
-    def __init__(self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat) -> None:
+    def __init__(
+        self, robots: dict[int, Rerun], foreign: Counter[str], frames: FrameFormat, is_part: bool
+    ) -> None:
         self.verdict = ReplayVerdict()
+        self._is_part = is_part
         self._robots = robots
         self._foreign = foreign
         self._frames = frames
@@ -246,6 +254,9 @@ class _Comparison:
             return True
         if is_own and place is not None:
             self._pass(broadcasts, place)
+            return True
+        if self._is_part and not broadcasts:
+            self.verdict.beyond += 1
             return True
         expected = broadcasts[place or 0] if broadcasts else None
         self.verdict.difference = LogDifference(number, frame.timestamp, message, said[1], expected)

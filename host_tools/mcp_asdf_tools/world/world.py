@@ -99,7 +99,7 @@ class World:
 
     @property
     def hears(self) -> NDArray[np.bool_]:
-        """Whether robot i hears j in the present step, shape (N, N). Fails before the first."""
+        """True at [i, j] if robot i hears j in the present step, shape (N, N). Fails before the first."""
         assert self._ahead is not None
         heard: NDArray[np.bool_] = self._ahead.hears[self._at]
         return heard

@@ -43,9 +43,11 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli import swarm as command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots import record as robot_record
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, RoundingPort, load_firmware
 from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.reception import words_of
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture
@@ -311,7 +313,7 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
     assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
     robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
     assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
-    port.receive_raw(3, ONE // 4, 0xA0000002)
+    assert port.receive_all(words_of([Message(3, ONE // 4, 0xA0000002, 0)])) == 1
     assert robot.told == (3, 0.25, 2.5)
 
 
@@ -649,9 +651,12 @@ def test_wall_clock_time_stamps_can_be_had(tmp_path: Path) -> None:
 # Ends
 
 
-def press_ctrl_c(swarm: Swarm) -> None:
-    if swarm.ticks == 7:
-        os.kill(os.getpid(), signal.SIGINT)
+def sending(number: signal.Signals) -> Callable[[Swarm], None]:
+    def hook(swarm: Swarm) -> None:
+        if swarm.ticks == 7:
+            os.kill(os.getpid(), number)
+
+    return hook
 
 
 def raise_interrupt(swarm: Swarm) -> None:
@@ -659,10 +664,20 @@ def raise_interrupt(swarm: Swarm) -> None:
         raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("interrupt", [press_ctrl_c, raise_interrupt])
+@pytest.mark.parametrize(
+    ("interrupt", "code"),
+    [
+        (sending(signal.SIGINT), 130),
+        (sending(signal.SIGTERM), 143),
+        (sending(signal.SIGHUP), 129),
+        (raise_interrupt, 130),
+    ],
+    ids=["ctrl-c", "kill", "hang-up", "hook"],
+)
 @interruptible()
-def test_ctrl_c_saves_what_is_done(
+def test_a_signal_saves_what_is_done(
     interrupt: Callable[[Swarm], None],
+    code: int,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -670,7 +685,7 @@ def test_ctrl_c_saves_what_is_done(
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt(swarm))
     handler = signal.getsignal(signal.SIGINT)
     log, plot = tmp_path / "run.log", tmp_path / "run.png"
-    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == 130
+    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == code
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
@@ -706,7 +721,7 @@ def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
 
 
-def test_a_crash_leaves_no_half_of_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_crash_leaves_what_was_and_a_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def crash(self: LiveView, swarm: Swarm) -> None:
         raise ZeroDivisionError
 
@@ -714,8 +729,10 @@ def test_a_crash_leaves_no_half_of_a_file(monkeypatch: pytest.MonkeyPatch, tmp_p
     (tmp_path / "run.log").write_text("the log of yesterday")
     with suppress(ZeroDivisionError):
         swarm_command(*SMALL, "--log", str(tmp_path / "run.log"), "--plot", str(tmp_path / "run.png"))
-    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
+    names = {"run.log", "run.log.part", "run.log.events.part"}
+    assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "run.log").read_text() == "the log of yesterday"
+    assert len(list(read_log(tmp_path / "run.log.part"))) == 4 * 2
 
 
 @pytest.mark.parametrize(
@@ -737,7 +754,11 @@ def test_what_cannot_be_written_is_told_before_the_first_tick(
 
 @pytest.mark.parametrize(
     ("lost", "kept"),
-    [("run.log", set()), ("run.log.events", set()), ("run.log.json", {"run.log", "run.log.events"})],
+    [
+        ("run.log", {"run.log.part", "run.log.events.part", "run.log.json"}),
+        ("run.log.events", {"run.log.part", "run.log.events.part", "run.log.json"}),
+        ("run.log.json", {"run.log", "run.log.events"}),
+    ],
 )
 def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     lost: str,
@@ -759,21 +780,27 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".txt", ".log.gz"])
 @pytest.mark.parametrize("bytes_left", [0, 3000, 9000, 20_000])
-def test_a_full_disk_is_told_and_leaves_nothing(suffix: str, bytes_left: int, tmp_path: Path) -> None:
+def test_a_full_disk_costs_the_log_but_not_the_run(suffix: str, bytes_left: int, tmp_path: Path) -> None:
     """Full at once, during the run, or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    options = ("--steps", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
-    errors = io.StringIO()  # pytest captures in files, which are limited, too
-    with redirect_stdout(errors), redirect_stderr(errors):
+    log, part = tmp_path / f"run{suffix}", tmp_path / f"run{suffix}.part"
+    options = ("--steps", "100", "--quiet", "--log", str(log))
+    said = io.StringIO()  # pytest captures in files, which are limited, too
+    with redirect_stdout(said), redirect_stderr(said):
         resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, before[1]))
         try:
             code = swarm_command(*SMALL, *options)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert code == 2
-    assert f"error: cannot write {tmp_path}/run{suffix}" in errors.getvalue()
-    assert "File too large" in errors.getvalue()
-    assert list(tmp_path.iterdir()) == []
+    told = f"mcp-asdf swarm: the log {log} is not complete: File too large; what there is is in {part}\n"
+    assert said.getvalue().count(told) == 1
+    assert "seed 1: 4 robots, 100 steps" in said.getvalue()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names - {f"{log.name}.json"} == {part.name, f"{log.name}.events.part"}
+    assert (f"error: cannot write {log}.json" in said.getvalue()) == (f"{log.name}.json" not in names)
+    if suffix != ".txt" and bytes_left == 20_000:
+        assert main(["replay", str(part)]) == 0
 
 
 @pytest.mark.parametrize("output", ["--quiet", "--json"])
