@@ -28,6 +28,11 @@ RECORD = f"""new Promise((resolve) => {{
     }};
     requestAnimationFrame(note);
 }})"""
+CHARTS = """(() => {
+    const start = performance.now();
+    view.charts.repaint();
+    return performance.now() - start;
+})()"""
 
 
 @dataclass(frozen=True)
@@ -62,9 +67,7 @@ def measure(robots: int = ROBOTS, steps: int = STEPS) -> Smoothness:
         browser.goto(path.as_uri())
         opening = until(browser, "window.view && view.film && view.frames > 0 && performance.now()") / 1000
         intervals, draws = browser.evaluate(RECORD)
-        charts = browser.evaluate(
-            "(() => { const start = performance.now(); view.charts.repaint(); return performance.now() - start; })()"
-        )
+        charts = browser.evaluate(CHARTS)
     return Smoothness(len(content) / 1e6, opening, _figures(draws), _figures(intervals), charts)
 
 

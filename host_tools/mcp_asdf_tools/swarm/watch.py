@@ -48,16 +48,21 @@ class Watch:
         self._b_hat: list[float] = []
 
     def __call__(self, swarm: Swarm) -> None:
-        """Note the present state. O(robots)."""
-        self.recalibrations += self._changes(swarm)
-        if swarm.ticks % (-(-swarm.settings.steps // _MOST_ERRORS)) == 0:
+        """Note the present state. O(robots), in most ticks O(1)."""
+        settings = swarm.settings
+        is_due = swarm.ticks % -(-settings.steps // _MOST_ERRORS) == 0
+        # Robots that never crash test together, so that nothing is to be seen in between.
+        if is_due or settings.faults or swarm.ticks % settings.filter_period == 0:
+            self.recalibrations += self._changes(swarm)
+        if is_due:
             self.errors.append(mean_error(swarm))
             if self._companion is not None:
                 self.errors_without.append(mean_error(self._companion.swarm))
 
     def _changes(self, swarm: Swarm) -> Iterator[Recalibration]:
         now = [node.robot.b_hat for node in swarm.nodes]
-        before, self._b_hat = self._b_hat or now, now
+        before = self._b_hat or [swarm.settings.b_hat(node.id) for node in swarm.nodes]
+        self._b_hat = now
         if now != before:
             for robot, (old, new) in enumerate(zip(before, now, strict=True)):
                 if abs(new - old) > _NOTABLE:

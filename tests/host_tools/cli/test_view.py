@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
 from PIL import Image
 
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.experiments import Experiment, run_trials, table_of
+from mcp_asdf_tools.experiments.results import write_table
+from mcp_asdf_tools.robots import Filtering
 
 SWARM = ["swarm", "--robots", "5", "--steps", "60", "--filter-period", "20", "--quiet"]
 
 
-@pytest.fixture
-def results(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two experiments of two trials."""
-    path = tmp_path / "grid.toml"
-    path.write_text(
-        'robots = 5\nsteps = 60\nfilter_period = 20\ntrials = 2\nfilter = ["none", "asdf-plus"]\n'
-    )
-    assert main(["sweep", str(path), "--json"]) == 0
-    return path.with_suffix(".parquet")
+    common = Experiment(robots=5, steps=60, filter_period=20, trials=2)
+    experiments = [common, replace(common, filter=Filtering.NONE)]
+    tables = [table_of(each, run_trials(each, 0, 2)) for each in experiments]
+    path = tmp_path_factory.mktemp("results") / "grid.parquet"
+    write_table(path, pa.concat_tables(tables))
+    return path
 
 
 def test_a_log_and_a_trial_are_exported(

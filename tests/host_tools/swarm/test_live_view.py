@@ -102,7 +102,6 @@ def test_its_figures_are_those_of_the_run() -> None:
     changes = [
         (int(ticks[i]), robot, b_hat[i - 1, robot], b_hat[i, robot])
         for i, robot in np.add(np.argwhere(np.abs(np.diff(b_hat, axis=0)) > 0.002), (1, 0))
-        if i > 1
     ]
     assert [tuple(each) for each in watch.recalibrations] == changes
     assert changes
