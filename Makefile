@@ -5,12 +5,14 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 unexport PYTHONDONTWRITEBYTECODE
 
 # What the installed project is built from: the rest is used where it stands.
-BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
+BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
-.PHONY: help setup swarm test verify lint format crosscheck cost targets loop socketcan soak docs clean
+MINUTES := 5
+
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan soak docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -26,6 +28,9 @@ test: .venv/ready-to-test ## run the tests of everything, 5 minutes: C and Pytho
 
 verify: .venv/ready-to-test ## run the slow rest of the tests: every compiler at every level, long runs, guest kernels
 	@$(PYTEST) -m slow --junit-xml=build/reports/verify.xml
+
+fuzz: .venv/ready-to-test ## fuzz the C for MINUTES=5 in all: calls, frames, serial lines, the node's options, the radio
+	@PYTHONPATH=tests $(BIN)/python -m fuzz --minutes $(MINUTES)
 
 lint: .venv/ready-to-test ## run the analysers and the checks of types and style alone
 	@$(BIN)/pytest tests/test_tools.py

@@ -103,7 +103,7 @@ NEEDED = {
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
-"""What commands want beside Python and a C compiler, by a part of the command."""
+"""Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
 
 
 def blocks(page: Path, *languages: str) -> list[str]:
@@ -135,7 +135,7 @@ def is_run_elsewhere(page: Path, command: str) -> bool:
 
 
 def is_run(page: Path, command: str) -> bool:
-    """Whether it is for the page's own test; ``make`` would set up or test everything."""
+    """True for commands of the page's own test; ``make`` would set up or test everything."""
     others = (*HERE_WITH_MULTICAST, *C_NODES, *NOT_RUN)
     return not (command.startswith("make ") or command in others or is_run_elsewhere(page, command))
 
@@ -210,7 +210,7 @@ def test_a_slow_command_has_a_quick_one_beside_it() -> None:
 @pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
 def test_what_is_not_run_is_parsed(command: str) -> None:
     _, name, *words = shlex.split(command)
-    cli._parser_for(cli._load(name), f"mcp-asdf {name}").parse_args(words)
+    cli._parser_for(name, cli._load(name)).parse_args(words)
 
 
 def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
@@ -316,8 +316,11 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
-    for code in blocks(page, "python"):
-        run(sys.executable, "-c", code, cwd=tmp_path)
+    """One after the other in one process, which loads libraries once, but each in a module of its own."""
+    programs = blocks(page, "python")
+    script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
+    if programs:
+        run(sys.executable, "-c", script, cwd=tmp_path)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

@@ -111,7 +111,7 @@ def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
         flawed_accuracy=float(flawed_accuracy),
         flawed=int(flawed),
         filter=Filtering(mode.replace("_", "-")),
-        filter_period=int(tau) or 1000,  # 0 where nobody filters
+        filter_period=int(tau) or 1000,  # 0 without a filter
     )
 
 

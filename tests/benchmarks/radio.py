@@ -98,7 +98,7 @@ def measure(
 
 
 def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
-    """What to measure: how to join each robot's bus, and whether that is one for all."""
+    """Swarms to measure: how to join each robot's bus, and whether that is one for all."""
 
     def virtual(name: str) -> can.BusABC:
         return can.Bus(interface="virtual", channel=name, ignore_config=True)

@@ -76,7 +76,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
 
 
 def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
-    """What a Python node in lockstep says when it is told ``frames``."""
+    """The answers of a Python node in lockstep to ``frames``."""
     return node.start() + [answer for frame in frames for answer in node.hear(frame)]
 
 
@@ -528,7 +528,7 @@ def test_a_full_disk_does_not_stop_the_robot(start: Start, bus: UnixBus, tmp_pat
 
 
 def complaint(node: CNode) -> str:
-    """What a node says that does not start."""
+    """The error message of a node that does not start."""
     printed, complaints = node.process.communicate(timeout=PATIENCE)
     assert (node.process.returncode, printed) == (2, "")
     return str(complaints)
@@ -576,7 +576,7 @@ def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> 
 
 
 def refusal(command: list[str], *options: str) -> str:
-    """What the node says of options that will not do."""
+    """The node's error message for invalid options."""
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (2, "")
     return done.stderr

@@ -272,7 +272,7 @@ FAULTS = [
         "scenario 59 (the threshold for 3), call 5, settle:",
     ),
 ]
-"""What is in the core, what is put in its place, and the first call that shows it."""
+"""A piece of the core, a wrong one to replace it, and the first call that shows the difference."""
 
 
 @pytest.mark.parametrize(

@@ -52,12 +52,12 @@ class BusChoice:
 
     @property
     def has_channels(self) -> bool:
-        """Whether each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
+        """True if each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
         return _ROBOT in (self.channel or "")
 
     @property
     def is_private(self) -> bool:
-        """Whether no other program can be on the bus, and the user asked for nothing of it but a name."""
+        """True if no other program can be on the bus, and the user gave nothing but its name."""
         return self.interface == DEFAULT_INTERFACE and self._is_plain
 
     def of_robot(self, robot: int) -> BusChoice:

@@ -33,7 +33,6 @@ from mcp_asdf_tools.crosscheck import (
 )
 from mcp_asdf_tools.robots import load_firmware
 
-HELP = "check the C against its mirror, exact arithmetic and its own claims"
 EPILOG = """\
 examples:
   mcp-asdf crosscheck                               # about ten seconds

@@ -51,7 +51,6 @@ from mcp_asdf_tools.robots import (
     subjects_of,
 )
 
-HELP = "run one robot on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf node --id 3 --interface udp_multicast   # with others on this machine, until Ctrl-C
@@ -191,7 +190,7 @@ def _source_of(args: argparse.Namespace) -> ObservationSource:
 
 
 class _Watch:
-    """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
+    """Shows the node's state on a terminal, and reports at once what needs attention."""
 
     def __init__(self, console: Console, node: RobotNode, link: BusLink) -> None:
         self._console = console

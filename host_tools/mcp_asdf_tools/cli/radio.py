@@ -37,6 +37,7 @@ from mcp_asdf_tools.radio import (
     choose_ids,
     configured_like,
     headline,
+    sections,
     write_verification_report,
 )
 from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
@@ -52,7 +53,6 @@ from mcp_asdf_tools.robots import (
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
-HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
@@ -61,8 +61,9 @@ examples:
 --id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
-through one phase for each class of fault, and must do, bit for bit, what its model does.
-exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if interrupted"""
+through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
+exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
+interrupted"""
 
 _OF_WORLD = (
     "robots",
@@ -77,7 +78,7 @@ _OF_WORLD = (
     "seed",
 )
 """Parameters of a swarm, for the controller and its neighbours together."""
-_PHASE_TICKS = 250
+_PHASE_TICKS = 25
 _TIMEOUT = 2.0
 
 
@@ -120,7 +121,7 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=int,
         metavar="N",
-        help=f"end after N steps (default: at Ctrl-C); with --verify, of each phase (default {_PHASE_TICKS})",
+        help=f"end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours (default {_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -231,7 +232,7 @@ def _judge(
         bench.should_stop = stack.enter_context(stopping())
         verification = Verification(settings, bench)
         progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
-        task = progress.add_task("verifying", total=len(verification.verdict.phases) * bench.ticks)
+        task = progress.add_task("verifying", total=verification.expected_ticks)
         bench.progress = lambda ticks: progress.update(task, completed=ticks)
         verification.run()
     return verification
@@ -250,6 +251,10 @@ def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
         table.add_row(*(str(phase[name]) for name in shown))
     console = Console(soft_wrap=True)
     console.print(table)
+    for title, entries in sections(verdict).items():
+        console.print(
+            f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
+        )
     console.print(headline(verdict), markup=False)
 
 

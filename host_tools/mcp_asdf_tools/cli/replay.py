@@ -25,7 +25,6 @@ from mcp_asdf_tools.recording import (
     verify,
 )
 
-HELP = "check a log by running its robots again, or play it onto a bus"
 EPILOG = """\
 examples:
   mcp-asdf replay run.log                       # is every broadcast what the firmware makes of it?

@@ -19,7 +19,6 @@ from mcp_asdf_tools.experiments import (
     write_authors_json,
 )
 
-HELP = "run one experiment: a swarm, many trials, the paper's scores"
 EPILOG = """\
 examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed

@@ -6,16 +6,17 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import can
 from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
+from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
@@ -36,14 +37,18 @@ from mcp_asdf_tools.swarm import (
     summary_table,
 )
 
-__all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
+if TYPE_CHECKING:
+    from mcp_asdf_tools.view import SwarmCamera
 
-HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
+__all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
+
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
   mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
+  mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
+  mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
@@ -73,14 +78,18 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
     draw = _drawer(args.plot)
-    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    animate = _animator(args.animate)
+    beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
+            camera = _camera(args, settings, ending)
             with recording as outputs:
-                outcome, report = _emulate(args, settings, choice, wiring, outputs)
+                outcome, report = _emulate(
+                    args, settings, choice, wiring, outputs, [camera] if camera else []
+                )
                 text = summary_table(outcome, str(choice), time.monotonic() - began)
                 ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
             last = outcome
@@ -90,6 +99,8 @@ def run(args: argparse.Namespace) -> int:
             with FileSet() as files:
                 if args.plot is not None:
                     files.write(args.plot, draw(outcome))
+                if args.animate is not None and camera is not None:
+                    files.write(args.animate, animate(camera))
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
@@ -104,6 +115,7 @@ def _emulate(
     choice: interfaces.BusChoice,
     wiring: Wiring,
     outputs: LogOutputs,
+    hooks: Sequence[SwarmHook],
 ) -> tuple[SwarmRun, dict[str, Any]]:
     """Run the swarm; returns what came out, and all of it with all settings as plain values.
 
@@ -115,7 +127,7 @@ def _emulate(
         nodes = stack.enter_context(_start(args, settings, choice))
         with _console(args).status("waiting for robots elsewhere"):
             swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        outcome = _watched(args, swarm)
+        outcome = _watched(args, swarm, hooks)
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
     return outcome, report
@@ -132,10 +144,42 @@ def _run(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> S
         return _watched(args, swarm)
 
 
-def _watched(args: argparse.Namespace, swarm: Swarm) -> SwarmRun:
+def _watched(args: argparse.Namespace, swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
     """Run a swarm to its end or Ctrl-C, with the live table."""
     with LiveTable(_console(args)) as table, _interruptible() as stop:
-        return run_swarm(swarm, [table, stop])
+        return run_swarm(swarm, [table, *hooks, stop])
+
+
+def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
+    """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
+    if not (args.view or args.animate):
+        return None
+    from mcp_asdf_tools.view import SwarmCamera, serving  # noqa: PLC0415 (loads slowly)
+
+    camera = SwarmCamera(settings)
+    if args.view:
+        view.announce(args, ending.enter_context(serving(camera.film, args.port)))
+        ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
+    return camera
+
+
+def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -> None:
+    """The run is over; its page stays until Ctrl-C, unless an error ended it."""
+    camera.film.end()
+    sys.stdout.flush()
+    if is_regular:
+        with stopping() as should_stop:
+            view.wait(should_stop)
+
+
+def _animator(path: Path | None) -> Callable[[SwarmCamera], bytes]:
+    """Function that draws an animation. Raises UsageError if it cannot be written."""
+    if path is None:
+        return lambda camera: b""
+    from mcp_asdf_tools.view import check_animation_path, image_of_film  # noqa: PLC0415 (loads slowly)
+
+    checked = check_animation_path(path)
+    return lambda camera: image_of_film(camera.film.developed(), checked)
 
 
 def _console(args: argparse.Namespace) -> Console:

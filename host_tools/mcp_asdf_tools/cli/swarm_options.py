@@ -9,7 +9,7 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus import FrameFormat, interfaces
-from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.cli import parameter_options, view
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import ClockKind
 from mcp_asdf_tools.swarm import FaultKind, SwarmSettings, Wiring, check_remote
@@ -94,6 +94,11 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also run the same swarm without the filter, and compare",
     )
+    output.add_argument(
+        "--animate", metavar="FILE", type=Path, help="draw the run as an animation: .webp or .gif"
+    )
+    output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    view.add_server_options(output)
     output.add_argument("--quiet", action="store_true", help="no live table, and one line for a summary")
 
 

@@ -3,6 +3,7 @@
 from . import extensions as extensions
 from .errors import UsageError as UsageError
 from .figures import COLOURS as COLOURS
+from .figures import DIVERGING as DIVERGING
 from .figures import FLAWED as FLAWED
 from .figures import GREY as GREY
 from .figures import INK as INK

@@ -87,5 +87,5 @@ def standard_input() -> int:
 
 
 def has_ended(fd: int) -> bool:
-    """Whether there is no more to read from ``fd``; what there is is read and dropped. Does not wait."""
+    """True at the end of the input from ``fd``; input that is there is read and dropped. Does not wait."""
     return bool(select.select([fd], [], [], 0)[0]) and not os.read(fd, 1 << 16)

@@ -100,7 +100,7 @@ class _Parameters:
                 yield key, _Value(value.value, line)
 
     def has(self, key: str) -> bool:
-        """Whether ``key`` is given."""
+        """True if ``key`` is given."""
         return key in self._values
 
     def error(self, key: str, message: str) -> UsageError:

@@ -8,6 +8,7 @@ from .recording import recording_to as recording_to
 from .replay import Playback as Playback
 from .replay import Player as Player
 from .replay import ReplayVerdict as ReplayVerdict
+from .replay import rerun as rerun
 from .replay import verify as verify
 from .sidecar import SidecarHeader as SidecarHeader
 from .sidecar import SidecarReader as SidecarReader

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
 
+from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import (
     TRANSFER_IDS,
     Action,
@@ -60,17 +63,33 @@ class Rerun:
         self.broadcasts: deque[Broadcast] = deque()
         self._robot = BusRobot(record.id, record.make, Decoder(FrameFormat()))
 
+    @property
+    def state(self) -> Robot:
+        """Its firmware in the present state."""
+        return self._robot.robot
+
     def do(self, events: Iterable[Event]) -> None:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
-        for event in events:
-            if isinstance(event, list):
-                self._take(event)
-            elif isinstance(event, str):
+        for is_message, group in groupby(events, _is_message):
+            if is_message:
+                self._robot.receive(np.array(list(group), np.uint32))
+                continue
+            for event in group:
                 self._suffer(event)
-            elif event == SETTLE:
-                self._robot.settle()
-            else:
-                self._observe(Action(event))
+
+    def _suffer(self, event: Event) -> None:
+        if isinstance(event, list):
+            x_hat, bits = event
+            last = self._last("falsified")
+            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
+        elif event == RESTART:
+            self._robot.restart()
+        elif isinstance(event, str):
+            self._last(event)
+        elif event == SETTLE:
+            self._robot.settle()
+        else:
+            self._observe(Action(event))
 
     def _observe(self, action: Action) -> None:
         if self._robot.begin(action.observation):
@@ -78,25 +97,15 @@ class Rerun:
             alpha = binary32_of(estimate.alpha)
             self.broadcasts.append(Broadcast(self._robot.ticks, estimate.transfer_id, estimate.x_hat, alpha))
 
-    def _take(self, values: Sequence[int]) -> None:
-        if len(values) == 3:
-            self._robot.receive(*values)
-        else:
-            x_hat, bits = values
-            last = self._last("falsified")
-            self.broadcasts.append(last._replace(x_hat=x_hat, alpha_bits=bits, is_false=True))
-
-    def _suffer(self, event: str) -> None:
-        if event == RESTART:
-            self._robot.restart()
-        else:
-            self._last(event)
-
     def _last(self, what: str) -> Broadcast:
         """Take back the last broadcast."""
         if not self.broadcasts:
             raise ValueError(f"robot {self._robot.id} has a broadcast {what} before it made one")
         return self.broadcasts.pop()
+
+
+def _is_message(event: Event) -> bool:
+    return isinstance(event, list) and len(event) == 3
 
 
 @dataclass(frozen=True)
@@ -181,6 +190,21 @@ def verify(
     return comparison.verdict
 
 
+def rerun(sidecar: SidecarReader) -> Iterator[tuple[int, Robot]]:
+    """Run every robot of ``sidecar`` again; yields an id, and that robot's state, each time that one settles.
+
+    Robots settle in the order of the file. O(1) an event. Raises UsageError as ``verify``.
+    """
+    robots = {record.id: Rerun(record) for record in sidecar.header.robots}
+    for line in sidecar.lines():
+        if not isinstance(line, str):
+            robot, events = line
+            _do(robots[robot], events, sidecar)
+            if events[-1:] == [SETTLE]:
+                robots[robot].broadcasts.clear()
+                yield robot, robots[robot].state
+
+
 def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[dict[int, Rerun], Counter[str]]:
     """The robots after all their events, and the frames that none of them sent."""
     robots = {record.id: Rerun(record) for record in sidecar.header.robots}
@@ -190,12 +214,16 @@ def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[di
             foreign[line] += 1
         else:
             robot, events = line
-            try:
-                robots[robot].do(events)
-            except ValueError as error:
-                raise sidecar.wrong(str(error)) from error
+            _do(robots[robot], events, sidecar)
         progress()
     return robots, foreign
+
+
+def _do(robot: Rerun, events: Iterable[Event], sidecar: SidecarReader) -> None:
+    try:
+        robot.do(events)
+    except ValueError as error:
+        raise sidecar.wrong(str(error)) from error
 
 
 class _Comparison:

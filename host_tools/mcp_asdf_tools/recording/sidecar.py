@@ -240,10 +240,10 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
 
 def _is_event(event: Any) -> bool:
     if isinstance(event, list):
-        return len(event) in (2, 3) and all(map(is_plain_int, event)) and event[-1] <= _MAX_WORD
+        return len(event) in (2, 3) and all(map(is_plain_int, event)) and max(event) <= _MAX_WORD
     return event in (SILENT, RESTART) if isinstance(event, str) else is_plain_int(event) and event <= SETTLE
 
 
 def is_plain_int(value: Any) -> bool:
-    """Whether ``value`` is an integer >= 0, but no bool."""
+    """True for an integer >= 0 that is no bool."""
     return type(value) is int and value >= 0

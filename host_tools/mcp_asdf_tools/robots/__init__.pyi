@@ -13,6 +13,7 @@ from .events import Event as Event
 from .events import Recorder as Recorder
 from .firmwares import FIRMWARES as FIRMWARES
 from .firmwares import RobotMaker as RobotMaker
+from .firmwares import Words as Words
 from .firmwares import firmware_names as firmware_names
 from .firmwares import load_firmware as load_firmware
 from .lockstep import DRIVER_ID as DRIVER_ID
@@ -45,8 +46,11 @@ from .population import Population as Population
 from .population import parameter_names as parameter_names
 from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
+from .reception import Content as Content
 from .reception import Decoder as Decoder
 from .reception import Reception as Reception
+from .reception import words_of as words_of
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
+from .rounds import TickedRobot as TickedRobot

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 
 import can
 
@@ -28,9 +29,9 @@ class Recorder:
         """The robot began a tick and observed ``z``, if anything."""
         self._parts.append(str(Action.observing(z).value))
 
-    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
-        """The robot took a message of these raw values."""
-        self._parts.append(f"[{sender},{x_hat},{alpha}]")
+    def receive(self, messages: Iterable[Sequence[int]]) -> None:
+        """The robot took messages, each of a sender and the raw values of x_hat and alpha."""
+        self._parts.extend(_message_text(*each) for each in messages)
 
     def settle(self) -> None:
         """The robot ended the tick."""
@@ -58,3 +59,8 @@ class Recorder:
         if len(self._parts) > 1:
             self._write(",".join(self._parts) + "]\n")
             self._parts = [self._head]
+
+
+@lru_cache(maxsize=1024)  # the neighbours of a sender all take the same
+def _message_text(sender: int, x_hat: int, alpha: int) -> str:
+    return f"[{sender},{x_hat},{alpha}]"

@@ -54,6 +54,9 @@ class Population(WorldSettings):
 
     flawed: int | float | str = special_parameter("30%", "flawed robots: a count (6) or a share (30%, 0.3)")
     flawed_accuracy: float = parameter(0.55, "b_hat that flawed robots assume at the start", 0, 1)
+    unflawed_accuracy: float = parameter(
+        0.0, "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1
+    )
     filter: Filtering = parameter(Filtering.ASDF_PLUS, "robots that recalibrate")
     activation: Activation = parameter(Activation.ADAPTIVE, "recalibrate if the test rejects, or always")
     comms_period: int = parameter(1, "steps between broadcasts", 1, MAX_PERIOD)
@@ -110,18 +113,19 @@ class Population(WorldSettings):
         return int(self.flawed)  # a count since the constructor has run
 
     def is_flawed(self, robot: int) -> bool:
-        """Whether a robot is among the flawed."""
+        """True if a robot is among the flawed."""
         return robot < self.flawed_robots
 
     def filters(self, robot: int) -> bool:
-        """Whether a robot re-estimates its accuracy."""
+        """True if a robot re-estimates its accuracy."""
         return self.filter is Filtering.ASDF_PLUS or (
             self.filter is Filtering.ASDF_MINUS and self.is_flawed(robot)
         )
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
-        accuracy = self.flawed_accuracy if self.is_flawed(robot) else self.true_accuracy
+        correct = self.unflawed_accuracy or self.true_accuracy
+        accuracy = self.flawed_accuracy if self.is_flawed(robot) else correct
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> TickConfig:

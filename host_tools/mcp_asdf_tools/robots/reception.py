@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import can
+import numpy as np
 
 from mcp_asdf_tools.bus import (
     FrameFormat,
@@ -17,9 +19,13 @@ from mcp_asdf_tools.bus import (
     decode_heartbeat,
     decode_telemetry,
 )
+from mcp_asdf_tools.robots.firmwares import Words
 
 Content = Message | Heartbeat | Telemetry | Rejection
 """Content of a frame, or the reason why it has none."""
+
+_MAX_KNOWN = 4096
+"""Frames in a decoder's cache: some ticks of 127 robots, since frames may come late."""
 
 
 class Decoder:
@@ -31,15 +37,18 @@ class Decoder:
 
     def __init__(self, frames: FrameFormat) -> None:
         self.frames = frames
-        self._last: dict[int, tuple[can.Message, Content]] = {}
+        self._known: dict[int, tuple[can.Message, Content]] = {}
 
     def __call__(self, frame: can.Message) -> Content:
         """Decode a frame, which must not change any more."""
-        known = self._last.get(frame.arbitration_id)
-        if known is not None and known[0] is frame:
+        known = self._known.get(id(frame))
+        if known is not None:
             return known[1]
+        if len(self._known) == _MAX_KNOWN:
+            self._known.clear()
         content = self._content(frame)
-        self._last[frame.arbitration_id] = frame, content
+        # With the frame itself, since the id of an object that has gone may be another's.
+        self._known[id(frame)] = frame, content
         return content
 
     def _content(self, frame: can.Message) -> Content:
@@ -90,3 +99,8 @@ class Reception:
             self.errors += 1
         else:
             self.rejected[content] += 1
+
+
+def words_of(messages: Sequence[Message]) -> Words:
+    """Estimates for a firmware, shape (messages, 3)."""
+    return np.array([(each.sender, each.x_hat, each.alpha) for each in messages], np.uint32).reshape(-1, 3)

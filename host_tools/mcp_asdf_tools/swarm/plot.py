@@ -79,7 +79,7 @@ def _finish(axes: Axes, label: str, name: str, truth: float, values: NDArray[np.
 
 
 def _are_equal(values: NDArray[np.float64]) -> bool:
-    """Whether there are several robots and their lines are one and the same."""
+    """True if there are several robots and their lines are one and the same."""
     return values.shape[1] > 1 and bool((values == values[:, :1]).all())
 
 

@@ -75,7 +75,7 @@ class Drift(Enum):
 
     @property
     def is_random(self) -> bool:
-        """Whether trials differ in it."""
+        """True if trials differ in it."""
         return self is Drift.WIENER
 
 
@@ -92,7 +92,7 @@ class WorldSettings:
     topology: Topology | str = special_parameter(Topology.FULLY_CONNECTED, "who hears whom")
     graph: Graph | str = special_parameter("", "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)")
     fill_ratio: float = parameter(0.55, "f, share of black tiles", 0, 1)
-    true_accuracy: float = parameter(0.95, "b of every sensor, which unflawed robots assume", 0, 1)
+    true_accuracy: float = parameter(0.95, "b of every sensor", 0, 1)
     white_offset: float = parameter(0.0, "true accuracy on white tiles less that on black ones", -1, 1)
     sensor: str = parameter("", "installed sensor model, in place of the built-in one")
     drift: Drift = parameter(Drift.NONE, "how the true accuracy changes")
@@ -127,7 +127,7 @@ class WorldSettings:
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the robots move."""
+        """True if the robots move."""
         return self.topology is Topology.DYNAMIC
 
     @property

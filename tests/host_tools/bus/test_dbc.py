@@ -38,13 +38,15 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.recording import Recording
 from robots import ALPHA_ONE
-from support import ROOT
+from support import ROOT, draws
+
+pytestmark = pytest.mark.random
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed (pip install cantools)")
 
 DEFAULT = FrameFormat()
 UNITS = {"x_hat": 2.0**-23, "x": 2.0**-23, "b_hat": 2.0**-24}
-fixed = settings(derandomize=True, deadline=None, max_examples=300)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 nodes, transfers, words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
 bytes_, ratios = st.integers(0, 255), st.integers(0, 2**23)

@@ -6,7 +6,6 @@ import json
 import random
 from collections.abc import Callable
 from decimal import Decimal
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
@@ -55,7 +53,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         sender = draw.randrange(128)
         calls: list[tuple[Callable[[], None], Any]] = [
             (lambda: recorder.observe(z), 2 if z is None else int(z)),
-            (lambda: recorder.receive(sender, *values), [sender, *values]),
+            (lambda: recorder.receive([[sender, *values]]), [sender, *values]),
             (recorder.settle, 3),
             (recorder.silent, "silent"),
             (lambda: recorder.falsified(values[0], values[1]), values),
@@ -165,11 +163,3 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="is no text"):
         SidecarReader(tmp_path / "x")
-
-
-def test_an_installed_package_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> str:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
-    assert software_versions()["mcp-asdf"] == "not installed"

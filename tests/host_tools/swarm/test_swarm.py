@@ -47,6 +47,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots import record as robot_record
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, RoundingPort, load_firmware
 from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.reception import words_of
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.live_table import LiveTable
@@ -312,7 +313,7 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
     assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
     robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
     assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
-    port.receive_raw(3, ONE // 4, 0xA0000002)
+    assert port.receive_all(words_of([Message(3, ONE // 4, 0xA0000002, 0)])) == 1
     assert robot.told == (3, 0.25, 2.5)
 
 

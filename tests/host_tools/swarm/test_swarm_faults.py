@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from can.interfaces import virtual
 from hypothesis import given
@@ -553,7 +554,7 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
         elif isinstance(event, int):
             robots[robot].observe((Observation.WHITE, Observation.BLACK, None)[event])
         elif isinstance(event, list) and len(event) == 3:
-            robots[robot].port.receive_raw(*event)
+            robots[robot].receive_all(np.array([event], np.uint32))
     assert [robot.robot.state() for robot in robots.values()] == states(run)
 
 
