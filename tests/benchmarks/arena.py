@@ -31,7 +31,7 @@ REFERENCE = json.loads((ROOT / "tests/data/motion_statistics.json").read_text(en
 START, END = "<!-- motion table -->", "<!-- end of motion table -->"
 SETTINGS = ArenaSettings(20, square_side(20, 1), square_side(20, 1))
 SPEED_TICKS, SPEED_REPEATS = 40000, 5
-OTHERWISE = ("avoidances in 1000 s", "time between contacts", "largest coordinate")
+OTHERWISE = ("time between contacts", "largest coordinate")
 """Depend on a definition or on the length of a run that the reference does not state."""
 
 
@@ -115,7 +115,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.trials < 2 or args.steps <= 500 or args.seed < 0:
         parser.error(f"--trials {args.trials} --steps {args.steps} --seed {args.seed}: at least 2, 501 and 0")
-    rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_steps_per_second"])
+    rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_ticks_per_second"])
     rows = compare(args.trials, args.steps, args.seed)
     table = markdown(rows, args.trials, args.steps)
     if args.json:
