@@ -1,6 +1,7 @@
 """How the moving world compares with the simulation it is modelled on: statistics of the motion, and speed.
 
-    python tests/benchmarks/arena.py [--trials N] [--steps T] [--seed S] [--json] [--write docs/arena.md]
+    PYTHONPATH=tests python -m benchmarks.arena [--trials N] [--steps T] [--seed S] [--json]
+        [--write docs/arena.md]
 
 Runs trials of the paper's dynamic setup (N = 20, D = 1) and prints every statistic beside the reference's, in
 tests/data/motion_statistics.json, with the standard error of the trials. Then it measures how many

@@ -32,7 +32,7 @@ def motion_statistics(motion: Motion) -> dict[str, float]:
         **_rounds(motion.adjacency),
         **_driving(motion),
         **_avoidances(motion),
-        **_bursts(motion.avoids.astype(np.bool_)),
+        **bursts(motion.avoids.astype(np.bool_)),
         **_contacts(motion.adjacency),
         **{name: value for lag in LAGS for name, value in _after(motion, lag).items()},
     }
@@ -89,7 +89,7 @@ def _avoidances(motion: Motion) -> dict[str, float]:
     }
 
 
-def _bursts(avoids: NDArray[np.bool_]) -> dict[str, float]:
+def bursts(avoids: NDArray[np.bool_]) -> dict[str, float]:
     """Avoidances with those that follow at once, as a robot that turns away from two obstacles in turn."""
     joined = avoids.copy()
     starts, lengths = runs(~avoids)

@@ -65,7 +65,7 @@ def _engine() -> ModuleType:
 
 
 def _arrays() -> ModuleType:
-    """The reference in arrays, loaded when first needed: with it comes SciPy, which no native worker needs."""
+    """The reference in arrays, loaded when first needed: it brings SciPy, which no native worker needs."""
     from mcp_asdf_tools.experiments import reference_arrays  # noqa: PLC0415
 
     return reference_arrays
