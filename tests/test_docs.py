@@ -77,11 +77,20 @@ NOT_RUN = {
     "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
     "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
-    "mcp-asdf reproduce --part fully_connected --seed 2 --output second": TAKES_LONG,
-    "mcp-asdf reproduce --firmware reference --conventions authors --output authors": TAKES_LONG,
+    "mcp-asdf reproduce --paper": TAKES_LONG,
+    "mcp-asdf reproduce --redraw": "redraws what the first has run",
+    "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
+    "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
+        TAKES_LONG
+    ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
+    "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
+    "mcp-asdf sweep explore.toml": TAKES_LONG,
+    "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
+        "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
+    ),
     "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
