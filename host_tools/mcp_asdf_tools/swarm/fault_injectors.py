@@ -299,9 +299,16 @@ def _below(words: Words, probability: float) -> bool:
 
 
 def each_below(words: Row, probability: float) -> NDArray[np.bool_]:
-    """True if each word strikes."""
-    limit = _limit(probability)
-    if limit == 0:
-        return np.zeros(len(words), np.bool_)
-    struck: NDArray[np.bool_] = words <= np.uint64(limit - 1)
+    """True for each word that strikes."""
+    last = _last_below(probability)
+    if last is None:
+        return np.zeros(words.shape, np.bool_)
+    struck: NDArray[np.bool_] = words <= last
     return struck
+
+
+@cache
+def _last_below(probability: float) -> np.uint64 | None:
+    """The largest word that strikes; None if none does."""
+    limit = _limit(probability)
+    return np.uint64(limit - 1) if limit else None

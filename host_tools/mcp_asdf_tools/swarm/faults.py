@@ -89,14 +89,14 @@ class Faults:
     def is_off(self, robot: int, tick: int) -> bool:
         """True if the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""
         # All are evaluated, since each counts its ticks.
-        return any([each.lasts(robot, tick) for each in self._spells])
+        return bool(self._spells) and any([each.lasts(robot, tick) for each in self._spells])
 
     def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
         """The frames, stamped ``now`` (seconds), that the node sends besides its own.
 
         Call once per tick, and pass each to ``leave``.
         """
-        if self.is_off(robot, tick):
+        if not self._babblers or self.is_off(robot, tick):
             return []
         identifier = self._frames.identifier(robot)
         return [

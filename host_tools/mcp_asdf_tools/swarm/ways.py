@@ -58,20 +58,26 @@ class OnTheWay(Injector, ABC):
         return [each for each in after if each.reach.any()]
 
     def _act(self, sent: Sequence[SentFrame], ways: Ways) -> Iterator[Ways]:
-        struck = np.zeros_like(ways.reach)
-        for number, each in enumerate(sent):
-            if not each.frame.is_error_frame and self.fault.is_on(each.tick, each.sender):
-                struck[number] = self._hits(each, ways.version, struck.shape[1])
+        struck = ways.reach.copy()
+        numbers = [
+            number
+            for number, each in enumerate(sent)
+            if not each.frame.is_error_frame and self.fault.is_on(each.tick, each.sender)
+        ]
+        if len(numbers) < len(sent):
+            struck[np.isin(np.arange(len(sent)), numbers, invert=True)] = False
         if self.fault.receivers is not None:
             struck &= np.isin(np.arange(struck.shape[1]), list(self.fault.receivers))
-        struck &= ways.reach
+        if numbers:
+            struck[numbers] &= self._hits([sent[number] for number in numbers], ways.version, struck.shape[1])
         self.injected += int(np.count_nonzero(struck))
         yield replace(ways, reach=ways.reach & ~struck)
         yield from self._struck(replace(ways, reach=struck), sent)
 
-    def _hits(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
-        """Whether the fault strikes a frame on its way to each receiver: by a draw of its own."""
-        return each_below(self._draws.of_copies(sent, version, receivers), self.fault.rate)
+    def _hits(self, sent: Sequence[SentFrame], version: int, receivers: int) -> Mask:
+        """Whether the fault strikes frames on their ways to each receiver: by draws of their own."""
+        rows = [self._draws.of_copies(each, version, receivers) for each in sent]
+        return each_below(np.array(rows), self.fault.rate)
 
     @abstractmethod
     def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
@@ -90,8 +96,11 @@ class _Burst(_Loss):
         super().__init__(fault, draws)
         self._chains: dict[int, tuple[int, NDArray[np.bool_]]] = {}
 
-    def _hits(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
+    def _hits(self, sent: Sequence[SentFrame], version: int, receivers: int) -> Mask:
         """By the state of the link; a frame that a bus has brought late meets that of the last in time."""
+        return np.array([self._state(each, receivers) for each in sent])
+
+    def _state(self, sent: SentFrame, receivers: int) -> NDArray[np.bool_]:
         start = self.fault.start
         known, is_bad = self._chains.get(sent.sender, (start - 1, np.zeros(receivers, np.bool_)))
         if len(is_bad) < receivers:
