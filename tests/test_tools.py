@@ -172,6 +172,16 @@ def test_types_are_right() -> None:
     run(require("mypy"), *settings["files"], folder)
 
 
+def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
+    run(
+        require("biome"),
+        "check",
+        "--config-path=.ci",
+        "--error-on-warnings",
+        "host_tools/mcp_asdf_tools/view/page",
+    )
+
+
 def test_c_is_formatted() -> None:
     run(require("clang-format"), "--dry-run", "-Werror", *C_FILES)
 

@@ -50,8 +50,9 @@ from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
 from .reception import Content as Content
 from .reception import Decoder as Decoder
+from .reception import Estimates as Estimates
 from .reception import Reception as Reception
-from .reception import words_of as words_of
+from .reception import rows_of as rows_of
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
