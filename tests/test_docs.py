@@ -72,7 +72,7 @@ NOT_RUN = {
     "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
         "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
     ),
-    "mcp-asdf view run.parquet": IN_A_BROWSER,
+    "mcp-asdf view walk.parquet": IN_A_BROWSER,
     "mcp-asdf view run.log": IN_A_BROWSER,
     "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
     "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
