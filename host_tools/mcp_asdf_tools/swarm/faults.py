@@ -26,26 +26,23 @@ from typing import Any
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import FrameFormat
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import BusRobot
 from mcp_asdf_tools.swarm.fault_injectors import (
     AT_SENDERS,
-    ON_THE_WAY,
     AtSender,
     Babbler,
     Draws,
     Injector,
-    OnTheWay,
     Spells,
-    Ways,
 )
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
-from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
+from mcp_asdf_tools.swarm.transmission import SentFrame
+from mcp_asdf_tools.swarm.ways import ON_THE_WAY, Mask, OnTheWay, Ways
 
-__all__ = ["Delivery", "Fault", "FaultKind", "Faults", "SentFrame", "Ways", "parse_fault"]
+__all__ = ["Fault", "FaultKind", "Faults", "SentFrame", "Ways", "parse_fault"]
 
 
 class Faults:
@@ -119,18 +116,19 @@ class Faults:
             leaving = [after for sent in leaving for after in each.act(sent)]
         return leaving
 
-    def ways(self, tick: int, sent: Sequence[SentFrame], in_range: NDArray[np.bool_]) -> Ways:
+    def ways(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Ways]:
         """Ways of the frames that arrive in this tick, if undisturbed, at the receivers in range.
 
         ``in_range`` has shape (frames, receivers), and receivers are numbered by id. Call once per tick with
         all frames; error frames reach every node. O(faults frames receivers).
         """
-        ways = Ways(in_range.copy())
+        reach = in_range.copy()
         if self._spells:
             hearing = np.flatnonzero(in_range.any(axis=0)).tolist()
-            ways.plain[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
+            reach[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
+        ways = [Ways(reach)]
         for each in self._on_the_way:
-            each.act(sent, ways)
+            ways = each.act(sent, ways)
         return ways
 
     def figures(self) -> list[dict[str, Any]]:
