@@ -114,7 +114,8 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=int,
         metavar="N",
-        help=f"end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours (default {_PHASE_TICKS})",
+        help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours "
+        f"(default {_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -243,7 +244,9 @@ def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
     console = Console(soft_wrap=True)
     console.print(table)
     for title, entries in sections(verdict).items():
-        console.print(f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False)
+        console.print(
+            f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
+        )
     console.print(headline(verdict), markup=False)
 
 

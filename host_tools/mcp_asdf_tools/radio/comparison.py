@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import can
 
@@ -16,6 +17,22 @@ Frames = dict[str, list[can.Message]]
 """Frames by kind."""
 
 _PRIORITY = 7 << 26
+_RANKS = (
+    *(
+        "frame",
+        "length",
+        "tail",
+        "priority",
+        "identifier",
+        "never",
+        "missing",
+        "twice",
+        "extra",
+        "more updates",
+    ),
+    *("fewer updates", "transfer_id", "b_hat", "x_hat", "alpha", "x", "uptime", "health", "mode"),
+)
+"""Parts that may differ; the first tells most, as others follow from it."""
 _SHOWN = 3
 """Frames shown of a kind."""
 
@@ -64,13 +81,14 @@ class Comparison:
         }
 
     def check(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
-        """Compare the frames of some ticks; returns the first symptom of the kind that tells most."""
+        """Compare the frames of some ticks; returns the symptom that tells most."""
         own, models = self._by_kind(said), self._by_kind(expected)
         self.others += len(said) - sum(map(len, own.values()))
         if not self.equal[TELEMETRY]:
             self._greet(own, models)
         symptoms = [self._check_kind(kind, own[kind], models[kind]) for kind in _FIELDS]
-        return next((symptom for symptom in symptoms if symptom is not None), None)
+        found = [symptom for symptom in symptoms if symptom is not None]
+        return min(found, key=lambda symptom: _RANKS.index(symptom.field), default=None)
 
     def _greet(self, own: Frames, models: Frames) -> None:
         """Leave out heartbeats that are the greeting; one more than expected must be it."""
@@ -105,7 +123,7 @@ def _first_difference(kind: str, own: Sequence[can.Message], models: Sequence[ca
     if odd is not None:
         return odd
     if len(own) > len(models):
-        return "twice" if any(a.data == b.data for a, b in zip(own, own[1:], strict=False)) else "extra"
+        return "twice" if any(a.data == b.data for a, b in pairwise(own)) else "extra"
     differences = (_field_of(kind, *pair) for pair in zip(own, models, strict=False))
     field = next((each for each in differences if each is not None), None)
     is_short = len(own) < len(models)

@@ -47,11 +47,13 @@ def stray_commands(
 ) -> dict[str, can.Message]:
     """Commands that ``robot`` must not obey between its *observe* and its *settle* of ``tick``."""
     targets = {"robot": robot, "other": other, "all": EVERY_ROBOT}
-    ticks = {"open": tick, "later": (tick + 1 + draw.randrange(1000)) % (1 << 32), "last": (tick - 1) % (1 << 32)}
+    ticks = {
+        "open": tick,
+        "later": (tick + 1 + draw.randrange(1000)) % (1 << 32),
+        "last": (tick - 1) % (1 << 32),
+    }
     return {
-        name: encode_command(
-            Command(other, ticks[when], targets[target], action, draw.randrange(32)), frames
-        )
+        name: encode_command(Command(other, ticks[when], targets[target], action, draw.randrange(32)), frames)
         for name, (target, when, action) in STRAY.items()
     }
 

@@ -5,8 +5,8 @@ The one place that says which firmware a controller must equal, bit for bit.
 
 from __future__ import annotations
 
-from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN
+from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
 from mcp_asdf.robot import Config, Observation, Status
 from mcp_asdf_tools.radio.coverage import Coverage, Update, filters, is_adaptive
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
