@@ -101,7 +101,9 @@ def long_run(stage: Stage) -> None:
 
 
 def _to_test(stage: Stage, before: int = 0) -> None:
+    """Observe until the round of the next test begins, at least once: a new b_hat shows then."""
     stage.doing = _MANY
+    stage.tick(any_observation(stage))
     stage.to_test(lambda: any_observation(stage), before)
 
 
