@@ -365,6 +365,14 @@ class TruncatesAlpha(MirrorRobot):
         return status
 
 
+class BroadcastsX(MirrorRobot):
+    """The informed estimate instead of its own."""
+
+    @property
+    def x_hat_raw(self) -> int:
+        return self.x_raw
+
+
 class HalvesDown(MirrorRobot):
     """Instead of to nearest, ties to even."""
 
@@ -443,6 +451,28 @@ class LateCountsNow(RobotNode):
         else:
             s = self.robot.s  # type: ignore[attr-defined]
             s.closed.alpha += alpha_units(message.alpha)
+
+
+class RefusesLargeAlphas(RobotNode):
+    """Instead of taking them for the largest."""
+
+    def hear(self, frame: can.Message) -> Frames:
+        is_estimate = isinstance(decode(frame, FrameFormat()), Message)
+        return [] if is_estimate and alpha_bits(frame) >= bits_of(2.0**31) else super().hear(frame)
+
+
+class DropsOlderTransfers(RobotNode):
+    """Takes a smaller transfer id for an old message, like a stack that removes duplicates."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.last: dict[int, int] = {}
+
+    def _receive(self, message: Message) -> None:
+        sender, number = message.sender, message.transfer_id
+        if (number - self.last.get(sender, number - 1)) % 32 < 16:
+            self.last[sender] = number
+            super()._receive(message)
 
 
 class Lenient(RobotNode):
@@ -655,6 +685,12 @@ WRONG: dict[str, Wrong] = {
     # How it is set up
     "another b_hat": Wrong("alone", "its b_hat is another at the start", b_hat=0.56),
     "another broadcast period": Wrong("alone", "longer broadcast period", actual={"comms_period": 2}),
+    "broadcasts in every tick": Wrong(
+        "alone",
+        "more often than its broadcast period",
+        config={"comms_period": 5},
+        actual={"comms_period": 1},
+    ),
     "another id": Wrong("alone", "not there", robot=4),
     "has run before": Wrong("alone", "has run before", prepare=_has_run),
     "another filter period": Wrong(
@@ -734,7 +770,10 @@ WRONG: dict[str, Wrong] = {
     "alpha of 20 bits": Wrong("alone", "its alpha (eq. 4) is wrong", firmware=TruncatesAlpha),
     "halves down": Wrong("halvings", "ties to even", firmware=HalvesDown, config={"memory": 512}),
     "halves up": Wrong("halvings", "ties to even", firmware=HalvesUp, config={"memory": 512}),
+    "broadcasts x": Wrong("messages and silence", "its own estimate is disturbed", firmware=BroadcastsX),
     # What it hears
+    "refuses large alphas": Wrong("extreme messages", "above the largest", node=RefusesLargeAlphas),
+    "drops older transfer ids": Wrong("among neighbours", "their order", node=DropsOlderTransfers),
     "hears itself": Wrong("its own id", "under its own id", node=HearsItself),
     "restarts after a conflict": Wrong("its own id", "restarts at them", node=ForgetsAfterAConflict),
     "a receive buffer of 60 frames": Wrong("growing rounds", "receive buffer too small", node=StopsListening),
@@ -791,6 +830,9 @@ WRONG: dict[str, Wrong] = {
         "alone", "telemetry cuts it", node=spoiling(3001, put(3, lambda byte: byte + 1))
     ),
     "more of alpha": Wrong("alone", "firmware's word", node=spoiling(3000, more_of_alpha)),
+    "another subject of telemetry": Wrong(
+        "alone", "another subject of telemetry", node=spoiling(3001, flip(1 << 11))
+    ),
     "says it twice": Wrong("alone", "each frame twice", node=spoiling(3000, lambda frame: [frame, frame])),
     "answers twice": Wrong("alone", "answers twice", node=spoiling(3001, lambda frame: [frame, frame])),
     "no heartbeats": Wrong("alone", "no heartbeats", node=spoiling(7509, lambda frame: [])),

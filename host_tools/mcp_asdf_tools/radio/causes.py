@@ -213,7 +213,6 @@ CAUSES: tuple[Cause, ...] = (
         TELEMETRY,
         phases=("alone",),
     ),
-    # --- The filter: numbers ---
     # --- The memory: only observations change it ---
     Cause(
         "its memory is shorter than said, or it rounds otherwise when it halves: t and n are halved at "
@@ -264,6 +263,7 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         "it keeps messages or x_bar of the last round when a round brings none: beta must be 0 then",
+        kind=TELEMETRY,
         phases=("messages and silence",),
         doing="no messages",
     ),
@@ -289,17 +289,9 @@ CAUSES: tuple[Cause, ...] = (
     Cause("it hears messages under its own id, or restarts at them", phases=("its own id",)),
     Cause("it accepts {doing} as an estimate", phases=("invalid frames",)),
     Cause(
-        "its informed estimate x (eq. 7) is wrong, or it closes rounds at other times than after its "
-        "broadcasts",
-        TELEMETRY,
-        ("x",),
-        ("lost commands", "heartbeats", "rounds without a test"),
-    ),
-    Cause(
         "a fault shows what the rounds made for the purpose did not: " + _FAULTS,
         TELEMETRY,
         ("x", "b_hat"),
     ),
     Cause("its own estimate is disturbed: only its observations and re-estimates may change it", ESTIMATE),
-    Cause("none that is known for this symptom"),
 )

@@ -52,7 +52,7 @@ class Symptom:
     text: str
 
 
-_FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
+FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
     ESTIMATE: (("transfer_id", 56, 5), ("x_hat", 0, 24), ("alpha", 24, 32)),
     TELEMETRY: (("transfer_id", 56, 5), ("updates", 48, 8), ("b_hat", 24, 24), ("x", 0, 24)),
     HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("health", 32, 2), ("mode", 40, 3)),
@@ -86,7 +86,7 @@ class Comparison:
         self.others += len(said) - sum(map(len, own.values()))
         if not self.equal[TELEMETRY]:
             self._greet(own, models)
-        symptoms = [self._check_kind(kind, own[kind], models[kind]) for kind in _FIELDS]
+        symptoms = [self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS]
         found = [symptom for symptom in symptoms if symptom is not None]
         return min(found, key=lambda symptom: _RANKS.index(symptom.field), default=None)
 
@@ -98,7 +98,7 @@ class Comparison:
             models[HEARTBEAT].insert(0, self._greeting)
 
     def _by_kind(self, frames: Sequence[can.Message]) -> Frames:
-        sorted_: Frames = {kind: [] for kind in _FIELDS}
+        sorted_: Frames = {kind: [] for kind in FIELDS}
         for frame in frames:
             kind = self._kinds.get(frame.arbitration_id >> 8 & 0x1FFF)
             if kind is not None:
@@ -144,7 +144,7 @@ def _field_of(kind: str, own: can.Message, models: can.Message) -> str | None:
     bits = own.arbitration_id ^ models.arbitration_id
     if bits:
         return "priority" if bits & _PRIORITY else "identifier"
-    for name, *place in _FIELDS[kind]:
+    for name, *place in FIELDS[kind]:
         left, right = _bits(own, *place), _bits(models, *place)
         if name == "updates" and left != right:
             return "more updates" if (left - right) % 256 < 128 else "fewer updates"
@@ -166,7 +166,7 @@ def _text(kind: str, frame: can.Message) -> str:
     """The content of a frame, with its identifier."""
     if _what_is_odd(frame) is not None:
         return frame_as_text(frame)
-    values = {name: _bits(frame, *place) for name, *place in _FIELDS[kind]}
+    values = {name: _bits(frame, *place) for name, *place in FIELDS[kind]}
     content = ", ".join(f"{name} {_value(name, value)}" for name, value in values.items())
     return f"{frame.arbitration_id:08X} {content}"
 

@@ -154,3 +154,10 @@ EXTREMES: dict[str, list[Content]] = {
     "126 messages of the largest confidence": [(ONE - 1, ALPHA_MAX)] * 126,
 }
 """Rounds of messages at the ends of the ranges."""
+
+FOREIGN_ALPHAS = {
+    "a confidence above the largest": 0x7F7F_FFFF,
+    "a confidence between two multiples of 2^-24": 0x3300_0001 + (1 << 23),
+    "a subnormal confidence": 0x0000_0001,
+}
+"""binary32 bits that the codec brings to the firmware's grid."""

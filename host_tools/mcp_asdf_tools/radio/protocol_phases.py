@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.radio.crafted_rounds import EXTREMES, any_content
+from mcp_asdf_tools.radio.crafted_rounds import EXTREMES, FOREIGN_ALPHAS, any_content
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.stage import Stage
 
@@ -120,11 +120,17 @@ def growing_rounds(stage: Stage) -> None:
 
 
 def extremes(stage: Stage) -> None:
-    """Messages at the ends of the ranges."""
+    """Messages at the ends of the ranges, and confidences that no robot of ours sends."""
     for name, contents in EXTREMES.items():
         stage.avoid_test()
         stage.doing = name
         stage.round(*contents)
+    for name, bits in FOREIGN_ALPHAS.items():
+        stage.avoid_test()
+        stage.doing = name
+        frames = stage.messages({robot: any_content(stage.draw) for robot in stage.others[:2]})
+        frames[0].data[3:7] = bits.to_bytes(4, "little")
+        stage.round_of(frames)
 
 
 def same_sender(stage: Stage) -> None:
