@@ -9,7 +9,15 @@ from itertools import pairwise
 
 import can
 
-from mcp_asdf_tools.bus import FRAME_BYTES, HEARTBEAT_SUBJECT, MAX_NODE_ID, ONE, float_of, frame_as_text
+from mcp_asdf_tools.bus import (
+    FRAME_BYTES,
+    HEARTBEAT_SUBJECT,
+    MAX_NODE_ID,
+    ONE,
+    Health,
+    float_of,
+    frame_as_text,
+)
 from mcp_asdf_tools.robots import Subjects
 
 ESTIMATE, TELEMETRY, HEARTBEAT, BUS = "estimate", "telemetry", "heartbeat", "bus"
@@ -30,7 +38,7 @@ _RANKS = (
         "extra",
         "more updates",
     ),
-    *("fewer updates", "transfer_id", "b_hat", "x_hat", "alpha", "x", "uptime", "health", "mode"),
+    *("fewer updates", "transfer_id", "b_hat", "x_hat", "alpha", "x", "uptime", "mode", "health"),
 )
 """Parts that may differ; the first tells most, as others follow from it."""
 _SHOWN = 3
@@ -55,7 +63,7 @@ class Symptom:
 FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
     ESTIMATE: (("transfer_id", 56, 5), ("x_hat", 0, 24), ("alpha", 24, 32)),
     TELEMETRY: (("transfer_id", 56, 5), ("updates", 48, 8), ("b_hat", 24, 24), ("x", 0, 24)),
-    HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("health", 32, 2), ("mode", 40, 3)),
+    HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("mode", 40, 3), ("health", 32, 2)),
 }
 """Fields of each kind, with first bit and length, in the order in which a difference is told."""
 
@@ -66,6 +74,7 @@ class Comparison:
     Attributes:
         equal: Frames that were equal, by kind.
         others: Frames of the controller of other subjects, which are not judged.
+        may_advise: Whether its health may be "advisory": it may say so once a settle was withheld from it.
     """
 
     def __init__(self, subjects: Subjects, greeting: can.Message, equal: Counter[str]) -> None:
@@ -73,6 +82,7 @@ class Comparison:
         the controller's may have come too early for us, or several times if it was reset."""
         self.equal = equal
         self.others = 0
+        self.may_advise = False
         self._greeting = greeting
         self._kinds = {
             subjects.estimates.subject: ESTIMATE,
@@ -109,6 +119,8 @@ class Comparison:
         self, kind: str, own: Sequence[can.Message], models: Sequence[can.Message]
     ) -> Symptom | None:
         field = _first_difference(kind, own, models)
+        if field == "health" and self.may_advise and _most_severe(own) <= Health.ADVISORY.value:
+            field = None
         if field is None:
             self.equal[kind] += len(own)
             return None
@@ -128,6 +140,11 @@ def _first_difference(kind: str, own: Sequence[can.Message], models: Sequence[ca
     field = next((each for each in differences if each is not None), None)
     is_short = len(own) < len(models)
     return "missing" if is_short and field in (None, "transfer_id") else field
+
+
+def _most_severe(heartbeats: Sequence[can.Message]) -> int:
+    """The most severe health among heartbeats."""
+    return max(frame.data[4] & 3 for frame in heartbeats)
 
 
 def _what_is_odd(frame: can.Message) -> str | None:

@@ -50,7 +50,7 @@ def lost_settles(stage: Stage) -> None:
         stage.observe(any_observation(stage))
         stage.doing = "messages in a tick whose settle is lost"
         stage.send(stage.messages([(robot, any_content(stage.draw)) for robot in stage.others[5:8]]))
-        stage.lockstep.leave_open()
+        stage.leave_open()
         stage.doing = "the tick after one whose settle was lost"
         stage.tick(any_observation(stage))
 

@@ -140,6 +140,11 @@ class Stage:
         self.compare()
         self.bench.progress(self.lockstep.tick)
 
+    def leave_open(self) -> None:
+        """End the tick as if its settle were lost; the controller may complain about it from now on."""
+        self.lockstep.leave_open()
+        self.comparison.may_advise = True
+
     def tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
         """A whole tick, in which these frames come."""
         self.observe(z)
@@ -154,7 +159,7 @@ class Stage:
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
                 self.lockstep.observe({self._id: observe()})
-                self.lockstep.leave_open()
+                self.leave_open()
             self.tick(observe())
             ticks -= burst
 

@@ -14,7 +14,7 @@ import can
 import pytest
 from can.interfaces import virtual
 
-from mcp_asdf.robot import Filter
+from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
@@ -329,6 +329,25 @@ def test_a_stranger_that_the_controller_hears_is_named_and_not_blamed_on_it(
 def test_a_command_of_a_stranger_for_another_is_harmless() -> None:
     talker = Talker(encode_command(Command(40, 1000, 77, Action.SETTLE, 0)))
     assert judge(Wire(obedient(), talker), phases=PHASES[:1]).difference is None
+
+
+class Advises(RobotNode):
+    """Says in its health that a tick stayed open, which is its right."""
+
+    from_tick = 0
+
+    def observe(self, z: Observation | None) -> list[can.Message]:
+        frames = super().observe(z)
+        for frame in frames[:-1]:
+            frame.data[4] = int(self.traffic.unsettled > 0 or 0 < self.from_tick <= self.ticks)
+        return frames
+
+
+def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else() -> None:
+    assert judge(Advises(right().make(), NodeSettings(ID)), phases=QUICK).difference is None
+    controller = Advises(right().make(), NodeSettings(ID))
+    controller.from_tick = 30
+    assert "health other than nominal" in str(judge(controller, phases=QUICK).cause)
 
 
 def test_other_frames_of_the_controller_are_not_judged() -> None:
