@@ -6,8 +6,8 @@ Most are mistakes that one makes when porting the firmware or writing a node fro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import can
 from mpmath import mp  # type: ignore[import-untyped]
@@ -400,8 +400,7 @@ class HalvesUp(HalvesDown):
 
 class HearsItself(RobotNode):
     def _receive(self, message: Message) -> None:
-        sender = 99 if message.sender == ID else message.sender
-        self._bus_robot.receive(sender, message.x_hat, message.alpha)
+        super()._receive(replace(message, sender=99) if message.sender == ID else message)
 
 
 class ForgetsAfterAConflict(RobotNode):
@@ -486,7 +485,7 @@ class Lenient(RobotNode):
         content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
         alpha = word_of(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
         x_hat = min(content & 0xFF_FFFF, ONE)
-        self._bus_robot._receive_raw(frame.arbitration_id & 0x7F, x_hat, alpha)
+        cast(MirrorRobot, self.robot).receive_raw(frame.arbitration_id & 0x7F, x_hat, alpha)
         return []
 
 

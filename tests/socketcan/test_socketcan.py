@@ -102,7 +102,7 @@ def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: P
 
 
 def is_needed(frame: can.Message) -> bool:
-    """Whether it is an estimate of another robot than 0, or a command."""
+    """True for estimates of other robots than 0, and for commands."""
     subject, sender = frame.arbitration_id >> 8 & 0x1FFF, frame.arbitration_id & NODE_BITS
     return subject == 3002 or (subject == 3000 and sender != 0)
 
@@ -166,7 +166,7 @@ def test_frames_that_overflow_the_receive_buffer_are_counted(
             bus.send(estimate, timeout=PATIENCE)
         node.process.send_signal(signal.SIGCONT)
         wait_for(bus, 3)
-        bus.send(estimate, timeout=PATIENCE)  # the kernel tells of lost frames with the next one
+        bus.send(estimate, timeout=PATIENCE)  # the kernel reports lost frames with the next one
         wait_for(bus, 3)
     figures = node.stop()
     assert figures["overflowed"] > 400

@@ -81,7 +81,11 @@ CORTEX_A8 = Kind(
 
 
 class CNode:
-    """A running ``mcp_asdf_node``."""
+    """A running ``mcp_asdf_node``.
+
+    Attributes:
+        complaints: What it said on standard error, once it has ended.
+    """
 
     def __init__(
         self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
@@ -97,10 +101,14 @@ class CNode:
         )
 
     def summary(self, status: int = 0) -> dict[str, Any]:
-        """Its last line, when it has ended by itself with ``status``."""
+        """Its last line, when it has ended by itself with ``status``.
+
+        With status 0 it must not have said anything else but that ids are in conflict.
+        """
         printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
-        assert not complaints or status
+        self.complaints = complaints.splitlines()
+        assert all("; give one of them another" in each for each in self.complaints) or status
         (line,) = printed.splitlines()
         figures: dict[str, Any] = json.loads(line)
         return figures

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import re
+import resource
 import signal
 import subprocess
 import time
@@ -32,6 +33,7 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_command,
 )
+from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from support import PATIENCE, ROOT, require, run, slow
@@ -74,7 +76,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
 
 
 def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
-    """What a Python node in lockstep says when it is told ``frames``."""
+    """The answers of a Python node in lockstep to ``frames``."""
     return node.start() + [answer for frame in frames for answer in node.hear(frame)]
 
 
@@ -187,6 +189,42 @@ def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: 
                 pass
     while len(peer.said) < answers:
         assert bus.recv(PATIENCE) is not None, f"{len(peer.said)} answers, expected {answers}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_notices_the_id_conflicts_that_a_python_node_does(start: Start, bus: UnixBus, seed: int) -> None:
+    """Some ids have two senders; messages are lost, repeated and late, and senders restart."""
+    draw, watch = random.Random(seed), IdConflictWatch(5)
+    messages = arriving_messages(draw)
+    for message in messages:
+        watch.hear(message)
+    order = list(watch.found)
+    node = start(5, "--lockstep", "--subject", 7, "--command-subject", 9, "--priority", 0)
+    peer = bus.accept()
+    frames = [encode(message, SUBJECTS.estimates) for message in messages]
+    tell_and_hear(bus, peer, [*frames, command_frame(1, 5, Action.OBSERVE_BLACK)], 2)
+    figures = node.stop()
+    assert figures["heard"] == len(messages)
+    assert figures["id_conflicts"] == sorted(order), f"replay: random.Random({seed})"
+    said = [f"mcp_asdf_node: {watch.found[each].value}: {each}; give one of them another" for each in order]
+    assert node.complaints == said
+    assert {5} < set(order) <= {3, 5, 7, 9}
+
+
+def arriving_messages(draw: random.Random) -> list[Message]:
+    """Messages of the ids 0 to 9 in the order of their arrival; 3, 5, 7 and 9 have two senders."""
+    arrivals = []
+    for robot in range(10):
+        loss, late = draw.choice([0, 0.1, 0.2]), draw.choice([0, 3])
+        for sender in range(1 + (robot in (3, 5, 7, 9))):
+            count = draw.randrange(32)
+            for number in range(150):
+                count = 0 if draw.random() < 0.01 else count + 1
+                message = Message(robot, draw.randrange(2**23), (2**23 + sender) << 8, count % 32)
+                for _ in range(1 + (draw.random() < 0.05)):
+                    if draw.random() >= loss:
+                        arrivals.append((number + draw.uniform(0, late), message))
+    return [message for _, message in sorted(arrivals, key=lambda each: each[0])]
 
 
 @pytest.mark.parametrize(("ticks", "rounds"), [(2, 0), (3, 1), (5, 1), (6, 2)])
@@ -379,7 +417,7 @@ def test_a_full_queue_costs_frames_but_no_tick(start: Start, bus: UnixBus, tmp_p
     assert len(peer.said) == figures["estimates"] + figures["heartbeats"] - figures["unsent"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_run_cleanly(start: Start, bus: UnixBus, number: signal.Signals) -> None:
     node = start(5, "--lockstep")
     drive_one(bus, bus.accept())
@@ -467,8 +505,30 @@ def test_a_state_that_cannot_be_saved_is_a_failure(start: Start, bus: UnixBus, t
     assert "cannot save the state" in complaints
 
 
+def test_a_full_disk_does_not_stop_the_robot(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    """Files of at most 50 bytes stand for it: the state of before stays, and one line tells."""
+    text, state = tmp_path / "observations", tmp_path / "state"
+    text.write_text("1" * 100, encoding="ascii")
+    state.write_bytes(before := twin(5).robot.save())  # type: ignore[attr-defined]
+    options = ("--state", state, "--save-period", 10, "--steps-per-second", 1000, "--observations", text)
+    node = start(
+        5,
+        *options,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50, 50)),
+        restore_signals=False,  # Python ignores SIGXFSZ; so must the node here
+    )
+    hear_out(bus, bus.accept())
+    figures = node.summary(status=1)
+    assert figures["t"] == 100
+    assert node.complaints == [
+        f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
+    ]
+    assert state.read_bytes() == before
+    assert not state.with_name("state.new").exists()
+
+
 def complaint(node: CNode) -> str:
-    """What a node says that does not start."""
+    """The error message of a node that does not start."""
     printed, complaints = node.process.communicate(timeout=PATIENCE)
     assert (node.process.returncode, printed) == (2, "")
     return str(complaints)
@@ -516,7 +576,7 @@ def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> 
 
 
 def refusal(command: list[str], *options: str) -> str:
-    """What the node says of options that will not do."""
+    """The node's error message for invalid options."""
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (2, "")
     return done.stderr

@@ -1,5 +1,6 @@
 /* mcp_asdf_node: one robot on a CAN bus under Linux. docs/socketcan.md is the manual. */
 #include "bus.h"
+#include "conflicts.h"
 #include "image.h"
 #include "options.h"
 #include "source.h"
@@ -20,10 +21,12 @@ typedef struct {
     node_t node;
     bus_t bus;
     source_t source;
+    conflicts_t conflicts;
     ticker_t clock, reopening;
     sigset_t when_waiting; /* signals blocked then */
     uint32_t seen;         /* ticks whose end note_progress() has seen */
     const char *ended;     /* why, or NULL */
+    int save_error;        /* the last one, as an errno */
     int status;
 } run_t;
 
@@ -43,6 +46,16 @@ static void fail(const char *what, const char *which, const char *why, const cha
     exit(EXIT_USAGE);
 }
 
+/* One that this program was started to ignore (nohup, a shell's background) stays ignored. */
+static void heed(run_t *run, int signal, const struct sigaction *action)
+{
+    struct sigaction before;
+    (void)sigdelset(&run->when_waiting, signal);
+    if (sigaction(signal, NULL, &before) == 0 && before.sa_handler != SIG_IGN) {
+        (void)sigaction(signal, action, NULL);
+    }
+}
+
 /* Signals come through only while we wait, so none can slip in between a check and the wait. */
 static void catch_signals(run_t *run)
 {
@@ -51,11 +64,11 @@ static void catch_signals(run_t *run)
     (void)sigemptyset(&caught);
     (void)sigaddset(&caught, SIGINT);
     (void)sigaddset(&caught, SIGTERM);
+    (void)sigaddset(&caught, SIGHUP);
     (void)sigprocmask(SIG_BLOCK, &caught, &run->when_waiting);
-    (void)sigdelset(&run->when_waiting, SIGINT);
-    (void)sigdelset(&run->when_waiting, SIGTERM);
-    (void)sigaction(SIGINT, &action, NULL);
-    (void)sigaction(SIGTERM, &action, NULL);
+    heed(run, SIGINT, &action);
+    heed(run, SIGTERM, &action);
+    heed(run, SIGHUP, &action);
 }
 
 static void join(bus_t *bus)
@@ -127,13 +140,30 @@ static void end(run_t *run, const char *why, int status)
     run->status = status;
 }
 
+/* A full disk must not stop the robot: the state saved last stays, and the status tells in the end. */
 static void save(run_t *run)
 {
     const int error = image_save(run->options.state, &run->node.robot);
-    if (error != 0) {
-        (void)fprintf(stderr, "mcp_asdf_node: cannot save the state %s: %s\n", run->options.state,
+    if (error != 0 && error != run->save_error) {
+        (void)fprintf(stderr, "mcp_asdf_node: cannot save the state %s: %s; going on\n", run->options.state,
                       strerror(error));
+    }
+    if (error != 0) {
+        run->save_error = error;
         run->status = EXIT_FAILURE;
+    }
+}
+
+static void note_sender(run_t *run, const mcp_asdf_frame_t *frame)
+{
+    const uint8_t own = run->options.node.id;
+    mcp_asdf_estimate_t heard;
+    if (mcp_asdf_decode_estimate(&heard, run->options.node.estimate.subject, frame) == MCP_ASDF_FRAME_OK &&
+        conflicts_hear(&run->conflicts, own, &heard)) {
+        (void)fprintf(stderr, "mcp_asdf_node: %s: %u; give one of them another\n",
+                      heard.node == own ? "another node sends under this node's own id"
+                                        : "two nodes send under one id",
+                      heard.node);
     }
 }
 
@@ -164,6 +194,7 @@ static void hear(run_t *run)
         }
         run->node.health = run->bus.health;
         if (event == BUS_FRAME) {
+            note_sender(run, &frame);
             node_hear(&run->node, &frame);
             note_progress(run);
         }
@@ -248,6 +279,7 @@ int main(int count, char *arguments[])
         save(&run);
     }
     bus_close(&run.bus);
-    const bool is_told = summary_print(run.ended, &run.node, &run.bus, &run.source, &run.clock);
+    const bool is_told =
+        summary_print(run.ended, &run.node, &run.bus, &run.source, &run.clock, &run.conflicts);
     return is_told ? run.status : EXIT_FAILURE;
 }

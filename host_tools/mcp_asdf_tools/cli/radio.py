@@ -17,7 +17,15 @@ from rich.table import Table
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
+from mcp_asdf_tools.common import (
+    INTERRUPTED,
+    UsageError,
+    results_beside,
+    software_versions,
+    stopping,
+    write_atomically,
+)
 from mcp_asdf_tools.radio import (
     COLUMNS,
     ControllerBench,
@@ -32,7 +40,7 @@ from mcp_asdf_tools.radio import (
     sections,
     write_verification_report,
 )
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -45,7 +53,6 @@ from mcp_asdf_tools.robots import (
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
-HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
@@ -55,9 +62,9 @@ examples:
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
 through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
-exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 130 interrupted"""
+exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
+interrupted"""
 
-_INTERRUPTED = 130
 _OF_WORLD = (
     "robots",
     "topology",
@@ -83,13 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; with --verify FILE.events gets "
-        "what 'mcp-asdf replay FILE' needs",
-    )
+    add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -196,15 +197,17 @@ def _verify(
     header = SidecarHeader(
         [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
     )
+    recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, header) as outputs:
+        with recording as outputs:
             verification = _judge(args, settings, choice, console, outputs)
             verdict = verification.verdict
             report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
             ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
         if args.report is not None:
             write_verification_report(args.report, report)
-    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    return exit_code(recording, code)
 
 
 def _judge(
@@ -257,14 +260,15 @@ def _emulate(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
     results = None if args.log is None else results_beside(args.log)
+    recording = recording_for("radio", args.log, None, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, None) as (log, _):
+        with recording as (log, _):
             run = _go(args, settings, choice, console, log)
             report = _report(args, settings, choice) | {"results": run.figures()}
             ending.callback(_print_results, args, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
 
 
 def _go(

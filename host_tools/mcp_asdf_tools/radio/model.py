@@ -78,7 +78,7 @@ class WatchedMirror(MirrorRobot):
         return is_updated
 
     def would_reject(self) -> bool:
-        """Whether a test now would lead to a re-estimate of b_hat, unless x_bar is 1/2."""
+        """True if a test now would lead to a re-estimate of b_hat, unless x_bar is 1/2."""
         s, config = self.s, self._coverage.config
         if not is_adaptive(config):
             return bool(filters(config) and s.t and s.open.count)

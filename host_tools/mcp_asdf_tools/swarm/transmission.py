@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import can
 
@@ -33,8 +34,7 @@ class SentFrame:
         return self.frame.arbitration_id, bytes(self.frame.data), self.frame.is_error_frame
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(NamedTuple):
     """A frame on its way to one receiver.
 
     Attributes:
