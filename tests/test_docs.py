@@ -246,7 +246,7 @@ def test_a_swarm_of_processes_runs() -> None:
 
 
 def test_a_node_on_one_machine_passes_the_verification() -> None:
-    """In two terminals: the node is started when the other is listening. Few ticks and a short memory will do."""
+    """In two terminals: the node is started when the other listens. Few ticks and a short memory will do."""
     multicast(98)
     bus = {"CAN_CHANNEL": "239.74.163.98", "CAN_CONFIG": '{"port": 43298}'}
     radio, node = (command.split() for command in HERE_WITH_MULTICAST[1:])
