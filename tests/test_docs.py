@@ -16,10 +16,8 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, PATIENCE, ROOT, require, run
+from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
@@ -55,6 +53,7 @@ CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
+IN_A_BROWSER = "ends with Ctrl-C; tests/host_tools/view/test_browser.py has the page in a browser"
 NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
 )
@@ -73,12 +72,25 @@ NOT_RUN = {
     "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
         "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
     ),
+    "mcp-asdf view run.parquet": IN_A_BROWSER,
+    "mcp-asdf view run.log": IN_A_BROWSER,
+    "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
-    "mcp-asdf reproduce --part fully_connected --seed 2 --output second": TAKES_LONG,
-    "mcp-asdf reproduce --firmware reference --conventions authors --output authors": TAKES_LONG,
+    "mcp-asdf reproduce --paper": TAKES_LONG,
+    "mcp-asdf reproduce --redraw": "redraws what the first has run",
+    "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
+    "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
+        TAKES_LONG
+    ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
+    "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
+    "mcp-asdf sweep explore.toml": TAKES_LONG,
+    "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
+        "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
+    ),
     "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
@@ -95,6 +107,8 @@ SLOW = {
     "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --robots 8 --steps 600 "
+    "--filter-period 100 --animate swarm.webp --quiet",
 }
 """Commands that are for ``make verify``."""
 
@@ -104,10 +118,6 @@ NEEDED = {
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
 """Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
 
 
 def commands_in(block: str) -> list[str]:

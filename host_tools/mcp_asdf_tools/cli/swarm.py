@@ -6,14 +6,13 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import can
 from rich.console import Console
-from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli import view
@@ -24,7 +23,9 @@ from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
-    LiveTable,
+    Companion,
+    LiveView,
+    Rows,
     Swarm,
     SwarmHook,
     SwarmRun,
@@ -34,6 +35,7 @@ from mcp_asdf_tools.swarm import (
     load_warning,
     one_line,
     run_swarm,
+    summary,
     summary_table,
 )
 
@@ -71,65 +73,89 @@ _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
 
+@dataclass
+class _Attached:
+    """What runs along with a swarm.
+
+    Attributes:
+        camera: Takes a film of it, if one is wanted.
+        companion: The same swarm without the filter, if they are to be compared.
+    """
+
+    camera: SwarmCamera | None = None
+    companion: Companion | None = None
+
+    @property
+    def hooks(self) -> list[SwarmHook]:
+        """Those there are, in the order in which they have to act."""
+        return [each for each in (self.companion, self.camera) if each is not None]
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on the other swarm."""
+        return 0.0 if self.companion is None else self.companion.seconds
+
+
 def run(args: argparse.Namespace) -> int:
     """Run the swarm, save and print what came out."""
     settings = settings_of(args)
     choice = interfaces.choose_bus(args)
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
-    draw = _drawer(args.plot)
-    animate = _animator(args.animate)
+    pictures = _Pictures(args)
     beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
-            camera = _camera(args, settings, ending)
+            attached = _attach(args, settings, ending)
             with recording as outputs:
-                outcome, report = _emulate(
-                    args, settings, choice, wiring, outputs, [camera] if camera else []
-                )
-                text = summary_table(outcome, str(choice), time.monotonic() - began)
-                ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
-            last = outcome
-            if args.compare and not (outcome.interrupted or outcome.failure):
-                last = _run(args, settings.without_filter(), wiring)
-                report["without_filter"] = last.results
+                outcome, report = _emulate(args, (settings, choice, wiring), outputs, attached)
+                seconds = time.monotonic() - began - attached.seconds
+                # Printed even if a file cannot be completed.
+                ending.callback(_print, args, outcome, report, summary(outcome, str(choice), seconds))
             with FileSet() as files:
-                if args.plot is not None:
-                    files.write(args.plot, draw(outcome))
-                if args.animate is not None and camera is not None:
-                    files.write(args.animate, animate(camera))
+                pictures.write(files, outcome, attached.camera)
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return exit_code(recording, _exit_code(last))
+    return exit_code(recording, _exit_code(outcome))
+
+
+def _attach(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> _Attached:
+    camera = _camera(args, settings, ending)
+    if not args.compare:
+        return _Attached(camera)
+    companion = Companion(settings)
+    ending.enter_context(companion.swarm)
+    return _Attached(camera, companion)
 
 
 def _emulate(
     args: argparse.Namespace,
-    settings: SwarmSettings,
-    choice: interfaces.BusChoice,
-    wiring: Wiring,
+    chosen: tuple[SwarmSettings, interfaces.BusChoice, Wiring],
     outputs: LogOutputs,
-    hooks: Sequence[SwarmHook],
+    attached: _Attached,
 ) -> tuple[SwarmRun, dict[str, Any]]:
     """Run the swarm; returns what came out, and all of it with all settings as plain values.
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
+    settings, choice, wiring = chosen
     with ExitStack() as stack:
         port = _admit(args, settings, choice, stack)
         swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
         nodes = stack.enter_context(_start(args, settings, choice))
         with _console(args).status("waiting for robots elsewhere"):
             swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        outcome = _watched(args, swarm, hooks)
+        outcome = _watched(args, swarm, attached)
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
+    if attached.companion is not None and outcome.failure is None:
+        report["without_filter"] = attached.companion.results()
     return outcome, report
 
 
@@ -139,15 +165,10 @@ def _check_comparison(args: argparse.Namespace, settings: SwarmSettings, wiring:
         raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
 
 
-def _run(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> SwarmRun:
-    with Swarm(settings, wiring) as swarm:
-        return _watched(args, swarm)
-
-
-def _watched(args: argparse.Namespace, swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
-    """Run a swarm to its end or Ctrl-C, with the live table."""
-    with LiveTable(_console(args)) as table, _interruptible() as stop:
-        return run_swarm(swarm, [table, *hooks, stop])
+def _watched(args: argparse.Namespace, swarm: Swarm, attached: _Attached) -> SwarmRun:
+    """Run a swarm to its end or Ctrl-C, and show it meanwhile."""
+    with LiveView(_console(args), attached.companion) as live, _interruptible() as stop:
+        return run_swarm(swarm, [*attached.hooks, live, stop])
 
 
 def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
@@ -170,16 +191,6 @@ def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -
     if is_regular:
         with stopping() as should_stop:
             view.wait(should_stop)
-
-
-def _animator(path: Path | None) -> Callable[[SwarmCamera], bytes]:
-    """Function that draws an animation. Raises UsageError if it cannot be written."""
-    if path is None:
-        return lambda camera: b""
-    from mcp_asdf_tools.view import check_animation_path, image_of_film  # noqa: PLC0415 (loads slowly)
-
-    checked = check_animation_path(path)
-    return lambda camera: image_of_film(camera.film.developed(), checked)
 
 
 def _console(args: argparse.Namespace) -> Console:
@@ -215,16 +226,33 @@ def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces
     return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
-def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
-    """Function that draws a run for the picture ``path``. Raises UsageError if it cannot be written."""
-    if path is None:
-        return lambda run: b""
-    # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
-    from mcp_asdf_tools.common import check_plot_path, image_of  # noqa: PLC0415
-    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+class _Pictures:
+    """The pictures of a run that are wanted."""
 
-    checked = check_plot_path(path)
-    return lambda run: image_of(draw(run), checked)
+    def __init__(self, args: argparse.Namespace) -> None:
+        """Raises UsageError if one of them cannot be written."""
+        # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
+        if args.plot is not None:
+            from mcp_asdf_tools.common import check_plot_path  # noqa: PLC0415
+
+            check_plot_path(args.plot)
+        if args.animate is not None:
+            from mcp_asdf_tools.view import check_animation_path  # noqa: PLC0415
+
+            check_animation_path(args.animate)
+        self._plot, self._animation = args.plot, args.animate
+
+    def write(self, files: FileSet, outcome: SwarmRun, camera: SwarmCamera | None) -> None:
+        """Draw a run that is over."""
+        if self._plot is not None:
+            from mcp_asdf_tools.common import image_of  # noqa: PLC0415
+            from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+
+            files.write(self._plot, image_of(draw(outcome), self._plot))
+        if self._animation is not None and camera is not None and outcome.results["steps"]:
+            from mcp_asdf_tools.view import image_of_film  # noqa: PLC0415
+
+            files.write(self._animation, image_of_film(camera.film.developed(), self._animation))
 
 
 @contextmanager
@@ -242,23 +270,25 @@ def _interruptible() -> Iterator[SwarmHook]:
         yield obey
 
 
-def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], table: Table) -> None:
+def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows) -> None:
+    """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
+    console = Console()
     if args.json:
         print(json.dumps(report, indent=2))
-    elif args.quiet:
+        return
+    if args.quiet:
         print(one_line(outcome))
-        _print_comparison(report)
+    elif console.is_terminal:
+        console.print(summary_table(rows))
     else:
-        Console(soft_wrap=True).print(table)
-        _print_comparison(report)
+        print("\n".join("\t".join(row) for row in rows))
+    if not args.quiet:
         warning = load_warning(outcome.results)
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
-
-
-def _print_comparison(report: dict[str, Any]) -> None:
     if "without_filter" in report:
-        print(comparison(report["results"], report["without_filter"]))
+        sentence = comparison(report["results"], report["without_filter"])
+        console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)
 
 
 def _exit_code(outcome: SwarmRun) -> int:

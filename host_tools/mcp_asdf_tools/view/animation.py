@@ -62,14 +62,14 @@ def _with_few_colours(pictures: list[Image.Image]) -> list[Image.Image]:
 
 
 def _pictures(film: Film) -> Iterator[Image.Image]:
-    """What stands still is drawn once, and what moves on top of it."""
+    """Pictures of which the parts that stand still are drawn once."""
     figure = empty_figure(9.6, 4.8)
     figure.set_dpi(_DOTS_PER_INCH)
     moving, shows = _draw(figure, film)
     for artist in moving:
         artist.set_animated(True)
     canvas = cast(FigureCanvasAgg, figure.canvas)
-    canvas.draw()
+    canvas.draw()  # type: ignore[no-untyped-call]
     background = canvas.copy_from_bbox(figure.bbox)  # type: ignore[no-untyped-call]
     count = len(film.samples.ticks)
     for sample in np.linspace(0, count - 1, min(_PICTURES, count)).astype(int).tolist():
@@ -78,7 +78,7 @@ def _pictures(film: Film) -> Iterator[Image.Image]:
         canvas.restore_region(background)  # type: ignore[no-untyped-call]
         for artist in moving:
             figure.draw_artist(artist)
-        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        yield Image.fromarray(_pixels(canvas))
 
 
 def _draw(figure: Figure, film: Film) -> tuple[list[Artist], list[Show]]:
@@ -96,6 +96,11 @@ def _draw(figure: Figure, film: Film) -> tuple[list[Artist], list[Show]]:
     axes.set_xlabel("step")
     figure.suptitle(film.stage.title, x=0.02, ha="left", fontsize=10, color=INK)
     return moving, shows
+
+
+def _pixels(canvas: FigureCanvasAgg) -> NDArray[np.uint8]:
+    pixels: NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    return pixels[..., :3].copy()
 
 
 # --- The arena -------------------------------------------------------------------------------------------
@@ -123,12 +128,12 @@ def _draw_arena(axes: Axes, film: Film) -> tuple[list[Artist], Show]:
 
     def show(sample: int) -> None:
         links.set_segments([places[sample, list(pair)] for pair in _pairs(film, sample)])
-        colours = _COLOURS(_wrongness(film, sample) / _MOST_WRONG)
+        colours = [tuple(each) for each in _COLOURS(_wrongness(film, sample) / _MOST_WRONG).tolist()]
         robots.set_offsets(places[sample])
         robots.set_facecolor(colours)
         if rings is not None:
             rings.set_offsets(places[sample])
-            rings.set_facecolor(np.column_stack([colours[:, :3], np.full(len(colours), 0.07)]))
+            rings.set_facecolor([(*colour[:3], 0.07) for colour in colours])
 
     return ([] if rings is None else [rings]) + moving, show
 
@@ -172,7 +177,7 @@ def _wrongness(film: Film, sample: int) -> NDArray[np.float64]:
     """|b_hat - b| of each robot; half of the scale where it is unknown."""
     samples = film.samples
     values = np.abs(samples.quantity("b_hat")[sample] - samples.quantity("b")[sample])
-    return np.nan_to_num(values, nan=_MOST_WRONG / 2)
+    return np.where(np.isnan(values), _MOST_WRONG / 2, values)
 
 
 # --- The charts ------------------------------------------------------------------------------------------

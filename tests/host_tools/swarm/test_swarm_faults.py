@@ -33,7 +33,7 @@ from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import load_warning, summary_table
+from mcp_asdf_tools.swarm.summary import load_warning, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.arenas import make_arena
 from multicast import multicast
@@ -299,7 +299,7 @@ def test_an_id_conflict_is_reported_and_the_first_message_counts() -> None:
     # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
     assert figures(run)["refused"] == 60 + 3 * 60
     text = io.StringIO()
-    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(summary(run, "virtual", 1.0)))
     assert "another node sent 60 messages as robot 2" in text.getvalue()
 
 
@@ -325,7 +325,7 @@ def test_what_each_robot_rejected_is_in_the_summary() -> None:
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     text = io.StringIO()
-    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(summary(run, "virtual", 1.0)))
     lines = text.getvalue().splitlines()
     row = next(line for line in lines if line.startswith(" robot 3"))
     for reason, count in rows[3]["rejected"].items():
@@ -460,7 +460,7 @@ def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
     text = io.StringIO()
-    Console(file=text, width=250).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=250).print(summary_table(summary(run, "virtual", 1.0)))
     assert re.search(r"ticks began .* ms late on average.*drift", text.getvalue())
 
 

@@ -40,7 +40,7 @@ def status(url: str, path: str = "/", headers: dict[str, str] | None = None) -> 
 
 def test_only_the_page_itself_is_answered() -> None:
     with serving(LiveFilm.of(Film(STAGE, SAMPLES))) as url:
-        port = urlsplit(url).port
+        port = urlsplit(url).port or 0
         assert url.startswith("http://127.0.0.1:")
         own = {"Origin": f"http://127.0.0.1:{port}", "Sec-Fetch-Site": "same-origin"}
         for headers in ({}, own, {"Host": f"localhost:{port}"}, {"Sec-Fetch-Site": "none"}):
