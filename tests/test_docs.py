@@ -16,10 +16,8 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, PATIENCE, ROOT, require, run
+from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
@@ -55,6 +53,7 @@ CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
+IN_A_BROWSER = "ends with Ctrl-C; tests/host_tools/view/test_browser.py has the page in a browser"
 NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
 )
@@ -73,6 +72,10 @@ NOT_RUN = {
     "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
         "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
     ),
+    "mcp-asdf view run.parquet": IN_A_BROWSER,
+    "mcp-asdf view run.log": IN_A_BROWSER,
+    "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
     "mcp-asdf reproduce --paper": TAKES_LONG,
     "mcp-asdf reproduce --redraw": "redraws what the first has run",
@@ -104,6 +107,8 @@ SLOW = {
     "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --robots 8 --steps 600 "
+    "--filter-period 100 --animate swarm.webp --quiet",
 }
 """Commands that are for ``make verify``."""
 
@@ -112,11 +117,7 @@ NEEDED = {
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
-"""What commands want beside Python and a C compiler, by a part of the command."""
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
+"""Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
 
 
 def commands_in(block: str) -> list[str]:
@@ -144,7 +145,7 @@ def is_run_elsewhere(page: Path, command: str) -> bool:
 
 
 def is_run(page: Path, command: str) -> bool:
-    """Whether it is for the page's own test; ``make`` would set up or test everything."""
+    """True for commands of the page's own test; ``make`` would set up or test everything."""
     others = (*HERE_WITH_MULTICAST, *C_NODES, *NOT_RUN)
     return not (command.startswith("make ") or command in others or is_run_elsewhere(page, command))
 
@@ -219,7 +220,7 @@ def test_a_slow_command_has_a_quick_one_beside_it() -> None:
 @pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
 def test_what_is_not_run_is_parsed(command: str) -> None:
     _, name, *words = shlex.split(command)
-    cli._parser_for(cli._load(name), f"mcp-asdf {name}").parse_args(words)
+    cli._parser_for(name, cli._load(name)).parse_args(words)
 
 
 def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
@@ -325,8 +326,11 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
-    for code in blocks(page, "python"):
-        run(sys.executable, "-c", code, cwd=tmp_path)
+    """One after the other in one process, which loads libraries once, but each in a module of its own."""
+    programs = blocks(page, "python")
+    script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
+    if programs:
+        run(sys.executable, "-c", script, cwd=tmp_path)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

@@ -1,5 +1,5 @@
 /* Assertions for the C tests. A failed check prints what it compared and the values last GIVEN, and the test
- * goes on; check_report() is what main returns. */
+ * goes on, or with CHECK_ONCE ends; check_report() is what main returns. */
 #ifndef CHECK_H
 #define CHECK_H
 
@@ -7,6 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 
 #define CHECK_PRINTED 8  /* failures that are printed; all are counted */
 #define CHECK_SKIPPED 77 /* exit code that CTest shows as "skipped" */
@@ -35,6 +36,9 @@ static inline bool check_that(bool holds, const char *what, const char *file, in
     if (!holds && ++check_state.failures <= CHECK_PRINTED) {
         printf("%s:%d: not so: %s, given %#" PRIx64 ", %#" PRIx64 ", %#" PRIx64 "\n", file, line, what,
                check_state.given[0], check_state.given[1], check_state.given[2]);
+#ifdef CHECK_ONCE
+        exit(EXIT_FAILURE);
+#endif
     }
     return holds;
 }

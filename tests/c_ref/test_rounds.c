@@ -410,6 +410,12 @@ static void no_update_where_x_bar_says_nothing(void)
     for (uint32_t weight = 1; weight < 512; ++weight) {
         CHECK_EQUAL(check_reestimate(1000, 600, weight, weight * MCP_ASDF_HALF), 0);
     }
+    bool is_half = false;
+    for (uint32_t away = 0; away < 64; ++away) { /* rounded, 1/2 to the bit is among them */
+        is_half |= plain_x_bar(alpha, half + away) == ONE_HALF;
+        CHECK_EQUAL(check_reestimate(1000, 600, alpha, half + away), 0);
+    }
+    CHECK(is_half);
 }
 
 /* ---- When the filter runs ---- */

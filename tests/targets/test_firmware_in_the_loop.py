@@ -345,7 +345,7 @@ class Talk:
         return self._random.randbytes(self._random.randrange(60)) + b"?\r"
 
     def request(self) -> bytes:
-        """What hosts and adapters say beside frames."""
+        """A line of a host or an adapter that is no frame."""
         requests = (
             b"\r",
             b"V\r",

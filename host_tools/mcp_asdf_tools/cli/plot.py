@@ -15,7 +15,6 @@ from mcp_asdf_tools.library import PLOTS, PlotChoice, plot_trials
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HELP = "draw results: scores, curves over any parameter, trials over time, robots' paths and who hears whom"
 EPILOG = """\
 examples:
   mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots

@@ -31,7 +31,6 @@ from mcp_asdf_tools.reproduction import (
 )
 from mcp_asdf_tools.robots import FIRMWARES
 
-HELP = "run the paper's whole study and report which of its claims hold"
 EPILOG = """\
 examples:
   mcp-asdf reproduce                                # as many trials and seeds as decide; says how long first
@@ -41,7 +40,8 @@ examples:
   mcp-asdf reproduce --redraw                       # the report again from the results, nothing is run
   mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors
 A run that was interrupted is resumed by the same command: finished trials are kept and not run again.
-exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 130 interrupted (what was finished is kept)"""
+exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
+was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

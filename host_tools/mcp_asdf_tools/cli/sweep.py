@@ -13,7 +13,6 @@ from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common import progress
 from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
-HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
 EPILOG = """\
 examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
@@ -22,7 +21,7 @@ examples:
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.
-exit code: 0 done, 2 bad usage, 130 interrupted (what was finished is kept)"""
+exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

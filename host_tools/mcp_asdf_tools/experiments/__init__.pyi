@@ -9,6 +9,7 @@ from .experiment import Experiment as Experiment
 from .experiment import grid as grid
 from .experiment_files import STUDIES as STUDIES
 from .experiment_files import read_experiments as read_experiments
+from .measurement import QUANTITIES as QUANTITIES
 from .plots import FILTER_NAMES as FILTER_NAMES
 from .results import Trials as Trials
 from .results import experiments_in as experiments_in

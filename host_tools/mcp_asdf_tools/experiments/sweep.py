@@ -17,12 +17,13 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby, islice
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
+from threading import Thread
 
 import pyarrow as pa  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.common import UsageError, check_target, software_versions, stopping
+from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import metadata_of, read_table, table_of, write_table
@@ -209,7 +210,7 @@ def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
 def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
     """Run jobs in processes; yields results as they come. At most two per worker are queued."""
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         running: dict[Future[Measured], Job] = {}
         while True:
@@ -226,19 +227,31 @@ def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Me
         ) from error
     finally:
         for process in set(active_children()) - others:
-            process.terminate()
+            process.kill()  # the signal of terminate() is among those held back; it has nothing to save
         pool.shutdown(cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """Let this worker process end with the one that started it, however that dies."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Keep Ctrl-C from processes that are started in here; this process handles it afterwards.
+    """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
 
     They inherit the signal mask before Python starts in them. In this process another thread may still
     receive the signal, so its handler waits, too.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    with stopping() as is_asked:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             yield
         finally:

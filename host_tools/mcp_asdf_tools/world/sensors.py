@@ -54,7 +54,7 @@ class DriftingSensors:
 
     def _wiener_paths(self, steps: int) -> NDArray[np.float64]:
         """Standard Wiener processes, 0 in the first step of all, shape (steps, robots)."""
-        from scipy.special import ndtri  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+        from scipy.special import ndtri  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
 
         moves = ndtri(self._moves.uniforms(steps, self._step))
         if self._step == 0:

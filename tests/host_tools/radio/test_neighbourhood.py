@@ -8,7 +8,7 @@ import random
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 import pytest
@@ -329,7 +329,7 @@ class Controller(RobotNode):
     def give(self, message: Message, sender: int | None = None) -> Status:
         """Let the firmware have a message, under another id if one is given."""
         own = message.sender if sender is None else sender
-        return self._bus_robot._receive_raw(own, message.x_hat, message.alpha)
+        return cast(FixedPointRobot, self._bus_robot.robot).receive_raw(own, message.x_hat, message.alpha)
 
     def lenient(self, frame: can.Message) -> None:
         """Read an estimate out of anything of 8 bytes."""

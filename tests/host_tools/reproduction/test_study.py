@@ -90,7 +90,7 @@ def test_physical_sensors_are_perfect_and_099_is_assumed() -> None:
     for cell in cells_of(PHYSICAL):
         experiment = experiment_of(cell, Scale())
         assert experiment.true_accuracy == 1
-        assert {experiment.b_hat(robot) for robot in range(experiment.flawed_robots, 8)} <= {0.99}
+        assert {experiment.b_hat(robot) for robot in range(experiment.flawed, 8)} <= {0.99}
 
 
 def test_flawed_robots_are_counted() -> None:
@@ -111,7 +111,7 @@ def test_flawed_robots_are_counted() -> None:
     ],
 )
 def test_the_same_experiment_has_one_form(given: Cell, same: Cell) -> None:
-    """What the normal form leaves out makes no difference to what comes out."""
+    """Settings that the normal form leaves out do not change results."""
     assert given.normal == same.normal
     results = [run_trials(_shortened(cell), 0, 2) for cell in (given, same, given.normal)]
     for other in results[1:]:

@@ -1,0 +1,79 @@
+/* A serial line with any bytes on it, lost ones included, and the node behind it: lines are taken or dropped
+ * whole, the outbox never holds more than it can, what is written is read back, and the robot stays possible.
+ */
+#include "input.h"
+#include "mcp_asdf_image.h"
+#include "node/node.h"
+#include "port.h"
+#include "same_frame.h"
+#include "slcan/slcan_link.h"
+
+extern const uint32_t mcp_asdf_t_table_omega05_q30[];
+
+static const node_settings_t settings = {.table = mcp_asdf_t_table_omega05_q30,
+                                         .comms_period = 1,
+                                         .filter_period = 3,
+                                         .memory = 64,
+                                         .estimate = MCP_ASDF_FORMAT_ESTIMATE,
+                                         .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
+                                         .command = MCP_ASDF_FORMAT_COMMAND,
+                                         .b_hat = UINT32_C(0xC0000000),
+                                         .ticks_per_second = 3,
+                                         .id = 5,
+                                         .lockstep = true};
+
+static bool send(void *link, const mcp_asdf_frame_t *frame)
+{
+    char line[SLCAN_LONGEST];
+    mcp_asdf_frame_t read;
+    const uint8_t length = slcan_write(line, frame);
+    MUST(length == 26 && slcan_read(&read, line, length));
+    MUST(same_frame(&read, frame));
+    return slcan_send(link, frame);
+}
+
+/* A line that was taken is what is written of its frame, but for the size of letters. */
+static void check_line(const char *line, uint8_t length, const mcp_asdf_frame_t *frame)
+{
+    char again[SLCAN_LONGEST];
+    MUST(slcan_write(again, frame) == length);
+    for (uint8_t i = 0; i < length; ++i) {
+        MUST(((line[i] ^ again[i]) & ~0x20) == 0);
+    }
+}
+
+static void any_byte(slcan_link_t *link, node_t *node, int byte)
+{
+    const mcp_asdf_frame_t before = {.id = UINT32_C(0xA5A5A5A5), .length = 8};
+    mcp_asdf_frame_t frame = before;
+    const slcan_link_t then = *link;
+    const slcan_event_t event = slcan_take(link, byte, &frame);
+    MUST(link->length <= SLCAN_LONGEST && link->outbox.waiting <= OUTBOX_SIZE);
+    if (event == SLCAN_FRAME) {
+        check_line(then.line, then.length, &frame);
+        node_hear(node, &frame);
+        MUST(mcp_asdf_invariants_hold(&node->robot));
+    } else if (event == SLCAN_OPENED) {
+        node_start(node);
+    }
+    MUST(event == SLCAN_FRAME || !then.is_open || same_frame(&frame, &before));
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static slcan_link_t link;
+    static node_t node;
+    slcan_start(&link);
+    MUST(node_init(&node, &settings, (node_output_t){send, &link}) == MCP_ASDF_OK);
+    for (size_t i = 0; i < size; ++i) {
+        if (data[i] == 0xFE) { /* the host takes what has waited */
+            while (link.outbox.waiting > 0) {
+                (void)outbox_take(&link.outbox);
+            }
+        } else {
+            any_byte(&link, &node, data[i] == 0xFF ? PORT_LOST : data[i] == 0 ? PORT_NOTHING : data[i]);
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,166 @@
+"""Fuzzing the firmware: its harnesses, how they are compiled, and the inputs that are kept of them.
+
+A harness is a C or C++ file with libFuzzer's entry, which AFL++ takes as well. Everything happens in one
+process, without input or output.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import subprocess
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from support import CORE, ROOT, TABLE, require
+
+HERE = Path(__file__).parent
+CORPORA = HERE / "corpus"
+BUILD = ROOT / "build/fuzz"
+PORTS = ROOT / "c_ref/ports"
+VARIANTS = ("1001", "2100", "3010", "4000")
+"""Builds of the firmware that run side by side: the digits are those of ``tests/c_ref``. Together they have
+every way to divide, multiply and shift."""
+CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+
+COVERAGE = "-fsanitize-coverage=inline-8bit-counters,pc-table"
+"""Options that libFuzzer needs; comparisons are not traced, which would take most of the time."""
+FAST = ("-O2", COVERAGE, "-fsanitize=undefined", "-fsanitize-trap=undefined")
+CHECKED = ("-O1", "-g", COVERAGE, "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+@dataclass(frozen=True)
+class Harness:
+    """One program that is fuzzed.
+
+    Attributes:
+        sources: What it is linked with, beside the file ``fuzz_NAME``.
+        longest: Bytes of its longest input.
+    """
+
+    name: str
+    sources: tuple[Path, ...]
+    longest: int
+
+    @property
+    def corpus(self) -> Path:
+        """Its inputs, each a line of hexadecimal digits."""
+        return CORPORA / f"{self.name}.txt"
+
+    def build(self, flags: tuple[str, ...] = CHECKED, compiler: str = "clang") -> Path:
+        """The program, compiled if none of its sources, the compiler and the flags is what it was."""
+        require(compiler, "clang libclang-rt-dev")
+        own = next(HERE.glob(f"fuzz_{self.name}.c*"))
+        told = hashlib.sha256(
+            repr((flags, compiler, *(each.read_bytes() for each in _everything()))).encode()
+        )
+        program = BUILD / f"{self.name}-{told.hexdigest()[:16]}"
+        if not program.exists():
+            BUILD.mkdir(parents=True, exist_ok=True)
+            _link(program, [own, *self.sources], flags, compiler)
+        return program
+
+    def unpack(self, folder: Path) -> Path:
+        """A folder with its kept inputs, as fuzzers like them: a file each."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for line in self.corpus.read_text(encoding="ascii").split():
+            data = bytes.fromhex(line)
+            (folder / hashlib.sha256(data).hexdigest()[:16]).write_bytes(data)
+        return folder
+
+    def keep(self, folder: Path) -> None:
+        """Make the inputs of a folder the kept ones."""
+        lines = sorted(
+            (each.read_bytes().hex() for each in folder.iterdir()), key=lambda each: (len(each), each)
+        )
+        CORPORA.mkdir(exist_ok=True)
+        self.corpus.write_text("\n".join(filter(None, lines)) + "\n", encoding="ascii")
+
+
+_CODEC = CORE.with_name("mcp_asdf_frame.c")
+_NODE = tuple(sorted((PORTS / "node").glob("*.c")))
+_SLCAN = tuple(PORTS / "slcan" / name for name in ("slcan.c", "slcan_commands.c", "slcan_link.c"))
+HARNESSES = {
+    each.name: each
+    for each in (
+        Harness("api", (HERE / "variant.c", TABLE), 64),
+        Harness("codec", (_CODEC,), 32),
+        Harness("slcan", (*_SLCAN, *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
+        Harness("node", (), 128),
+        Harness("radio", (PORTS / "packet_radio.c",), 96),
+    )
+}
+
+
+@cache
+def _everything() -> list[Path]:
+    """Sources of the programs, whether or not one needs all of them."""
+    folders = (HERE, CORE.parent, TABLE.parent, *(PORTS / name for name in ("", "node", "slcan", "linux")))
+    return sorted(each for folder in folders for each in folder.glob("*.[ch]*") if each.is_file())
+
+
+def _link(program: Path, sources: list[Path], flags: tuple[str, ...], compiler: str) -> None:
+    """Each source by itself, as the variants are one source under many names."""
+    objects = []
+    for source in sources:
+        for variant in VARIANTS if source.name == "variant.c" else ("",):
+            chosen = [f"-DMCP_ASDF_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=False)]
+            made = program.with_name(f"{program.name}-{source.stem}{variant}-{os.getpid()}.o")
+            words = ("-std=c++17", f"{compiler}++") if source.suffix == ".cpp" else ("-std=c99", compiler)
+            includes = (f"-I{CORE.parent}", f"-I{PORTS}")
+            command = (
+                words[1],
+                words[0],
+                "-D_GNU_SOURCE",
+                *flags,
+                *includes,
+                f"-DVARIANT={variant}",
+                *chosen,
+            )
+            subprocess.run((*command, "-c", source, "-o", made), check=True)
+            objects.append(made)
+    sanitizers = [flag for flag in flags if flag.startswith("-fsanitize=")]
+    part = program.with_name(f"{program.name}-{os.getpid()}.part")
+    subprocess.run(
+        (f"{compiler}++", *sanitizers, "-fsanitize=fuzzer", *objects, "-lm", "-o", part), check=True
+    )
+    part.replace(program)
+    for each in objects:
+        each.unlink()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a run.
+
+    Attributes:
+        executions: Inputs tried.
+        finding: The input for which the harness failed, or nothing.
+        said: What the program printed.
+    """
+
+    executions: int
+    finding: bytes
+    said: str
+
+
+def run(program: Path, folder: Path, *options: str) -> Outcome:
+    """Run a harness over or from the inputs in a folder."""
+    findings = folder.with_name(f"{folder.name}-findings")
+    findings.mkdir(parents=True, exist_ok=True)
+    for each in findings.iterdir():
+        each.unlink()
+    done = subprocess.run(
+        (program, f"-artifact_prefix={findings}/", "-print_final_stats=1", *options, folder),
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    counted = re.search(r"stat::number_of_executed_units: (\d+)", done.stderr)
+    found = next((each.read_bytes() for each in findings.iterdir()), b"")
+    if done.returncode != 0 and not found:
+        found = b"\0"
+    return Outcome(int(counted[1]) if counted else 0, found, done.stderr)
