@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from mcp_asdf_tools.common import UsageError
 
@@ -82,7 +82,7 @@ def read_picture(path: str) -> ImageFile:
         content = Path(path).read_bytes()
         with Image.open(BytesIO(content)) as image:
             grey = np.asarray(image.convert("L"))
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+    except Exception as error:  # readers raise errors of any kind
         raise UsageError(f"cannot read the picture {path}: {error}") from error
     return ImageFile(grey < _BLACK_BELOW, hashlib.sha256(content).hexdigest())
 
