@@ -1,4 +1,4 @@
-"""What a terminal shows of a running swarm, and what a pipe gets."""
+"""Pictures of a running swarm for terminals, and lines for pipes."""
 
 from __future__ import annotations
 
