@@ -16,10 +16,8 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, PATIENCE, ROOT, require, run
+from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
@@ -79,11 +77,20 @@ NOT_RUN = {
     "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
     "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
-    "mcp-asdf reproduce --part fully_connected --seed 2 --output second": TAKES_LONG,
-    "mcp-asdf reproduce --firmware reference --conventions authors --output authors": TAKES_LONG,
+    "mcp-asdf reproduce --paper": TAKES_LONG,
+    "mcp-asdf reproduce --redraw": "redraws what the first has run",
+    "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
+    "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
+        TAKES_LONG
+    ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
+    "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
+    "mcp-asdf sweep explore.toml": TAKES_LONG,
+    "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
+        "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
+    ),
     "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
@@ -111,10 +118,6 @@ NEEDED = {
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
 """Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
 
 
 def commands_in(block: str) -> list[str]:

@@ -73,6 +73,24 @@ static void prepare_bounds_for_every_divisor(void)
 }
 #endif
 
+/* Only damaged memory has other divisors: reciprocals stay those of an end of the range, so that no index or
+ * conversion leaves its own. */
+static void divisors_out_of_range_are_those_at_its_ends(void)
+{
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
+    for (uint32_t d = D_MAX; d >= D_MAX; d += UINT32_C(1) << 23) { /* until it wraps */
+        const uint32_t y_r = ((d >> 8) + 1) * 256;
+        GIVEN(d, 0, 0);
+        CHECK_EQUAL(prepare(d), 256 * ((0 - y_r) >> 9) >> 15);
+    }
+#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
+    for (uint32_t d = 0; d < HALF_MIN; d += UINT32_C(1) << 20) {
+        GIVEN(d, 0, 0);
+        CHECK_EQUAL(prepare(d), prepare(HALF_MIN));
+    }
+#endif
+}
+
 /* A digit is never too large, and the rest it leaves is below 2 d: exactly what modulo 2^32 shows of it. */
 static void check_digit(uint64_t rest, uint32_t d, uint32_t bits)
 {
@@ -118,6 +136,7 @@ static void digits_are_within_their_bounds(void)
     every_reciprocal_is_rounded();
 #endif
     prepare_bounds_for_every_divisor();
+    divisors_out_of_range_are_those_at_its_ends();
     digits_are_less_than_two_too_small();
 }
 #endif

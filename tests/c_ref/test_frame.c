@@ -89,6 +89,7 @@ static void examples_telemetry_and_command(void)
     mcp_asdf_telemetry_t seen;
     CHECK_EQUAL(mcp_asdf_encode_telemetry(&frame, &telemetry_format, &telemetry), MCP_ASDF_FRAME_OK);
     CHECK(same_frame(&frame, &expected));
+    memset(&seen, 0xA5, sizeof seen);
     CHECK_EQUAL(mcp_asdf_decode_telemetry(&seen, 3001, &frame), MCP_ASDF_FRAME_OK);
     CHECK(seen.node == 42 && seen.transfer_id == 5 && seen.updates == 7);
     CHECK(seen.x == telemetry.x && seen.b_hat == telemetry.b_hat);
@@ -98,6 +99,7 @@ static void examples_telemetry_and_command(void)
     expected = legal(3);
     CHECK_EQUAL(mcp_asdf_encode_command(&frame, &commands, &command), MCP_ASDF_FRAME_OK);
     CHECK(same_frame(&frame, &expected));
+    memset(&order, 0xA5, sizeof order);
     CHECK_EQUAL(mcp_asdf_decode_command(&order, 3002, &frame), MCP_ASDF_FRAME_OK);
     CHECK(order.node == 42 && order.transfer_id == 5 && order.target == 17);
     CHECK(order.action == MCP_ASDF_SETTLE && order.tick == command.tick);

@@ -148,6 +148,11 @@ static void closed_round_is_a_mean(void)
     KEEPS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 0));
     BREAKS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 1));
     BREAKS((robot.closed.alpha = 511, robot.closed.alpha_x_high = 1, robot.closed.alpha_x_low = 0));
+    KEEPS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 0,
+           robot.closed.alpha_x_low = UINT64_C(1) << 32));
+    BREAKS((robot.closed.alpha = 512, robot.closed.alpha_x_high = 0,
+            robot.closed.alpha_x_low = UINT64_C(1) << 33));
+    KEEPS((robot.closed.alpha = most, robot.closed.alpha_x_high = MOST * UINT64_C(0x7FFFFF) * one));
     KEEPS(robot.closed.alpha = most);
     BREAKS(robot.closed.alpha = most + 1);
     KEEPS((robot.closed.alpha = most, robot.closed.alpha_x_low = (UINT64_C(1) << 62) - 1));
@@ -186,7 +191,8 @@ static void open_sums_are_those_of_messages(void)
 static void confidence_is_at_least_a_unit_a_message(void)
 {
     mcp_asdf_open_t open = {2, 0, 0, 0, 0, 2};
-    KEEPS((robot.open = open, robot.heard.of[0] = 3));
+    KEEPS((robot.open = open, robot.heard.of[0] = 3, robot.heard.of[15] = 0));
+    BREAKS((robot.open = open, robot.heard.of[0] = 1, robot.heard.of[15] = 0)); /* one sender for two */
     --open.alpha;
     BREAKS((robot.open = open, robot.heard.of[0] = 3));
     open.count = 0;
@@ -215,6 +221,16 @@ static void senders_are_counted(void)
         robot.heard.of[bit / 8] = flip;
         CHECK(mcp_asdf_invariants_hold(&robot)); /* each bit is one sender */
     }
+}
+
+/* Checking it would take a time that grows with its length. */
+static void the_table_is_not_looked_at(void)
+{
+    static const uint32_t nonsense[] = {1, 2, 3};
+    static const mcp_asdf_config_t damaged = {nonsense, 6, 1000, MCP_ASDF_ADAPTIVE};
+    static const mcp_asdf_config_t missing = {0, 6, 1000, MCP_ASDF_ADAPTIVE};
+    KEEPS(robot.config = &damaged);
+    KEEPS(robot.config = &missing);
 }
 
 static void rounds_left_stay_in_the_period(void)
@@ -404,6 +420,7 @@ int main(void)
     open_sums_are_those_of_messages();
     confidence_is_at_least_a_unit_a_message();
     senders_are_counted();
+    the_table_is_not_looked_at();
     rounds_left_stay_in_the_period();
     image_holds_the_state();
     every_flipped_bit_is_refused();

@@ -18,7 +18,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
 
 SHORT = m.Experiment(robots=4, steps=120, filter_period=20, trials=3, flawed=1)
-SETTINGS = m.SwarmSettings(robots=4, steps=60, filter_period=20, flawed=1, faults=("loss=0.2",))  # type: ignore[arg-type]
+SETTINGS = m.SwarmSettings(robots=4, steps=60, filter_period=20, flawed=1, faults=("loss=0.2",))
 
 
 def test_the_page_has_every_name() -> None:

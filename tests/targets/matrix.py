@@ -164,10 +164,13 @@ def cells_of(target: Target) -> list[Cell]:
     ]
 
 
-def build(preset: str, folder: Path, *settings: str) -> Path:
-    """Build the player in ``folder``; returns the image. Raises BuildError with all that was said."""
+def build(preset: str, folder: Path, *settings: str, only: str = "all") -> Path:
+    """Build the player and the ports, or ``only`` a target of CMake's, in ``folder``; returns the image.
+
+    Raises BuildError with all that was said.
+    """
     _tool("cmake", "--preset", preset, "-B", str(folder), *(f"-D{setting}" for setting in settings))
-    _tool("cmake", "--build", str(folder))
+    _tool("cmake", "--build", str(folder), "--target", only)
     return folder / IMAGE
 
 

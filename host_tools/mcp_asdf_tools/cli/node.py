@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from can.typechecking import CanFilters
@@ -29,7 +28,7 @@ from mcp_asdf_tools.common import (
     stopping,
     write_atomically,
 )
-from mcp_asdf_tools.recording import SidecarHeader
+from mcp_asdf_tools.recording import SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -73,13 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep what the node sends and hears: .log (candump), .asc, .blf, .csv, .trc, .txt; "
-        "FILE.events gets what it needs for a replay, FILE.json parameters and results",
-    )
+    add_log_option(output, "FILE.events gets what a replay needs, FILE.json parameters and results")
     output.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 

@@ -40,7 +40,7 @@ from mcp_asdf_tools.radio import (
     sections,
     write_verification_report,
 )
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -90,13 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; with --verify FILE.events gets "
-        "what 'mcp-asdf replay FILE' needs",
-    )
+    add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
 
 
 def run(args: argparse.Namespace) -> int:

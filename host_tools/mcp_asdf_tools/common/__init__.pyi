@@ -21,6 +21,7 @@ from .files import results_beside as results_beside
 from .files import write_atomically as write_atomically
 from .growing_files import PART as PART
 from .growing_files import GrowingFiles as GrowingFiles
+from .parameters import Given as Given
 from .parameters import Meaning as Meaning
 from .parameters import ParameterError as ParameterError
 from .parameters import as_type as as_type
@@ -29,6 +30,7 @@ from .parameters import check_types as check_types
 from .parameters import meaning_of as meaning_of
 from .parameters import member_of as member_of
 from .parameters import parameter as parameter
+from .parameters import parameters as parameters
 from .parameters import plain_value as plain_value
 from .parameters import special_parameter as special_parameter
 from .progress_bar import progress as progress

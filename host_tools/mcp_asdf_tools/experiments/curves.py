@@ -107,7 +107,7 @@ def _panel(trials: Trials, x: str, hue: str) -> Panel:
 def value_of(experiment: Experiment, name: str) -> Any:
     """A parameter's value for an axis: P as a share, words for choices."""
     if name == "flawed":
-        return experiment.flawed_robots / experiment.robots
+        return experiment.flawed / experiment.robots
     return experiment.parameters()[name]
 
 

@@ -135,7 +135,7 @@ Slot = tuple[float, float]
 
 def _slot(trials: Trials) -> Slot:
     experiment = trials.experiment
-    if not experiment.flawed_robots:
+    if not experiment.flawed:
         return 0.0, 0.0
     return _share(trials), round(experiment.flawed_accuracy - experiment.true_accuracy, 9)
 
@@ -299,7 +299,7 @@ def _in_panel(experiments: Sequence[Trials], f: float, b: float) -> list[Trials]
 
 
 def _share(trials: Trials) -> float:
-    return trials.experiment.flawed_robots / trials.experiment.robots
+    return trials.experiment.flawed / trials.experiment.robots
 
 
 def _check_size(panels: int, series: int) -> None:
@@ -354,7 +354,7 @@ def _draw_series(column: Sequence[Axes], trials: Trials, index: int) -> None:
         values = trials.records[quantity][index]
         steps = np.linspace(0, experiment.steps // (len(values) - 1) * (len(values) - 1), len(values))
         for robot in range(experiment.robots - 1, -1, -1):  # flawed ones on top
-            colour = FLAWED if robot < experiment.flawed_robots else OTHER
+            colour = FLAWED if robot < experiment.flawed else OTHER
             # b_hat jumps at updates and stands still between them.
             style = "steps-post" if quantity == "b_hat" else "default"
             axes.plot(steps, values[:, robot], color=colour, linewidth=1.2, alpha=0.75, drawstyle=style)
@@ -398,7 +398,7 @@ def bands(experiments: Sequence[Trials]) -> Figure:
 
 def _draw_bands(axes: Axes, trials: Trials) -> None:
     experiment = trials.experiment
-    flawed = experiment.flawed_robots
+    flawed = experiment.flawed
     steps = experiment.filter_period * np.arange(1, trials.b_hat.shape[1] + 1)
     for colour, values in ((FLAWED, trials.b_hat[..., :flawed]), (OTHER, trials.b_hat[..., flawed:])):
         if values.size:
@@ -415,7 +415,7 @@ def _draw_bands(axes: Axes, trials: Trials) -> None:
 
 
 def _corruption_of(trials: Trials) -> str:
-    unflawed = trials.b_hat[:, -1, trials.experiment.flawed_robots :]
+    unflawed = trials.b_hat[:, -1, trials.experiment.flawed :]
     if not unflawed.size:
         return "all robots flawed"
     right = trials.experiment.unflawed_accuracy or trials.experiment.true_accuracy

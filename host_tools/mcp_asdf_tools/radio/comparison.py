@@ -162,5 +162,5 @@ def _value(name: str, value: int) -> str:
 
 
 def is_from(frame: can.Message, robot: int) -> bool:
-    """Whether a frame names ``robot`` as its sender."""
+    """True if a frame names ``robot`` as its sender."""
     return frame.is_extended_id and not frame.is_error_frame and frame.arbitration_id & MAX_NODE_ID == robot

@@ -32,7 +32,7 @@ LONGEST_MEMORY = 20_000
 
 
 class Update(Enum):
-    """What a test that rejects does to b_hat; the value describes it."""
+    """Effect on b_hat of a test that rejects; the value describes it."""
 
     ABOVE = "b_hat above 1/2, off the limit"
     BELOW = "b_hat below 1/2, off the limit"
@@ -124,27 +124,27 @@ class Coverage:
 
 
 def filters(config: TickConfig) -> bool:
-    """Whether the robot re-estimates b_hat at all."""
+    """True if the robot re-estimates b_hat at all."""
     return config.filter is not Filter.OFF
 
 
 def is_adaptive(config: TickConfig) -> bool:
-    """Whether the robot runs the hypothesis test."""
+    """True if the robot runs the hypothesis test."""
     return config.filter is Filter.ADAPTIVE
 
 
 def is_in_reach(config: TickConfig) -> bool:
-    """Whether the tests of the filter come often enough for a run."""
+    """True if the tests of the filter come often enough for a run."""
     return TESTS * config.filter_period <= MOST_TICKS
 
 
 def has_quiet_rounds(config: TickConfig) -> bool:
-    """Whether some rounds end without a test."""
+    """True if some rounds end without a test."""
     return filters(config) and config.filter_period > config.comms_period
 
 
 def is_halved(config: TickConfig) -> bool:
-    """Whether the memory is short enough for a run to fill it."""
+    """True if the memory is short enough for a run to fill it."""
     return config.memory <= LONGEST_MEMORY
 
 
@@ -200,7 +200,7 @@ def not_exercised(run: Coverage) -> list[str]:
 
 
 def not_checked(run: Coverage) -> list[str]:
-    """What a verdict on a controller of this configuration says nothing about."""
+    """Properties that a verdict on a controller of this configuration leaves open."""
     config = run.config
     sizes = ", ".join(map(str, CRAFTED_SIZES))
     limits = (

@@ -5,8 +5,8 @@ The one place that says which firmware a controller must equal, bit for bit.
 
 from __future__ import annotations
 
-from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN
+from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
 from mcp_asdf.robot import Config, Observation, Status
 from mcp_asdf_tools.radio.coverage import Coverage, Update, filters, is_adaptive
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
@@ -78,7 +78,7 @@ class WatchedMirror(MirrorRobot):
         return is_updated
 
     def would_reject(self) -> bool:
-        """Whether a test now would lead to a re-estimate of b_hat, unless x_bar is 1/2."""
+        """True if a test now would lead to a re-estimate of b_hat, unless x_bar is 1/2."""
         s, config = self.s, self._coverage.config
         if not is_adaptive(config):
             return bool(filters(config) and s.t and s.open.count)

@@ -75,7 +75,7 @@ class _Renumbered:
 
     @property
     def hears(self) -> NDArray[np.bool_]:
-        """Whether robot i hears j, by id."""
+        """True if robot i hears j, by id."""
         hears = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
         hears[np.ix_(self._ids, self._ids)] = self._world.hears
         return hears

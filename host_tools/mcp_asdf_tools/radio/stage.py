@@ -107,7 +107,7 @@ class Stage:
 
     @property
     def situation(self) -> Situation:
-        """What rounds are crafted for."""
+        """Purposes for which rounds are crafted."""
         s, config = self.model.firmware.s, self.settings.controller.config
         return Situation(s.t, s.n, s.x_hat, config.table if is_adaptive(config) else None)
 

@@ -1,5 +1,6 @@
 """Recordings of a bus and of what each robot saw: written, read and replayed."""
 
+from .frame_logs import add_log_option as add_log_option
 from .frame_logs import read_log as read_log
 from .recording import LogOutputs as LogOutputs
 from .recording import NoRecording as NoRecording

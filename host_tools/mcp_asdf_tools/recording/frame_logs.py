@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import io
 import struct
@@ -23,6 +24,12 @@ from mcp_asdf_tools.common import PART, UsageError
 _WRITABLE = (".log", ".asc", ".blf", ".csv", ".trc", ".txt")
 _CUT = (EOFError, struct.error, zlib.error, BLFParseError)
 """Errors of readers at the end of a file that was cut."""
+
+
+def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
+    """Declare ``--log``; ``beside`` names the contents of the files beside the log."""
+    text = f"keep all frames: {', '.join(_WRITABLE)} (candump's is .log); {beside}"
+    output.add_argument("--log", metavar="FILE", type=Path, help=text)
 
 
 # --- Writing ---------------------------------------------------------------------------------------------
@@ -82,7 +89,7 @@ class FrameLog:
 
 
 def _is_word(channel: object) -> bool:
-    """Whether candump's format can hold the name of a channel."""
+    """True if candump's format can hold the name of a channel."""
     return isinstance(channel, str) and channel.split() == [channel]
 
 

@@ -10,7 +10,6 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import can
-import numpy as np
 
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import (
@@ -25,7 +24,7 @@ from mcp_asdf_tools.bus import (
     frame_as_text,
 )
 from mcp_asdf_tools.recording.sidecar import SidecarReader
-from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Decoder, Event, RobotRecord
+from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Decoder, Estimates, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
 _SLICE = 0.1
@@ -72,7 +71,7 @@ class Rerun:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
         for is_message, group in groupby(events, _is_message):
             if is_message:
-                self._robot.receive(np.array(list(group), np.uint32))
+                self._robot.receive(Estimates.of([each for each in group if isinstance(each, list)]))
                 continue
             for event in group:
                 self._suffer(event)

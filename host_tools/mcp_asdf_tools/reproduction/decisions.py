@@ -34,7 +34,7 @@ class Decision:
 
     @property
     def key(self) -> tuple[str, Part | None]:
-        """What distinguishes it from others of the same study."""
+        """Words that distinguish it from others of the same study."""
         return self.claim.name, self.part
 
     @property
@@ -44,11 +44,11 @@ class Decision:
 
 
 Decided = Sequence[Decision]
-"""What came out of all claims."""
+"""Decisions on all claims."""
 
 
 def abouts(claim: Claim) -> tuple[Part | None, ...]:
-    """What a claim is decided for: each of its parts, or the equations."""
+    """Scope of a decision: each part of a claim, or the equations."""
     return claim.parts or (None,)
 
 

@@ -118,7 +118,7 @@ def _boxes(part: Part, own: Filtering, paper: str) -> ReportFigure:
         return [
             each
             for each in every(drawn)
-            if not (all_are_flawed and each.experiment.flawed_robots == each.experiment.robots)
+            if not (all_are_flawed and each.experiment.flawed == each.experiment.robots)
         ]
 
     return ReportFigure(

@@ -77,7 +77,7 @@ _QUESTIONS: tuple[tuple[str, str, tuple[Part, ...]], ...] = (
         (Part.PHYSICAL,),
     ),
 )
-"""What a user wants to know, and the claims that answer it."""
+"""Questions of users, and the claims that answer them."""
 
 Verdicts = Mapping[tuple[str, Part | None], Sequence[Verdict]]
 """Of each claim and part with each seed."""
@@ -96,7 +96,7 @@ def verdicts_of(runs: Sequence[Run]) -> Verdicts:
 
 
 def overview(decided: Decided, scale: Scale) -> str:
-    """What holds, where, and what that means for a user: at most one screen."""
+    """The claims that hold, where, and their meaning for a user: at most one screen."""
     lines = ["# The paper's study, run again", ""]
     if not scale.allows_verdicts:
         return "\n".join([*lines, TOO_SHORT])
@@ -139,7 +139,7 @@ def _answer(decision: Decision) -> str:
 
 
 def introduction(parts: Iterable[Part], runs: Sequence[Run], scale: Scale) -> str:
-    """What was run, with seeds and versions."""
+    """The runs, with seeds and versions."""
     versions = ", ".join(f"{name} {version}" for name, version in software_versions().items())
     head = (
         f"{scale.firmware.capitalize()} firmware, conventions of the {scale.conventions.value}; {versions}. "

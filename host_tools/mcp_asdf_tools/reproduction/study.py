@@ -95,7 +95,7 @@ def cells_of(part: Part) -> tuple[Cell, ...]:
             each.fill_ratio,
             each.true_accuracy,
             each.flawed_accuracy,
-            round(100 * each.flawed_robots / each.robots),
+            round(100 * each.flawed / each.robots),
             each.filter,
             each.filter_period,
         )
@@ -128,7 +128,7 @@ ENOUGH = {
     Part.DYNAMIC: Effort(60, 240, 2),
     Part.PHYSICAL: Effort(300, 1200, 3),
 }
-"""What decides nearly all comparisons, and says whether another seed decides alike."""
+"""Enough for nearly all comparisons, and to see whether another seed decides alike."""
 
 PAPER_TRIALS = 30
 PAPER_STEPS = 40_000
@@ -163,7 +163,7 @@ class Scale:
 
     @property
     def allows_verdicts(self) -> bool:
-        """Whether trials are as many and as long as the paper's."""
+        """True if trials are as many and as long as the paper's."""
         return self.steps >= PAPER_STEPS and (self.trials or PAPER_TRIALS) >= PAPER_TRIALS
 
 

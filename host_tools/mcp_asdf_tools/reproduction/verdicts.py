@@ -81,7 +81,7 @@ class Comparison:
 
     @property
     def holds(self) -> bool | None:
-        """Whether the claim is right here; None if the interval leaves it open."""
+        """True if the claim is right here; None if the interval leaves it open."""
         return _RULES[self.expectation](self.estimate, self.size)
 
 

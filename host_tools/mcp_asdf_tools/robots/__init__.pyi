@@ -34,8 +34,10 @@ from .node_run import state_of as state_of
 from .observations import LineSource as LineSource
 from .observations import ObservationSource as ObservationSource
 from .observations import WorldSource as WorldSource
+from .options import add_estimate_options as add_estimate_options
 from .options import add_robot_options as add_robot_options
 from .options import add_subject_options as add_subject_options
+from .options import format_of as format_of
 from .options import robot_arguments as robot_arguments
 from .options import robot_of as robot_of
 from .options import subject_arguments as subject_arguments
@@ -48,8 +50,9 @@ from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
 from .reception import Content as Content
 from .reception import Decoder as Decoder
+from .reception import Estimates as Estimates
 from .reception import Reception as Reception
-from .reception import words_of as words_of
+from .reception import rows_of as rows_of
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig

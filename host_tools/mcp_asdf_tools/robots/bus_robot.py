@@ -7,7 +7,7 @@ differ in when heartbeats and telemetry are due, and in what carries the frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -23,7 +23,6 @@ from mcp_asdf_tools.bus import (
     FrameFormat,
     Heartbeat,
     Message,
-    Rejection,
     Telemetry,
     encode,
     encode_heartbeat,
@@ -31,7 +30,7 @@ from mcp_asdf_tools.bus import (
 )
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.firmwares import Words
-from mcp_asdf_tools.robots.reception import Decoder, Reception, words_of
+from mcp_asdf_tools.robots.reception import Content, Decoder, Estimates, Reception, rows_of
 from mcp_asdf_tools.robots.rounds import TickedRobot
 
 
@@ -95,28 +94,26 @@ class Participant:
     def hear(self, *frames: can.Message) -> None:
         """Take any frames of other nodes, in the order in which they came. A dead robot hears nothing."""
         contents = [self._decode(frame) for frame in frames]
-        self.receive(words_of([content for content in contents if isinstance(content, Message)]))
-        for content in contents:
-            if not isinstance(content, Message):
-                self.count(content)
+        self.receive(Estimates.of(rows_of(contents)))
+        self.count([content for content in contents if not isinstance(content, Message)])
 
-    def receive(self, words: Words) -> None:
-        """Hand estimates to the firmware, see ``words_of``. A dead robot receives nothing. O(estimates)."""
+    def receive(self, estimates: Estimates) -> None:
+        """Hand estimates to the firmware. A dead robot receives nothing. O(estimates)."""
         if not self.is_alive:
             return
         if self.recorder is not None:
-            self.recorder.receive(words.tolist())
-        accepted = self._ticked.receive_all(words)
+            self.recorder.receive(estimates.texts)
+        received, accepted = len(estimates), self._ticked.receive_all(estimates.words)
         self.heard += accepted
-        self.reception.delivered += len(words)
-        if accepted < len(words):
-            self.reception.refused += len(words) - accepted
-            self.reception.id_conflicts += words[:, 0].tolist().count(self.id)
+        self.reception.delivered += received
+        if accepted < received:
+            self.reception.refused += received - accepted
+            self.reception.id_conflicts += estimates.words[:, 0].tolist().count(self.id)
 
-    def count(self, content: Heartbeat | Telemetry | Rejection) -> None:
-        """Count a frame that is no estimate. A dead robot counts nothing."""
-        if self.is_alive:
-            self.reception.count(content)
+    def count(self, contents: Sequence[Content]) -> None:
+        """Count frames that are no estimates. A dead robot counts nothing."""
+        if self.is_alive and contents:
+            self.reception.count(contents)
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
@@ -127,7 +124,7 @@ class Participant:
             self.reception.strays += 1
             self.reception.id_conflicts += content.sender == self.id
         else:
-            self.reception.count(content)
+            self.reception.count([content])
 
     def settle(self) -> None:
         """End the tick."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Iterable
 
 import can
 
@@ -29,9 +28,9 @@ class Recorder:
         """The robot began a tick and observed ``z``, if anything."""
         self._parts.append(str(Action.observing(z).value))
 
-    def receive(self, messages: Iterable[Sequence[int]]) -> None:
-        """The robot took messages, each of a sender and the raw values of x_hat and alpha."""
-        self._parts.extend(_message_text(*each) for each in messages)
+    def receive(self, messages: Iterable[str]) -> None:
+        """The robot took messages, each a ``message_text``."""
+        self._parts.extend(messages)
 
     def settle(self) -> None:
         """The robot ended the tick."""
@@ -61,6 +60,6 @@ class Recorder:
             self._parts = [self._head]
 
 
-@lru_cache(maxsize=1024)  # the neighbours of a sender all take the same
-def _message_text(sender: int, x_hat: int, alpha: int) -> str:
+def message_text(sender: int, x_hat: int, alpha: int) -> str:
+    """The event of a message with these raw values."""
     return f"[{sender},{x_hat},{alpha}]"

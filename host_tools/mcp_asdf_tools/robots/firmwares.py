@@ -26,9 +26,9 @@ FIRMWARES = {
 }
 
 
-def firmware_names() -> list[str]:
+def firmware_names() -> extensions.Names:
     """Names of the firmwares that come with the project, then of installed extensions."""
-    return [*FIRMWARES, *extensions.names(extensions.FIRMWARES)]
+    return extensions.Names(FIRMWARES, extensions.FIRMWARES)
 
 
 def load_firmware(name: str) -> RobotMaker:

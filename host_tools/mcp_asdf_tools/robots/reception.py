@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import (
     FrameFormat,
@@ -19,6 +20,7 @@ from mcp_asdf_tools.bus import (
     decode_heartbeat,
     decode_telemetry,
 )
+from mcp_asdf_tools.robots.events import message_text
 from mcp_asdf_tools.robots.firmwares import Words
 
 Content = Message | Heartbeat | Telemetry | Rejection
@@ -88,19 +90,52 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def count(self, content: Heartbeat | Telemetry | Rejection) -> None:
-        """Count a frame that is no estimate."""
-        if isinstance(content, Heartbeat):
-            self.heartbeats += 1
-        elif isinstance(content, Telemetry):
-            self.telemetry += 1
-            self.last_telemetry[content.sender] = content
-        elif content is Rejection.ERROR_FRAME:
-            self.errors += 1
-        else:
-            self.rejected[content] += 1
+    def count(self, contents: Sequence[Content]) -> None:
+        """Count frames that are no estimates."""
+        kinds = Counter(map(type, contents))
+        self.heartbeats += kinds[Heartbeat]
+        if kinds[Telemetry]:
+            telemetry = [each for each in contents if isinstance(each, Telemetry)]
+            self.telemetry += len(telemetry)
+            self.last_telemetry.update((each.sender, each) for each in telemetry)
+        if kinds[Rejection]:
+            reasons = Counter(each for each in contents if isinstance(each, Rejection))
+            self.errors += reasons.pop(Rejection.ERROR_FRAME, 0)
+            self.rejected.update(reasons)
 
 
-def words_of(messages: Sequence[Message]) -> Words:
-    """Estimates for a firmware, shape (messages, 3)."""
-    return np.array([(each.sender, each.x_hat, each.alpha) for each in messages], np.uint32).reshape(-1, 3)
+class Estimates:
+    """Estimates as a firmware and a recorder take them.
+
+    Attributes:
+        words: Shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``.
+        texts: The same as events, shape (estimates,).
+    """
+
+    __slots__ = ("texts", "words")
+
+    def __init__(self, words: Words, texts: NDArray[np.object_]) -> None:
+        self.words = words
+        self.texts = texts
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[int]]) -> Estimates:
+        """Estimates of these senders, x_hat and alpha."""
+        texts = np.array([message_text(*row) for row in rows], np.object_)
+        return cls(np.array(rows, np.uint32).reshape(-1, 3), texts)
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+    def __getitem__(self, which: NDArray[np.bool_] | Sequence[int]) -> Estimates:
+        """Some of them: those of a mask, or these numbers."""
+        return Estimates(self.words[which], self.texts[which])
+
+    def __add__(self, others: Estimates) -> Estimates:
+        words = np.concatenate((self.words, others.words))
+        return Estimates(words, np.concatenate((self.texts, others.texts)))
+
+
+def rows_of(contents: Sequence[Content]) -> list[tuple[int, int, int]]:
+    """Senders, x_hat and alpha of the estimates among ``contents``."""
+    return [(each.sender, each.x_hat, each.alpha) for each in contents if isinstance(each, Message)]

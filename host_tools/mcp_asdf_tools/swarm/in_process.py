@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import Message
-from mcp_asdf_tools.robots import BusRobot, Content, Decoder, FrameTaker, Words, words_of
+from mcp_asdf_tools.robots import BusRobot, Decoder, Estimates, FrameTaker, rows_of
 from mcp_asdf_tools.swarm.air import Air, Arrivals
 from mcp_asdf_tools.swarm.transmission import SentFrame
 
@@ -43,38 +43,36 @@ class InProcess:
         """Let every robot hear what it hears in this tick."""
         sent, self._sent = self._sent, []
         arrivals = self._air.arrivals(tick, sent)
-        contents = [self._decode(each.frame) for each in arrivals.sent]
-        for content, heard in zip(contents, arrivals.plain, strict=True):
-            if not isinstance(content, Message):
-                for robot in heard.nonzero()[0].tolist():
-                    self._robots[robot].count(content)
-        self._hand_over_estimates(arrivals, contents)
+        contents = np.array([self._decode(each.frame) for each in arrivals.sent], np.object_)
+        is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
+        self._hand_over_estimates(
+            arrivals, is_estimate.nonzero()[0], Estimates.of(rows_of(contents.tolist()))
+        )
+        others = contents[~is_estimate]
+        if len(others):
+            for robot, heard in zip(self._robots, arrivals.plain[~is_estimate].T, strict=True):
+                robot.count(others[heard].tolist())
 
-    def _hand_over_estimates(self, arrivals: Arrivals, contents: Sequence[Content]) -> None:
-        """Let each robot receive all of its estimates at once, other frames among them in their turn."""
-        messages = [(number, each) for number, each in enumerate(contents) if isinstance(each, Message)]
-        numbers = np.array([number for number, _ in messages], np.intp)
-        words = words_of([each for _, each in messages])
+    def _hand_over_estimates(
+        self, arrivals: Arrivals, numbers: NDArray[np.intp], estimates: Estimates
+    ) -> None:
+        """Let each robot receive all of its estimates at once, late and changed ones in their turn."""
         for robot, heard in zip(self._robots, arrivals.plain[numbers].T, strict=True):
             if robot.id in arrivals.others:
-                robot.receive(self._with_others(arrivals, robot, numbers[heard], words[heard]))
+                robot.receive(self._with_others(arrivals, robot, numbers[heard], estimates[heard]))
             else:
-                robot.receive(words[heard])
+                robot.receive(estimates[heard])
 
     def _with_others(
-        self, arrivals: Arrivals, robot: BusRobot, numbers: NDArray[np.intp], words: Words
-    ) -> Words:
-        """The plain estimates of these ``numbers`` and the other ones in order."""
+        self, arrivals: Arrivals, robot: BusRobot, numbers: NDArray[np.intp], estimates: Estimates
+    ) -> Estimates:
+        """The plain estimates of these ``numbers`` and the other ones in order; counts what is none."""
         others = [(place, self._decode(frame)) for place, frame in arrivals.between(robot.id, numbers)]
-        messages: list[Message] = []
-        order = list(range(len(words)))
-        for place, content in others:
-            if isinstance(content, Message):
-                order.insert(place + len(messages), len(order))
-                messages.append(content)
-            else:
-                robot.count(content)
-        return np.concatenate((words, words_of(messages)))[order]
+        robot.count([content for _, content in others if not isinstance(content, Message)])
+        order = list(range(len(numbers)))
+        for before, place in enumerate(place for place, content in others if isinstance(content, Message)):
+            order.insert(place + before, len(order))
+        return (estimates + Estimates.of(rows_of([content for _, content in others])))[order]
 
     def __enter__(self) -> InProcess:
         return self

@@ -95,7 +95,7 @@ def _title(run: SwarmRun) -> str:
     settings = run.settings
     deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
     return (
-        f"{settings.robots} robots, {settings.flawed_robots} flawed, {deployment[settings.filter]}, "
+        f"{settings.robots} robots, {settings.flawed} flawed, {deployment[settings.filter]}, "
         rf"$\tau$ = {settings.filter_period}, {_topology(settings)}, seed {settings.seed}"
     )
 

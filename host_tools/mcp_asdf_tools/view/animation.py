@@ -62,7 +62,7 @@ def _with_few_colours(pictures: list[Image.Image]) -> list[Image.Image]:
 
 
 def _pictures(film: Film) -> Iterator[Image.Image]:
-    """What stands still is drawn once, and what moves on top of it."""
+    """Pictures of which the parts that stand still are drawn once."""
     figure = empty_figure(9.6, 4.8)
     figure.set_dpi(_DOTS_PER_INCH)
     moving, shows = _draw(figure, film)

@@ -19,7 +19,7 @@ MAX_SAMPLES = 10_000
 
 @dataclass(frozen=True)
 class Stage:
-    """What stays the same in a film.
+    """Constant parts of a film.
 
     Attributes:
         title: The run in a few words.

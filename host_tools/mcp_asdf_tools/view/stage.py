@@ -29,7 +29,7 @@ def stage_of(population: Population, trial: int = 0) -> Stage:
     return Stage(
         _title(settings, trial),
         range(settings.robots),
-        range(settings.flawed_robots),
+        range(settings.flawed),
         settings.fill_ratio,
         settings.steps,
         settings.steps_per_second,
@@ -54,7 +54,7 @@ def floor_of(arena: Arena) -> NDArray[np.bool_]:
 def _title(settings: Population, trial: int) -> str:
     words = [
         f"{settings.robots} robots",
-        f"{settings.flawed_robots} flawed",
+        f"{settings.flawed} flawed",
         _MODES[settings.filter],
         f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}",
         _topology(settings),

@@ -1,4 +1,4 @@
-"""What is on a bus that is no frame is one invalid frame to its robots; every bus has a name."""
+"""Malformed data on a bus is one invalid frame to its robots; every bus has a name."""
 
 from __future__ import annotations
 

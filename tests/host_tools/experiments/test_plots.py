@@ -71,7 +71,7 @@ def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
 
 
 def _swarm(trials: Trials) -> tuple[int, float]:
-    return trials.experiment.flawed_robots, trials.experiment.flawed_accuracy
+    return trials.experiment.flawed, trials.experiment.flawed_accuracy
 
 
 def _series(trials: Trials) -> int:
@@ -119,7 +119,7 @@ def test_points_are_the_trials_in_the_papers_colours(grid: list[Trials]) -> None
     own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
     for share, count in ((0, 1), (2, 2), (4, 1)):
         axes = found[f"no filter\n$f = 0.95$, $P$ = {share / 4:.0%}"]
-        expected = [t for t in own if t.experiment.flawed_robots == share]
+        expected = [t for t in own if t.experiment.flawed == share]
         assert len(axes.lines) == len(expected) == count
         for trials, line in zip(expected, axes.lines, strict=True):
             scores = score(trials.convergence_steps, trials.errors, LIMITS)

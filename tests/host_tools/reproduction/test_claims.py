@@ -31,7 +31,7 @@ CELLS = {cell for part in Part for cell in cells_of(part)}
 
 @pytest.fixture(autouse=True)
 def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is made up here is far from any limit."""
+    """The results made up here are far from any limit."""
     monkeypatch.setattr(resampling, "RESAMPLES", 100)
 
 

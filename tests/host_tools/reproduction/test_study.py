@@ -90,7 +90,7 @@ def test_physical_sensors_are_perfect_and_099_is_assumed() -> None:
     for cell in cells_of(PHYSICAL):
         experiment = experiment_of(cell, Scale())
         assert experiment.true_accuracy == 1
-        assert {experiment.b_hat(robot) for robot in range(experiment.flawed_robots, 8)} <= {0.99}
+        assert {experiment.b_hat(robot) for robot in range(experiment.flawed, 8)} <= {0.99}
 
 
 def test_flawed_robots_are_counted() -> None:

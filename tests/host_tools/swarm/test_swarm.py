@@ -47,7 +47,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots import record as robot_record
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, RoundingPort, load_firmware
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.robots.reception import words_of
+from mcp_asdf_tools.robots.reception import Estimates
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.connection import SwarmError
 from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture
@@ -238,7 +238,7 @@ def test_flawed_robots_recalibrate() -> None:
     [(20, 0.3, 6), (10, 0.25, 3), (10, 0.24, 2), (7, 1.0, 7), (7, 0.0, 0), (1, 0.5, 1)],
 )
 def test_how_many_are_flawed(robots: int, flawed: float, count: int) -> None:
-    assert SwarmSettings(robots=robots, flawed=flawed).flawed_robots == count
+    assert SwarmSettings(robots=robots, flawed=flawed).flawed == count
 
 
 @pytest.mark.parametrize("accuracy", [0.0, 1.0])
@@ -313,7 +313,7 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
     assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
     robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
     assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
-    assert port.receive_all(words_of([Message(3, ONE // 4, 0xA0000002, 0)])) == 1
+    assert port.receive_all(Estimates.of([(3, ONE // 4, 0xA0000002)]).words) == 1
     assert robot.told == (3, 0.25, 2.5)
 
 

@@ -56,7 +56,7 @@ def trials_of(**more: Any) -> Trials:
 
 
 def equal(left: Film, right: Film) -> bool:
-    """Whether the films agree in all ticks that both have."""
+    """True if the films agree in all ticks that both have."""
     both = np.intersect1d(left.samples.ticks, right.samples.ticks)
     assert len(both) > 200
     columns = []

@@ -46,7 +46,7 @@ from mcp_asdf_tools.reproduction.verdicts import Expectation, Scope
 
 CORRUPTION = Measure(
     "b_hat of robots that began with the right one, in the end",
-    lambda trials, scores: trials.b_hat[:, -1, trials.experiment.flawed_robots :].mean(axis=1),
+    lambda trials, scores: trials.b_hat[:, -1, trials.experiment.flawed :].mean(axis=1),
 )
 CORRUPTED = 0.05
 """From which b_hat counts as corrupted."""

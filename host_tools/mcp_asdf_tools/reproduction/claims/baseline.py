@@ -91,7 +91,7 @@ def _identical(part: Part) -> list[Question]:
 
 
 def _losses(part: Part) -> list[Question]:
-    """What P = 50 % loses against P = 0, less what a fully connected swarm loses."""
+    """Loss from P = 0 to P = 50 %, less that of a fully connected swarm."""
     questions: list[Question] = []
     for cell in cells(part, HARD, [50]):
         there = cell.but(part=FULLY_CONNECTED)

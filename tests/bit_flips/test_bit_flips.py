@@ -1,0 +1,57 @@
+"""No flipped bit makes a call trap or hang, or keeps x wrong in silence; and the published table is true."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bit_flips.flips import FLIPS, PAGE, Member, members, sealed, seals, table, total
+from support import require
+
+BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 40 + 24)
+"""Of all members but the pointer: senders, id, updated, counters, accuracy, five words and two rounds."""
+COUNTED = {"t", "n", "filter_left"}
+"""What may change the robot's counted data, and b_hat with it, without anything else that shows it."""
+
+
+def check(found: dict[str, Member], flips: int) -> None:
+    """What holds of any number of flips."""
+    every = total(found.values())
+    assert every["flips"] == flips * BITS
+    assert (every["crash"], every["hang"]) == (0, 0)
+    assert every["unexplained"] == 0
+    assert {name for name, member in found.items() if member["still"]} <= COUNTED
+    for name, member in found.items():
+        outcomes = ("in_time", "late", "no_effect", "less", "more")
+        assert sum(member[each] for each in outcomes) == member["flips"], name
+    assert all(
+        found[name]["in_time"] == found[name]["flips"] for name in found if name.startswith("accuracy")
+    )
+
+
+def test_each_bit_flips_once(tmp_path: Path) -> None:
+    check(members(tmp_path, 1), 1)
+
+
+@pytest.mark.slow
+def test_the_published_table_is_true(tmp_path: Path) -> None:
+    """To the last digit; cycles within a tenth, as compilers differ."""
+    require("arm-none-eabi-gcc", "gcc-arm-none-eabi")
+    found, text = members(tmp_path, FLIPS), PAGE.read_text(encoding="utf-8")
+    check(found, FLIPS)
+    assert table(found) in text, "PYTHONPATH=tests python -m bit_flips.flips writes it again"
+    published = text.split("<!-- sealed robot -->")[1].split("<!-- end of sealed robot -->")[0]
+    assert numbers(sealed(found, seals(tmp_path))) == pytest.approx(numbers(published), rel=0.1)
+
+
+def numbers(text: str) -> list[float]:
+    """All in a text, in its order."""
+    return [float(number) for number in re.findall(r"\d+(?:\.\d+)?", text)]
+
+
+@pytest.mark.slow
+def test_no_flip_is_undefined_behaviour(tmp_path: Path) -> None:
+    flags = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    assert members(tmp_path, 2, *flags) == members(tmp_path, 2)

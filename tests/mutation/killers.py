@@ -1,0 +1,170 @@
+"""What a mutant of the firmware has to get past: the C tests, under the choices of every target."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from mutation.c_mutants import Mutant
+from proofs.source import SOURCES, Variant
+from support import CORE, ROOT, TABLE
+
+TESTS = ROOT / "tests/c_ref"
+PORTS = ROOT / "c_ref/ports"
+CLZ = Path(__file__).with_name("clz.h")
+VARIANTS = (
+    *(Variant(digits) for digits in ("1001", "2100", "3010", "4000", "2000", "1000")),
+    Variant("3010", "__AVR__"),
+    Variant("1000", "__riscv"),
+)
+"""The choices of each target, and the two targets with code of their own."""
+CORE_TESTS = ("golden_run", "words", "api", "state", "rounds", "accuracy", "estimate", "division", "damaged")
+"""Fast ones first."""
+BLACK_BOX = ("golden_run", "api", "frame", "node")
+WIDE = "wide"
+"""Needs integers of 128 bits, which only slower compilers have."""
+SECONDS = dict.fromkeys(("golden_run", "words", "api", "state", "node"), 1)
+"""Of processor for one test, many times what it needs; a mutant that hangs costs no more. Others get 3."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """How a test is compiled and run at once.
+
+    Attributes:
+        name: Of the program: ``tcc``, which takes milliseconds, or ``gcc``, where there is none.
+    """
+
+    name: str
+
+    def passes(self, folder: Path, test: str, variant: Variant) -> bool:
+        """Whether the test of this name passes with the sources in the folder."""
+        flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE"]
+        flags += [flag.replace("MCP_ASDF", "TEST") for flag in variant.flags() if "MCP_ASDF" in flag]
+        sources = [TESTS / f"test_{test}.c", *_linked(folder, test)]
+        if self.name == "tcc":
+            seconds = SECONDS.get(test, 3)
+            return _limited("tcc", *flags, "-include", CLZ, *sources[1:], "-run", sources[0], seconds=seconds)
+        program = folder / "program"
+        return _limited("gcc", "-O1", *flags, *sources, "-o", program) and _limited(program)
+
+
+@cache
+def fastest() -> Compiler:
+    """``tcc``, or ``gcc`` without it."""
+    return Compiler("tcc" if shutil.which("tcc") else "gcc")
+
+
+def _flags(variant: Variant) -> list[str]:
+    """An AVR's code of its own, but for its way to read flash."""
+    readers = ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
+    return [
+        "-std=c99",
+        *variant.flags(),
+        *(f"-DMCP_ASDF_{reader}" for reader in readers if variant.target == "__AVR__"),
+    ]
+
+
+def _linked(folder: Path, test: str) -> list[Path]:
+    """What a black-box test is linked with; a white-box test contains the firmware."""
+    if test not in BLACK_BOX:
+        return []
+    if test == "frame":
+        return [folder / "mcp_asdf_frame.c"]
+    sources = [folder / "mcp_asdf.c", folder / "mcp_asdf_image.c", TABLE]
+    if test == "node":
+        sources += [folder / "mcp_asdf_frame.c", *sorted((PORTS / "node").glob("*.c"))]
+    return sources
+
+
+def _limited(*command: str | Path, seconds: int = 60) -> bool:
+    """Whether the command succeeds before its time is over."""
+    done = subprocess.run(
+        ("sh", "-c", f'ulimit -c 0; ulimit -t {seconds}; exec "$@"', "sh", *command),
+        capture_output=True,
+        check=False,
+    )
+    return done.returncode == 0
+
+
+@cache
+def _lines(file: str, variant: Variant) -> frozenset[int]:
+    """Lines of a source that are compiled."""
+    start = CORE if file.endswith(".h") else SOURCES / file
+    shown = subprocess.run(
+        [fastest().name, f"-I{SOURCES}", *_flags(variant), "-E", start],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    found, line, here = set(), 0, False
+    for text in shown.splitlines():
+        if mark := re.match(r'# (\d+) "(.*)"', text):
+            line, here = int(mark[1]), Path(mark[2]).name == file
+            continue
+        if here and text.strip():
+            found.add(line)
+        line += 1
+    return frozenset(found)
+
+
+def variants_of(mutant: Mutant) -> Iterator[Variant]:
+    """Those in which the mutant differs from the firmware."""
+    for variant in VARIANTS:
+        if mutant.function.startswith("define ") or mutant.line in _lines(mutant.file, variant):
+            yield variant
+
+
+def tests_of(mutant: Mutant) -> tuple[str, ...]:
+    """Names of the tests that run the mutant's file, fast ones first."""
+    if mutant.file == "mcp_asdf_frame.c":
+        return "node", "frame"
+    if mutant.file == "mcp_asdf_image.c":
+        return "golden_run", "state", "api", "damaged"
+    if mutant.file == "mcp_asdf_arithmetic.h":
+        return "words", *(test for test in CORE_TESTS if test != "words")
+    return CORE_TESTS
+
+
+def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
+    """Test and variant that the mutant fails first; nothing if it passes all.
+
+    Args:
+        folder: For the mutant's sources, which stay there.
+        most: Variants to try; only if it is all, also with the slow test of wide numbers.
+    """
+    for source in SOURCES.glob("*.[ch]"):
+        shutil.copy(source, folder)
+    (folder / mutant.file).write_text(mutant.source(), encoding="utf-8")
+    variants = list(variants_of(mutant))[: 1 if mutant.file == "mcp_asdf_frame.c" else most]
+    for variant in variants:
+        for test in tests_of(mutant):
+            if not fastest().passes(folder, test, variant):
+                return f"{test} {variant}"
+    is_wide = most == len(VARIANTS) and mutant.file in ("mcp_asdf.c", "mcp_asdf_arithmetic.h")
+    for variant in variants if is_wide else ():
+        if not Compiler("gcc").passes(folder, WIDE, variant):
+            return f"{WIDE} {variant}"
+    return ""
+
+
+def same_code(mutant: Mutant, folder: Path) -> bool:
+    """Whether an optimiser makes the same machine code of the mutant, for each of its variants: then it is no
+    mistake."""
+    source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
+    return all(
+        _object(SOURCES / source, variant, folder) == _object(folder / source, variant, folder)
+        for variant in variants_of(mutant)
+    )
+
+
+def _object(source: Path, variant: Variant, folder: Path) -> bytes:
+    target = folder / "object.o"
+    if not _limited("gcc", "-O2", "-w", f"-I{source.parent}", *_flags(variant), "-c", source, "-o", target):
+        return b""
+    return target.read_bytes()

@@ -1,0 +1,98 @@
+"""Each small mistake in the firmware's C fails a C test; those that are none are listed with the reason."""
+
+from __future__ import annotations
+
+import random
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from mutation.c_mutants import MUTATED, Mutant, mutants
+from mutation.killers import (
+    CORE_TESTS,
+    VARIANTS,
+    WIDE,
+    Compiler,
+    fastest,
+    killer,
+    same_code,
+)
+from proofs.source import SOURCES
+
+PARTS = 16
+SAMPLE = 100
+
+
+@cache
+def everything() -> dict[str, Mutant]:
+    """All mutants by their names."""
+    found: dict[str, Mutant] = {}
+    for mutant in (each for file in MUTATED for each in mutants(file)):
+        assert mutant.name not in found, f"two mutants have one name: {mutant.name}"
+        found[mutant.name] = mutant
+    return found
+
+
+@cache
+def equivalents() -> dict[str, str]:
+    """Name and reason of each mutant that is no mistake."""
+    groups = tomllib.loads(Path(__file__).with_name("equivalent.toml").read_text(encoding="utf-8"))["group"]
+    return {name: group["reason"] for group in groups for name in group["mutants"]}
+
+
+SAME_CODE = "A compiler makes the same code of it."
+
+
+def mistakes() -> list[Mutant]:
+    """All mutants that must fail a test."""
+    return [mutant for name, mutant in everything().items() if name not in equivalents()]
+
+
+def survivors(chosen: list[Mutant], folder: Path) -> list[str]:
+    """Names of those that pass every test."""
+    return [mutant.name for mutant in chosen if not killer(mutant, folder)]
+
+
+def test_each_equivalent_mutant_is_a_mutant() -> None:
+    """A list that is about code of the past would hide mistakes of the future."""
+    assert set(equivalents()) <= set(everything())
+    assert all(len(reason) > 20 for reason in equivalents().values())
+    assert len(equivalents()) < len(everything()) / 20
+
+
+def test_the_firmware_itself_passes() -> None:
+    for variant in VARIANTS:
+        assert fastest().passes(SOURCES, "golden_run", variant), f"{fastest().name} {variant}"
+
+
+def test_some_mistakes_fail_a_test(tmp_path: Path) -> None:
+    seed = random.randrange(1 << 32)
+    count = SAMPLE if fastest().name == "tcc" else SAMPLE // 10
+    print(f"{count} mutants of seed {seed} by {fastest().name}")
+    assert survivors(random.Random(seed).sample(mistakes(), count), tmp_path) == []
+
+
+@pytest.mark.slow
+def test_the_firmware_itself_passes_everything() -> None:
+    for variant in VARIANTS:
+        for test in (*CORE_TESTS, "frame", "node"):
+            assert fastest().passes(SOURCES, test, variant), f"{test} {variant}"
+        assert Compiler("gcc").passes(SOURCES, WIDE, variant), f"{WIDE} {variant}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(PARTS))
+def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
+    assert survivors(mistakes()[part::PARTS], tmp_path) == []
+
+
+@pytest.mark.slow
+def test_equivalent_mutants_are_no_mistakes(tmp_path: Path) -> None:
+    """As far as a compiler knows, or the tests of the first target that has the line."""
+    for name, reason in equivalents().items():
+        mutant = everything()[name]
+        found = killer(mutant, tmp_path, most=1)
+        assert found == "", f"{name} fails {found}"
+        assert reason != SAME_CODE or same_code(mutant, tmp_path), f"{name} makes a difference"
