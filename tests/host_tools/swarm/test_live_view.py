@@ -105,7 +105,7 @@ def test_its_figures_are_those_of_the_run() -> None:
         other = run_swarm(swarm)
     assert f"with filter {run.results['mean_error']:.4f}" in picture
     assert f"without     {other.results['mean_error']:.4f}" in picture
-    for node in run.nodes[: MOVING.flawed_robots]:
+    for node in run.nodes[: MOVING.flawed]:
         assert re.search(rf" {node.id} {node.robot.b_hat:.3f} ━", picture)
     b_hat, ticks = run.history.values("b_hat"), run.history.ticks
     assert len(ticks) == 401 < MAX_SAMPLES
