@@ -77,7 +77,7 @@ def read_picture(path: str) -> ImageFile:
 
     Raises UsageError if it cannot be read.
     """
-    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 (loads slowly)
+    from PIL import Image  # noqa: PLC0415 (loads slowly)
 
     try:
         content = Path(path).read_bytes()
