@@ -12,26 +12,35 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol, cast
 
+from mcp_asdf_tools.cli.parsing import Parser, offer
 from mcp_asdf_tools.common import INTERRUPTED, ReaderLeft, UsageError, interruptible, screen, stopping
 
 PROGRAM = "mcp-asdf"
-COMMANDS = {
-    "table": "make t-tables, and check them in files and built images",
-    "crosscheck": "check the C against its mirror, exact arithmetic and its own claims",
-    "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
-    "node": "run one robot on a CAN bus",
-    "radio": "emulate the neighbours of one real controller on a CAN bus",
-    "replay": "check a log by running its robots again, or play it onto a bus",
-    "dbc": "write a DBC file, so that CAN tools show the frames' content",
-    "simulate": "run one experiment: a swarm, many trials, the paper's scores",
-    "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
-    "score": "score results: K, e, h_K, h_e and H",
-    "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
-    "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
-    "reproduce": "run the paper's whole study and report which of its claims hold",
+GROUPS = {
+    "See a swarm calibrate itself": {
+        "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
+        "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
+        "replay": "check a log by running its robots again, or play it onto a bus",
+    },
+    "Put the firmware into robots": {
+        "firmware": "write the C firmware with a t-table and a CMake file into a project",
+        "table": "make t-tables, and check them in files and built images",
+        "radio": "emulate the neighbours of one real controller on a CAN bus, and check its firmware",
+        "node": "run one robot on a CAN bus",
+        "dbc": "write a DBC file, so that CAN tools show the frames' content",
+        "crosscheck": "check the C against its mirror, exact arithmetic and its own claims",
+    },
+    "Experiments": {
+        "simulate": "run one experiment: a swarm, many trials, the paper's scores",
+        "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
+        "score": "score results: K, e, h_K, h_e and H",
+        "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
+        "reproduce": "run the paper's whole study and report which of its claims hold",
+    },
 }
-"""A line on each command ``NAME``, which is the module ``mcp_asdf_tools.cli.NAME``. The lines stand here, so
-that the overview loads none of the libraries that commands use."""
+"""Commands by purpose, with a line on each. ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``; the lines
+stand here, so that the overview loads none of the libraries that commands use."""
+COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
 
 
 class Command(Protocol):
@@ -102,13 +111,7 @@ def _load(name: str) -> Command:
 
 
 def _parser_for(name: str, command: Command) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=f"{PROGRAM} {name}",
-        description=COMMANDS[name],
-        epilog=command.EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
     command.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     return parser
@@ -118,16 +121,24 @@ def _show_overview(arguments: Sequence[str]) -> int:
     """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
     from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads slowly)
 
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM, description="Collective perception with self-calibrating robots.", allow_abbrev=False
-    )
+    parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
-    listing = parser.add_subparsers(metavar="COMMAND", title="commands (each has its own --help)")
-    for name, text in COMMANDS.items():
-        listing.add_parser(name, help=text)
+    parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
+    (found, _) = parser.parse_known_args(arguments)
+    if found.command is not None:
+        parser.error(f"no command is called {found.command!r}{offer(found.command, COMMANDS)}")
     parser.parse_args(arguments)
     parser.print_help(sys.stderr)
     return 2
+
+
+def _listing() -> str:
+    width = max(map(len, COMMANDS))
+    return "\n".join(
+        line
+        for title, commands in GROUPS.items()
+        for line in ("", f"{title}:", *(f"  {name:{width}}  {text}" for name, text in commands.items()))
+    ).strip()
 
 
 if __name__ == "__main__":

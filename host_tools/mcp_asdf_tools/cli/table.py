@@ -40,6 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--check", metavar="FILE", type=Path, nargs="+", help="check generated .c or .json files"
     )
     job.add_argument("--verify", metavar="FILE", type=Path, nargs="+", help="find and check tables in images")
+    add_table_options(parser)
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Declare which table; ``table_of`` reads it."""
     parser.add_argument(
         "--omega",
         help="type II error probability, above 0 and at most 0.9, "
@@ -53,11 +58,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
+    """Omega and q of the table asked for. Raises UsageError for an omega that no table has."""
+    omega = parse_omega(_OMEGA if args.omega is None else args.omega)
+    return omega, _NEIGHBOURS if args.neighbours is None else args.neighbours
+
+
 def run(args: argparse.Namespace) -> int:
     """Do the one job asked for."""
     if args.output is not None:
-        omega = parse_omega(_OMEGA if args.omega is None else args.omega)
-        return _write(omega, _NEIGHBOURS if args.neighbours is None else args.neighbours, args)
+        return _write(*table_of(args), args)
     if args.omega is not None or args.neighbours is not None:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
     if args.check is not None:

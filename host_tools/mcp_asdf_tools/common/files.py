@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -61,6 +61,21 @@ def write_atomically(path: Path | str, data: bytes | str) -> None:
     """
     with FileSet() as files:
         files.write(path, data)
+
+
+def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
+    """Write texts by file name into ``folder``, which is made if need be; returns their paths.
+
+    All are written, or none. Raises UsageError if one cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+    with FileSet() as files:
+        for name, text in contents.items():
+            files.write(folder / name, text)
+    return [folder / name for name in contents]
 
 
 def check_target(path: Path | str) -> Path:

@@ -1,5 +1,6 @@
-"""T-tables: thresholds, files for deployment, and tables inside built images."""
+"""T-tables: thresholds, files for deployment with or without the firmware, and tables inside built images."""
 
+from .firmware_folder import write_firmware as write_firmware
 from .image_scan import verify_image as verify_image
 from .table_files import TableCheck as TableCheck
 from .table_files import check_file as check_file

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
-from mcp_asdf_tools.common import FileSet, UsageError
+from mcp_asdf_tools.common import UsageError, write_files
 from mcp_asdf_tools.tables.thresholds import (
     GENERATOR_VERSION,
     MAX_MESSAGES,
@@ -139,15 +139,7 @@ def write(omega: Decimal, q: int, folder: Path) -> list[Path]:
     Both are written, or neither. Raises UsageError if one cannot be.
     """
     name = stem(omega, q)
-    contents = {folder / f"{name}.c": c_text(omega, q), folder / f"{name}.json": json_text(omega, q)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
-    with FileSet() as files:
-        for path, text in contents.items():
-            files.write(path, text)
-    return list(contents)
+    return write_files(folder, {f"{name}.c": c_text(omega, q), f"{name}.json": json_text(omega, q)})
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def test_no_arguments_show_the_overview_and_fail(capsys: pytest.CaptureFixture[s
     out, err = capsys.readouterr()
     assert out == ""
     for name in cli.COMMANDS:
-        assert f"\n    {name}" in err
+        assert f"\n  {name} " in err
 
 
 def test_help_is_not_an_error(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,9 +73,21 @@ def test_version_of_a_source_tree_that_is_not_installed(monkeypatch: pytest.Monk
     assert versions.software_versions()["mcp-asdf"] == versions.own_version() == "not installed"
 
 
-def test_unknown_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["tabel"]) == 2
-    assert "'tabel'" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("tabel", "mcp-asdf: error: no command is called 'tabel'; did you mean table?"),
+        ("xyz --json", "mcp-asdf: error: no command is called 'xyz'"),
+        ("--versoin", "mcp-asdf: error: no such option: --versoin; did you mean --version?"),
+        ("swarm --robtos 3", "mcp-asdf swarm: error: no such option: --robtos; did you mean --robots?"),
+        ("swarm --robtos=3", "mcp-asdf swarm: error: no such option: --robtos=3; did you mean --robots?"),
+        ("swarm 3", "mcp-asdf swarm: error: no such argument: 3"),
+    ],
+)
+def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(line.split()) == 2
+    program = told.partition(":")[0]
+    assert capsys.readouterr().err.splitlines() == [told, f"See '{program} --help'."]
 
 
 def test_unknown_option_is_told_by_the_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -300,12 +312,11 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_example_is_accepted(name: str) -> None:
-    command = cli._load(name)
-    parser = cli._parser_for(name, command)
-    examples = [line for line in command.EPILOG.splitlines() if line.startswith("  mcp-asdf")]
+    examples = [line for line in cli._load(name).EPILOG.splitlines() if line.startswith("  mcp-asdf")]
     assert examples
     for line in examples:
-        parser.parse_args(shlex.split(line, comments=True)[2:])
+        _, called, *options = shlex.split(line, comments=True)
+        cli._parser_for(called, cli._load(called)).parse_args(options)
 
 
 @pytest.mark.parametrize("data", ["k_m ≥ 1\n", b"\x00\xff"])

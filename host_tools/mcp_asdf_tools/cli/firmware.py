@@ -1,0 +1,36 @@
+"""``mcp-asdf firmware``: write the C firmware and a t-table into a project."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from mcp_asdf_tools.cli.table import add_table_options, table_of
+from mcp_asdf_tools.tables import describe, write_firmware
+
+EPILOG = """\
+examples:
+  mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, a CMake file
+  mcp-asdf firmware vendor/mcp_asdf --neighbours 30       # a shorter table: 372 bytes of flash
+With CMake: add_subdirectory(vendor/mcp_asdf), then link mcp_asdf::mcp_asdf. Without: compile all .c files there.
+exit code: 0 done, 2 bad usage"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("folder", metavar="DIR", type=Path, help="folder for the files, made if need be")
+    add_table_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the files."""
+    omega, q = table_of(args)
+    files = [str(path) for path in write_firmware(omega, q, args.folder)]
+    symbol = describe(omega, q)["symbol"]
+    if args.json:
+        print(json.dumps({"files": files, "symbol": symbol}, indent=2))
+    else:
+        print("\n".join(f"wrote {file}" for file in files))
+        print(f"The table is: extern const uint32_t {symbol}[];")
+    return 0

@@ -1,0 +1,42 @@
+"""Parser of a command line whose errors take two lines and offer what was probably meant."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import NoReturn
+
+_UNKNOWN = re.compile(r"unrecognized arguments: (.*)")
+
+
+class Parser(argparse.ArgumentParser):
+    """ArgumentParser of a command."""
+
+    def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
+        super().__init__(
+            prog=prog,
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error and where help is; end the program with exit code 2."""
+        if found := _UNKNOWN.fullmatch(message):
+            message = self._unknown(found.group(1).split())
+        self.exit(2, f"{self.prog}: error: {message}\nSee '{self.prog} --help'.\n")
+
+    def _unknown(self, words: list[str]) -> str:
+        options = [option for action in self._actions for option in action.option_strings]
+        first = next((word for word in words if word.startswith("-")), words[0])
+        kind = "option" if first.startswith("-") else "argument"
+        return f"no such {kind}: {first}{offer(first.partition('=')[0], options)}"
+
+
+def offer(word: str, known: Iterable[str]) -> str:
+    """A question that offers the nearest of the ``known`` words; nothing if none is near."""
+    near = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""

@@ -1,0 +1,70 @@
+"""``mcp-asdf firmware``: what it writes is a library that other projects build as it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf_tools.cli.main import main
+from support import ROOT, require, run
+
+PROGRAM = """\
+#include "mcp_asdf.h"
+extern const uint32_t mcp_asdf_t_table_omega10_q30[];
+static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega10_q30);
+int main(void)
+{
+    mcp_asdf_t robot;
+    return mcp_asdf_init(&robot, &config, 7, 0xF0000000) == MCP_ASDF_OK ? 0 : 1;
+}
+"""
+PROJECT = """\
+cmake_minimum_required(VERSION 3.21)
+project(robot LANGUAGES C)
+add_subdirectory(vendor/mcp_asdf)
+add_executable(robot robot.c)
+target_link_libraries(robot PRIVATE mcp_asdf::mcp_asdf)
+"""
+
+
+def test_a_project_builds_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "vendor/mcp_asdf"
+    assert main(["firmware", str(folder), "--omega", "0.1", "--neighbours", "30", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert sorted(told["files"]) == sorted(map(str, folder.iterdir()))
+    assert told["symbol"] == "mcp_asdf_t_table_omega10_q30"
+    for source in (ROOT / "c_ref/src").glob("*.[ch]"):
+        assert (folder / source.name).read_bytes() == source.read_bytes()
+    (tmp_path / "robot.c").write_text(PROGRAM)
+    (tmp_path / "CMakeLists.txt").write_text(PROJECT)
+    cmake = require("cmake", "cmake")
+    run(cmake, "-S", tmp_path, "-B", tmp_path / "build")
+    run(cmake, "--build", tmp_path / "build")
+    run(tmp_path / "build/robot")
+
+
+def test_it_writes_over_an_earlier_version(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mcp_asdf.c").write_text("something else")
+    assert main(["firmware", str(tmp_path)]) == 0
+    assert "The table is: extern const uint32_t mcp_asdf_t_table_omega05_q127[];" in capsys.readouterr().out
+    assert (tmp_path / "mcp_asdf.c").read_bytes() == (ROOT / "c_ref/src/mcp_asdf.c").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--omega", "2"], "omega"),
+        (["--neighbours", "1"], "1"),
+        ([], "Not a directory"),
+    ],
+)
+def test_what_cannot_be_written_is_named(
+    options: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    folder = tmp_path / ("new" if options else "file/vendor")
+    assert main(["firmware", str(folder), *options]) == 2
+    assert told in capsys.readouterr().err
+    assert not folder.exists()
