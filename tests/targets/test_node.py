@@ -121,8 +121,8 @@ def test_robots_of_one_process_hear_each_other_as_robots_of_several_do(
     start: Start, bus: UnixBus, comms_period: int
 ) -> None:
     """One process of robots 1, 2, 3, one of 4 and 5: the same bits as Python nodes that all hear all."""
-    periods = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps", 61)
-    options = (*periods, "--activation", "always", "--b-hat", 0.7)
+    periods = ("--filter-period", 12, "--comms-period", comms_period)
+    options = ("--lockstep", *periods, "--steps", 61, "--activation", "always", "--b-hat", 0.7)
     ranges = {"1-3": range(1, 4), "4-5": range(4, 6)}
     nodes, peers = [], []
     for ids in ranges:

@@ -85,7 +85,7 @@ class ControllerVerdict:
 
     @property
     def has_passed(self) -> bool:
-        """Whether every phase has passed, and every claim was put to the test."""
+        """True if every phase has passed, and every claim was put to the test."""
         return all(phase.outcome == PASSED for phase in self.phases) and not self.not_exercised
 
     def plain(self) -> dict[str, Any]:

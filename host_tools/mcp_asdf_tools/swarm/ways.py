@@ -75,7 +75,7 @@ class OnTheWay(Injector, ABC):
         yield from self._struck(replace(ways, reach=struck), sent)
 
     def _hits(self, sent: Sequence[SentFrame], version: int, receivers: int) -> Mask:
-        """Whether the fault strikes frames on their ways to each receiver: by draws of their own."""
+        """True if the fault strikes frames on their ways to each receiver: by draws of their own."""
         rows = [self._draws.of_copies(each, version, receivers) for each in sent]
         return each_below(np.array(rows), self.fault.rate)
 
