@@ -13,7 +13,7 @@ EPILOG = """\
 examples:
   mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, a CMake file
   mcp-asdf firmware vendor/mcp_asdf --neighbours 30       # a shorter table: 372 bytes of flash
-With CMake: add_subdirectory(vendor/mcp_asdf), then link mcp_asdf::mcp_asdf. Without: compile all .c files there.
+With CMake: add_subdirectory(vendor/mcp_asdf), link mcp_asdf::mcp_asdf. Without: compile all .c files there.
 exit code: 0 done, 2 bad usage"""
 
 
