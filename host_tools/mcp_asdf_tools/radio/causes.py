@@ -34,7 +34,7 @@ class Cause:
     doing: str = _ANY
 
     def explains(self, symptom: Symptom, phase: str, doing: str) -> bool:
-        """Whether this mistake gives the symptom when this is done in this phase."""
+        """True if this mistake gives the symptom when this is done in this phase."""
         return (
             self.kind in (_ANY, symptom.kind)
             and any(fnmatch(symptom.field, field) for field in self.fields)
