@@ -565,7 +565,7 @@ class Spoils(RobotNode):
     subject = 3000
 
     def spoil(self, frame: can.Message) -> Sequence[can.Message]:
-        """The frame sent instead."""
+        """Frames that are sent instead."""
         raise NotImplementedError
 
     def spoiled(self, frames: Sequence[can.Message]) -> Frames:

@@ -8,6 +8,7 @@ from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.stage import Stage
 
 _PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)
+MOST_SKIPPED = 10_000
 ALONE_TICKS = 72
 """More than the shortest memory, 64."""
 STRAY_REPEATS = 3
@@ -74,9 +75,9 @@ def stray(stage: Stage) -> None:
 
 
 def heartbeats(stage: Stage) -> None:
-    """Ticks in a row until two heartbeats were due."""
+    """Ticks in a row until two heartbeats were due, if they come at all often."""
     stage.doing = "commands in a row"
-    stage.skip(2 * stage.settings.swarm.steps_per_second + 1)
+    stage.skip(min(2 * stage.settings.swarm.steps_per_second + 1, MOST_SKIPPED))
 
 
 def invalid(stage: Stage) -> None:

@@ -116,8 +116,7 @@ class Stage:
 
     def observe(self, z: Observation | None) -> None:
         """Begin a tick, and hear the broadcast if it is due."""
-        if self.bench.should_stop():
-            raise KeyboardInterrupt
+        self._check_stop()
         broadcasts, begin = self.model.sent.estimates, time.perf_counter()
         self.place = self.lockstep.tick
         self.lockstep.observe({self._id: z})
@@ -234,6 +233,11 @@ class Stage:
     def said_in_tick(self) -> list[can.Message]:
         """The controller's frames since the last comparison."""
         return list(self._said)
+
+    def _check_stop(self) -> None:
+        """Raises KeyboardInterrupt if asked to stop, but not within a tick."""
+        if self.model.is_settled and self.bench.should_stop():
+            raise KeyboardInterrupt
 
     def _note(self, frame: can.Message) -> None:
         """Take a frame on the bus, in either direction; the model hears those sent to the controller."""

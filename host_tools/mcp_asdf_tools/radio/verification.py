@@ -13,9 +13,10 @@ from typing import Any
 
 import can
 
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.radio.causes import cause_of
 from mcp_asdf_tools.radio.comparison import BUS, Symptom
-from mcp_asdf_tools.radio.coverage import Coverage, not_checked, not_exercised
+from mcp_asdf_tools.radio.coverage import LONG_RUN, Coverage, is_halved, not_checked, not_exercised
 from mcp_asdf_tools.radio.model import Model
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, among_neighbours
@@ -26,6 +27,9 @@ from mcp_asdf_tools.swarm import Fault, parse_fault
 
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"
 DISTURBED = "disturbed"
+
+LONGEST_ROUND = 1000
+"""Ticks between the broadcasts of a controller that is verified."""
 
 
 @dataclass
@@ -102,7 +106,14 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     """The phases for this controller, with one more for each fault of the settings, and their faults.
 
     A phase among neighbours has ``ticks`` ticks, and its faults alone, from its first tick to its last.
+    Raises UsageError if the controller broadcasts too rarely.
     """
+    comms_period = settings.controller.config.comms_period
+    if comms_period > LONGEST_ROUND:
+        raise UsageError(
+            f"comms-period is {comms_period}; a verification has hundreds of rounds, so set the controller up "
+            f"with at most {LONGEST_ROUND} ticks"
+        )
     ids = [str(neighbour.id) for neighbour in settings.neighbours]
     names = {"me": settings.controller.id, "them": "+".join(ids), "one": ids[0]}
     applying = [phase for phase in phases if phase.applies(settings.controller.config)]
@@ -122,7 +133,7 @@ class Verification:
     def __init__(
         self, settings: RadioSettings, bench: ControllerBench, phases: Sequence[Phase] = PHASES
     ) -> None:
-        """Prepare the phases, with one more for each fault of the settings."""
+        """Prepare the phases, with one more for each fault of the settings. Raises as ``planned``."""
         self._settings, self._bench = settings, bench
         self._phases, faults = planned(settings, phases, bench.ticks)
         self._stage = Stage(replace(settings, faults=tuple(faults)), bench)
@@ -137,8 +148,10 @@ class Verification:
     @property
     def expected_ticks(self) -> int:
         """About how many ticks the run takes."""
-        waiting = sum(phase.tests for phase in self._phases) * self._settings.controller.config.filter_period
-        return waiting + self._bench.ticks * len(self._phases)
+        config = self._settings.controller.config
+        waiting = sum(phase.tests for phase in self._phases) * config.filter_period
+        observing = 3 * config.memory if is_halved(config) else LONG_RUN
+        return max(waiting, observing) + self._bench.ticks * len(self._phases)
 
     def run(self) -> ControllerVerdict:
         """Go through the phases up to the first difference."""

@@ -374,6 +374,11 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     assert headline(verdict.plain()).startswith("INTERRUPTED: 1 of")
 
 
+def test_a_verification_may_be_stopped_while_it_waits() -> None:
+    verdict = judge(Wire(), wait=1e9, should_stop=lambda: True)
+    assert (verdict.is_interrupted, verdict.difference) == (True, None)
+
+
 def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     """An observe and a settle of the first phase."""
 
@@ -485,6 +490,11 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
     assert "**FAILED: 0 of 38 phases passed" in report.read_text()
     assert "| alone |  | 1 | 0 | 0 | 1 | 0 | failed |" in report.read_text()
     assert "| loss | loss=0.5,receivers=3 | 0 | 0 | 0 | 0 | 0 | not run |" in report.read_text()
+
+
+def test_a_controller_that_broadcasts_too_rarely_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert radio("--id 3 --verify --comms-period 2000 --filter-period 2000") == 2
+    assert "comms-period is 2000; a verification has hundreds of rounds" in capsys.readouterr().err
 
 
 def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
