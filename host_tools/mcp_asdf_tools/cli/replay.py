@@ -20,6 +20,7 @@ from mcp_asdf_tools.recording import (
     Player,
     ReplayVerdict,
     SidecarReader,
+    check_log,
     read_log,
     sidecar_of,
     verify,
@@ -86,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     if not 0 <= args.speed < float("inf"):
         raise UsageError(f"speed is {args.speed}; it must be 0 (flat out) or a positive factor")
+    check_log(args.log)
     for robot in args.leave_out:
         if not 0 <= robot <= MAX_NODE_ID:
             raise UsageError(f"leave-out is {robot}; ids are 0 to {MAX_NODE_ID}")
