@@ -397,10 +397,10 @@ def soak(seconds: float, seed: int, *, kills: bool = True) -> Survived:
                 traceback.print_exc()
             if elapsed >= next_measurement:
                 survived.measure()
-                next_measurement = elapsed + seconds / 100
+                next_measurement = elapsed + min(seconds / 100, 60)
             report(int(time.monotonic() - began) - int(elapsed))
     survived.measure()
-    if seconds >= WARM:
+    if time.monotonic() - began >= WARM:
         survived.check_growth()
     if virtual.channels:
         survived.wrong.append(f"buses are left open: {sorted(map(str, virtual.channels))}")
