@@ -348,6 +348,10 @@ def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     for package in (ROOT / "firmware_py/mcp_asdf", ROOT / "host_tools/mcp_asdf_tools"):
         modules = {str(path.relative_to(package.parent)) for path in package.rglob("*.py")}
         assert modules == {name for name in names if re.match(rf"{package.name}/.*\.py$", name)}
+    page = ROOT / "host_tools/mcp_asdf_tools/view/page"
+    parts = {str(path.relative_to(ROOT / "host_tools")) for path in page.rglob("*") if path.is_file()}
+    assert len(parts) > 10
+    assert parts <= names
     assert not [name for name in names if name.endswith((".c", ".h"))]
     assert f"mcp_asdf-{version_of_header()}-" in wheel.name
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -21,6 +22,7 @@ import pytest
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
+    MAX_NODE_ID,
     Action,
     Command,
     FrameFormat,
@@ -34,7 +36,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
 )
 from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
-from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from support import PATIENCE, ROOT, require, run, slow
 from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
@@ -66,7 +68,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
     """Starts nodes on the bus, and stops those that are left."""
     started: list[CNode] = []
 
-    def start_node(robot_id: int, *options: object, **streams: object) -> CNode:
+    def start_node(robot_id: int | str, *options: object, **streams: object) -> CNode:
         started.append(CNode(command, bus.channel_info, robot_id, *options, **streams))
         return started[-1]
 
@@ -112,6 +114,74 @@ def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
         lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
         lockstep.estimates(robots)
         lockstep.settle(robots)
+
+
+@pytest.mark.parametrize("comms_period", [1, 3])
+def test_robots_of_one_process_hear_each_other_as_robots_of_several_do(
+    start: Start, bus: UnixBus, comms_period: int
+) -> None:
+    """One process of robots 1, 2, 3, one of 4 and 5: the same bits as Python nodes that all hear all."""
+    periods = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps", 61)
+    options = (*periods, "--activation", "always", "--b-hat", 0.7)
+    ranges = {"1-3": range(1, 4), "4-5": range(4, 6)}
+    nodes, peers = [], []
+    for ids in ranges:
+        nodes.append(start(ids, *options))
+        peers.append(bus.accept())
+    config: dict[str, Any] = {"filter_period": 12, "comms_period": comms_period, "filter": Filter.ALWAYS}
+    twins = {robot: twin(robot, 0.7, **config) for robot in range(1, 6)}
+    for each in twins.values():
+        each.start()
+    draw = random.Random(3)
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up(twins, PATIENCE)
+    for tick in range(61):
+        seen = {robot: draw.choice(BOTH) for robot in twins}
+        lockstep.observe(seen)
+        if (tick + 1) % comms_period == 0:
+            lockstep.estimates(twins)
+        exchange(
+            twins, [Command(DRIVER_ID, tick, robot, Action.observing(z), 0) for robot, z in seen.items()]
+        )
+        lockstep.settle(twins)
+        exchange(twins, [Command(DRIVER_ID, tick, robot, Action.SETTLE, 0) for robot in twins])
+    for node, robots, peer in zip(nodes, ranges.values(), peers, strict=True):
+        for figures, robot in zip(node.summaries(), robots, strict=True):
+            assert (figures["id"], figures["ended"]) == (robot, "ticks")
+            assert_same_robot(figures, twins[robot])
+            assert figures["updates"] > 0 and figures["collisions"] == 0
+        senders = {frame.arbitration_id & MAX_NODE_ID for frame in peer.said}
+        assert senders == set(robots)
+
+
+def exchange(nodes: dict[int, RobotNode], commands: list[Command]) -> None:
+    """Let Python nodes hear the commands, and each of them all that the others say then."""
+    for command in commands:
+        frame = encode_command(command, Subjects().commands)
+        for robot, node in nodes.items():
+            for answer in node.hear(frame):
+                for other in nodes.keys() - {robot}:
+                    nodes[other].hear(answer)
+
+
+def test_each_robot_of_a_process_has_its_observations_and_its_state(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    """Two steps of three robots, by rising id; then, from their files, one more."""
+    text = tmp_path / "observations"
+    options = ("--steps-per-second", 1000, "--filter", "none", "--state", tmp_path / "of {id}.state")
+    totals = {7: [0, 0], 8: [0, 0], 9: [0, 0]}
+    for symbols in ("01-\n11-\n", "-01\n"):
+        text.write_text(symbols, encoding="ascii")
+        node = start("7-9", *options, "--observations", text)
+        hear_out(bus, bus.accept())
+        for place, symbol in enumerate(symbols.replace("\n", "")):
+            totals[7 + place % 3][0] += symbol != "-"
+            totals[7 + place % 3][1] += symbol == "1"
+        figures = node.summaries()
+        assert [each["ended"] for each in figures] == ["observations"] * 3
+        assert {each["id"]: [each["t"], each["n"]] for each in figures} == totals
+    assert sorted(path.name for path in tmp_path.glob("*.state")) == [f"of {n}.state" for n in (7, 8, 9)]
 
 
 SUBJECTS = Subjects(FrameFormat(7, 0), FrameFormat(8, 6), FrameFormat(9, 3))
@@ -543,6 +613,12 @@ def complaint(node: CNode) -> str:
         ("--id 128 --lockstep", "--id is 128; choose a whole number, 0 to 127"),
         ("--id -1 --lockstep", "--id is -1; "),
         ("--id 1x --lockstep", "--id is 1x; "),
+        ("--id 5-3 --lockstep", "--id is 5-3; choose a whole number, 0 to 127, or a range such as 0-126"),
+        ("--id 0-128 --lockstep", "--id is 0-128; "),
+        ("--id 0- --lockstep", "--id is 0-; "),
+        ("--id 0--1 --lockstep", "--id is 0--1; "),
+        ("--id 0-3 --sensor x", "--sensor is x; one sensor is for one robot"),
+        ("--id 0-3 --lockstep --state x", "--state is x; robots need a file each: write {id} where"),
         ("--lockstep", "--id is missing; see --help"),
         ("--id 1", "choose one of --lockstep, --observations, --sensor"),
         ("--id 1 --lockstep --observations -", "choose one of --lockstep, --observations, --sensor"),
@@ -594,7 +670,7 @@ def test_a_bus_that_cannot_be_joined_is_named(command: list[str], tmp_path: Path
 
 def test_help_and_version(command: list[str]) -> None:
     told = run(*command, "--help")
-    assert told.startswith("One robot on a CAN bus: mcp_asdf_node ")
+    assert told.startswith("A robot on a CAN bus: mcp_asdf_node ")
     assert run(*command, "--version") == f"mcp_asdf_node {metadata.version('mcp-asdf')}\n"
     source = (SOURCES / "options.c").read_text(encoding="utf-8")
     names = set(re.findall(r'\[[A-Z_0-9]+\] = \{(?:\.name = )?"([a-z-]+)"', source))

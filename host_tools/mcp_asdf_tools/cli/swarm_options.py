@@ -84,7 +84,9 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
     view.add_server_options(output)
-    output.add_argument("--quiet", action="store_true", help="no live table, and one line for a summary")
+    output.add_argument(
+        "--quiet", action="store_true", help="nothing while it runs, and one line for a summary"
+    )
 
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:

@@ -1,4 +1,4 @@
-"""What a terminal shows of a running swarm, and what a pipe gets."""
+"""A running swarm on a terminal, and as lines in a pipe."""
 
 from __future__ import annotations
 

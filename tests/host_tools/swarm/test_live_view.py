@@ -1,4 +1,4 @@
-"""What a terminal shows of a running swarm: what is true, on any width, without colour, and in a pipe."""
+"""A terminal shows the truth about a running swarm, at any width, without colour, and in a pipe."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -47,20 +48,29 @@ def shown(settings: SwarmSettings, compare: bool = True, **options: Any) -> tupl
     return out.getvalue(), run, watch
 
 
-def last_picture(settings: SwarmSettings, width: int, height: int, **options: Any) -> list[str]:
+@cache
+def finished(settings: SwarmSettings) -> SwarmPicture:
+    """The last picture of a run, to be drawn on any screen."""
     watch, companion = Watch(), Companion(settings)
-    out = io.StringIO()
     with Swarm(settings, Wiring()) as swarm:
-        run_swarm(swarm, [companion, companion_last := watch])
-        console = Console(file=out, width=width, height=height, force_terminal=True, **options)
-        console.print(SwarmPicture(swarm, companion_last, companion, 12.0))
+        run_swarm(swarm, [companion, watch])
+    return SwarmPicture(swarm, watch, companion, 12.0)
+
+
+def last_picture(settings: SwarmSettings, width: int, height: int, **options: Any) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width, height=height, force_terminal=True, **options).print(finished(settings))
     return out.getvalue().splitlines()
 
 
 @pytest.mark.parametrize(("width", "height"), SCREENS)
 @pytest.mark.parametrize("topology", ["dynamic", "fully-connected"])
 def test_a_picture_uses_the_screen_that_it_has(width: int, height: int, topology: str) -> None:
-    settings = MOVING if topology == "dynamic" else SwarmSettings(steps=60, filter_period=20, robots=128)
+    settings = (
+        MOVING
+        if topology == "dynamic"
+        else SwarmSettings(steps=20, filter_period=20, robots=128, comms_period=10)
+    )
     lines = last_picture(settings, width, height, color_system=None, legacy_windows=False)
     widths = [cell_len(line.rstrip()) for line in lines]
     assert max(widths) <= width
@@ -95,7 +105,7 @@ def test_its_figures_are_those_of_the_run() -> None:
         other = run_swarm(swarm)
     assert f"with filter {run.results['mean_error']:.4f}" in picture
     assert f"without     {other.results['mean_error']:.4f}" in picture
-    for node in run.nodes[: MOVING.flawed_robots]:
+    for node in run.nodes[: MOVING.flawed]:
         assert re.search(rf" {node.id} {node.robot.b_hat:.3f} ━", picture)
     b_hat, ticks = run.history.values("b_hat"), run.history.ticks
     assert len(ticks) == 401 < MAX_SAMPLES

@@ -30,7 +30,13 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 SETTINGS = SwarmSettings(
-    robots=8, topology="dynamic", filter=Filtering.ASDF_MINUS, flawed="50%", steps=300, filter_period=100
+    robots=8,
+    topology="dynamic",
+    filter=Filtering.ASDF_MINUS,
+    flawed="50%",
+    steps=300,
+    filter_period=50,
+    density=4,
 )
 STATE = "document.getElementById('state').textContent"
 IS_SHOWN = "window.view && view.film && view.film.length > 0 && view.frames > 1"
@@ -118,7 +124,7 @@ def test_all_controls_work(scheme: str, tmp_path: Path) -> None:
         browser.keyboard.press("End")
         until(browser, "document.querySelectorAll('#events button').length > 0")
         browser.locator("#events button").last.click()
-        until(browser, "view.chosen !== null && view.player.tick % 100 === 0")
+        until(browser, "view.chosen !== null && view.player.tick % 50 === 0")
         browser.keyboard.press("Escape")
         assert browser.evaluate("view.chosen") is None
     assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"
