@@ -63,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the log or play it."""
     _check(args)
+    if args.log.suffix == PART:
+        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
     events = args.events or sidecar_of(args.log)
     if args.onto_bus or (args.events is None and not events.exists()):
         return _play(args)
@@ -72,11 +74,13 @@ def run(args: argparse.Namespace) -> int:
     with SidecarReader(events) as sidecar, Progress(console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("running the robots again", total=sidecar.bytes)
         verdict = verify(read_log(args.log), sidecar, lambda: bar.update(task, completed=sidecar.bytes_read))
-    is_part = args.log.suffix == PART
-    report = {"log": str(args.log), "events": str(events), "incomplete": is_part, "verdict": verdict.plain()}
+    report = {
+        "log": str(args.log),
+        "events": str(events),
+        "incomplete": args.log.suffix == PART,
+        "verdict": verdict.plain(),
+    }
     _print(args, report, _table_of(verdict))
-    if is_part:
-        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
     if verdict.difference is not None:
         print(f"mcp-asdf replay: not reproduced: {verdict.difference}", file=sys.stderr)
     elif not verdict.reproduced + verdict.falsified:
