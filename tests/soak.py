@@ -40,6 +40,7 @@ from rich.table import Table
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.progress_bar import progress
+from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.recording import Recording
 from mcp_asdf_tools.recording.replay import verify
@@ -384,7 +385,8 @@ def soak(seconds: float, seed: int, *, kills: bool = True) -> Survived:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         stack.enter_context(RealTime(seed, survived))
         report = stack.enter_context(progress("seconds", int(seconds), False))
-        while not survived.wrong:
+        is_asked = stack.enter_context(stopping())  # Ctrl-C shows what there is
+        while not survived.wrong and not is_asked():
             elapsed = time.monotonic() - began
             if elapsed >= seconds and survived.counts["swarms"]:
                 break
@@ -395,10 +397,10 @@ def soak(seconds: float, seed: int, *, kills: bool = True) -> Survived:
                 traceback.print_exc()
             if elapsed >= next_measurement:
                 survived.measure()
-                next_measurement = elapsed + seconds / 100
+                next_measurement = elapsed + min(seconds / 100, 60)
             report(int(time.monotonic() - began) - int(elapsed))
     survived.measure()
-    if seconds >= WARM:
+    if time.monotonic() - began >= WARM:
         survived.check_growth()
     if virtual.channels:
         survived.wrong.append(f"buses are left open: {sorted(map(str, virtual.channels))}")

@@ -35,12 +35,12 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.recording.frame_logs import FrameLog, read_log
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.recording import Recording
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import c_text, check_file, json_text
@@ -79,30 +79,23 @@ def read_sidecar(path: Path) -> list[object]:
 
 def sidecar() -> bytes:
     header = SidecarHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
-
-    def write(path: Path, files: FileSet) -> None:
-        with SidecarWriter(path, header, files):
-            pass
-
-    return written(".events", write) + b'[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
-
-
-def written(suffix: str, write: Callable[[Path, FileSet], object]) -> bytes:
-    """What a program of ours writes into a file."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"run{suffix}"
-        with FileSet() as files:
-            write(path, files)
-        return path.read_bytes()
+    events = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
+    return (header.line() + events).encode()
 
 
 def log(suffix: str) -> Callable[[], bytes]:
-    def write(path: Path, files: FileSet) -> None:
-        with FrameLog(path, files) as frames:
-            for sender in range(5):
-                frames.write(encode(Message(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
+    """A log as we write it."""
 
-    return lambda: written(suffix, write)
+    def write() -> bytes:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / f"run{suffix}"
+            with Recording(path, None, print) as (take, _):
+                assert take is not None
+                for sender in range(5):
+                    take(encode(Message(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
+            return path.read_bytes()
+
+    return write
 
 
 def picture() -> bytes:

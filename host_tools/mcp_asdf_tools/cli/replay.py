@@ -20,6 +20,7 @@ from mcp_asdf_tools.recording import (
     Player,
     ReplayVerdict,
     SidecarReader,
+    check_log,
     read_log,
     sidecar_of,
     verify,
@@ -62,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the log or play it."""
     _check(args)
+    if args.log.suffix == PART:
+        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
     events = args.events or sidecar_of(args.log)
     if args.onto_bus or (args.events is None and not events.exists()):
         return _play(args)
@@ -71,11 +74,13 @@ def run(args: argparse.Namespace) -> int:
     with SidecarReader(events) as sidecar, Progress(console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("running the robots again", total=sidecar.bytes)
         verdict = verify(read_log(args.log), sidecar, lambda: bar.update(task, completed=sidecar.bytes_read))
-    is_part = args.log.suffix == PART
-    report = {"log": str(args.log), "events": str(events), "incomplete": is_part, "verdict": verdict.plain()}
+    report = {
+        "log": str(args.log),
+        "events": str(events),
+        "incomplete": args.log.suffix == PART,
+        "verdict": verdict.plain(),
+    }
     _print(args, report, _table_of(verdict))
-    if is_part:
-        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
     if verdict.difference is not None:
         print(f"mcp-asdf replay: not reproduced: {verdict.difference}", file=sys.stderr)
     elif not verdict.reproduced + verdict.falsified:
@@ -86,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     if not 0 <= args.speed < float("inf"):
         raise UsageError(f"speed is {args.speed}; it must be 0 (flat out) or a positive factor")
+    check_log(args.log)
     for robot in args.leave_out:
         if not 0 <= robot <= MAX_NODE_ID:
             raise UsageError(f"leave-out is {robot}; ids are 0 to {MAX_NODE_ID}")

@@ -1,6 +1,7 @@
 """Recordings of a bus and of what each robot saw: written, read and replayed."""
 
 from .frame_logs import add_log_option as add_log_option
+from .frame_logs import check_log as check_log
 from .frame_logs import read_log as read_log
 from .recording import LogOutputs as LogOutputs
 from .recording import NoRecording as NoRecording

@@ -115,24 +115,31 @@ def _format_of(path: Path) -> tuple[str, bool]:
 _FORMATS = ".log (candump), .asc, .blf, .csv, .mf4 or .trc, each but .blf and .mf4 also with .gz"
 
 
+def check_log(path: Path | str) -> None:
+    """Raises UsageError if there is no log that can be read, and names its part if its run was cut off."""
+    log = Path(path)
+    try:
+        log.open("rb").close()
+    except OSError as error:
+        part = log.with_name(log.name + PART)
+        hint = f"; its run was cut off, {part} has what there is" if part.exists() else ""
+        raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
+
+
 def read_log(path: Path | str) -> Iterator[can.Message]:
     """Yield the frames of a log, in its order. The suffix gives the format.
 
     Of a part (``NAME.part``) it reads the frames that are complete. Raises UsageError, naming the place, if
     the log cannot be read, is malformed or holds no frame.
     """
+    check_log(path)  # some readers would create a missing file
     log = Path(path)
     number = 0
     try:
-        log.open("rb").close()  # some readers would create a missing file
         with _opened(log) as reader:
             for frame in reader:
                 number += 1
                 yield frame
-    except FileNotFoundError as error:
-        part = log.with_name(log.name + PART)
-        hint = f"; its run was cut off: {part} has what there is" if part.exists() else ""
-        raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
     except OSError as error:
         raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error
     except Exception as error:  # readers raise errors of any kind
