@@ -5,14 +5,14 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 unexport PYTHONDONTWRITEBYTECODE
 
 # What the installed project is built from: the rest is used where it stands.
-BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py \
+BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
 C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan soak docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -38,6 +38,7 @@ lint: .venv/ready-to-test ## run the analysers and the checks of types and style
 format: .venv/ready-to-test ## format all code
 	@$(BIN)/ruff check --fix --exit-zero --quiet
 	@$(BIN)/ruff format
+	@$(BIN)/biome check --write --config-path=.ci host_tools/mcp_asdf_tools/view/page
 	@$(BIN)/clang-format -i $(C_FILES)
 
 crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exact rationals
@@ -54,6 +55,9 @@ loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bi
 
 socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
 	@$(BIN)/pytest tests/socketcan
+
+soak: .venv/ready-to-test ## run everything that goes wrong for HOURS=1 and list what was survived
+	@$(BIN)/python tests/soak.py --hours $(or $(HOURS),1)
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml

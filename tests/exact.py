@@ -18,7 +18,7 @@ INFORMATIVE = Fraction(1, 2**12)
 
 
 def is_informative(p: Fraction) -> bool:
-    """Whether an observation under the accuracy ``p``, or a social estimate ``p``, says anything."""
+    """True if an observation under the accuracy ``p``, or a social estimate ``p``, carries information."""
     return abs(2 * p - 1) >= INFORMATIVE
 
 
@@ -150,7 +150,7 @@ def x_bar_range(x_bar: Fraction) -> tuple[Fraction, Fraction]:
 
 
 def updates(x_bar: Fraction) -> bool | None:
-    """Whether b_hat may be formed from the exact ``x_bar``; None where the firmware's may be on either side
+    """True if b_hat may be formed from the exact ``x_bar``; None where the firmware's may be on either side
     of |2 x_bar - 1| = 2**-12."""
     found = {is_informative(each) and (each < HALF) == (x_bar < HALF) for each in x_bar_range(x_bar)}
     return found.pop() if len(found) == 1 else None

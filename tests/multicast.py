@@ -24,7 +24,7 @@ def multicast(group: int) -> BusChoice:
 
 
 def _works(choice: BusChoice) -> bool:
-    """Whether a frame gets from one connection to another."""
+    """True if a frame gets from one connection to another."""
     try:
         with choice.open() as one, choice.open() as other:
             one.send(can.Message(arbitration_id=1), timeout=1)

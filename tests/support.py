@@ -1,9 +1,10 @@
-"""What tests of several rooms share: where the project is, and running its tools."""
+"""Helpers that tests of several rooms share: paths of the project, and running its tools."""
 
 from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -26,8 +27,17 @@ PATIENCE = 600.0
 """Seconds to wait for what has to happen; on a busy machine, too, only a program that hangs takes so long."""
 
 
+DRAWS_ALL = "MCP_ASDF_TESTS_DRAW_ALL"
+"""Environment variable that conftest.py sets for ``make verify``."""
+
+
+def draws(number: int) -> int:
+    """Cases that a test marked ``random`` draws: all in ``make verify``, a quarter in ``make test``."""
+    return number if DRAWS_ALL in os.environ else -(-number // 4)
+
+
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
-    """What the command prints; fails with all that it said unless it exits with 0."""
+    """Run a command; returns its output. Fails with all that it printed unless it exits with 0."""
     done = subprocess.run(
         command,
         cwd=cwd,
@@ -38,6 +48,15 @@ def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
     )
     assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout}\n{done.stderr}"
     return done.stdout
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: Path, *languages: str) -> list[str]:
+    """The page's blocks of code in these languages."""
+    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
 
 
 def require(tool: str, packages: str | None = None) -> str:

@@ -28,7 +28,7 @@ TITLE_WORDS = re.compile(
 """Left once the exact title is taken out, these belong to a wrong one. A title keeps its capitals."""
 
 MARKED = r'["“*{\[]([A-Z][^"“”*{}\[\]]*[^\s"“”*{}\[\]])["”*}\]]'
-"""What a title stands in: quotation marks, emphasis, braces or the text of a link."""
+"""Marks around a title: quotation marks, emphasis, braces or the text of a link."""
 BETWEEN = r'[^"“”*}\]]{0,80}'
 BESIDE_ARXIV = (
     re.compile(rf"{MARKED}{BETWEEN}arxiv", re.IGNORECASE),

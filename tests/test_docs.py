@@ -16,10 +16,8 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
-from support import PATH, PATIENCE, ROOT, require, run
+from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
@@ -50,11 +48,14 @@ C_NODES = (
     "mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value",
     "tile_sensor | mcp_asdf_node --interface can0 --id 7 --observations -",
     "mcp_asdf_node --interface vcan0 --id 7 --lockstep",
+    "mcp_asdf_node --interface vcan0 --id 0-37 --b-hat 0.55 --observations flawed.txt",
+    "mcp_asdf_node --interface vcan0 --id 38-126 --observations others.txt",
 )
 CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
+IN_A_BROWSER = "ends with Ctrl-C; tests/host_tools/view/test_browser.py has the page in a browser"
 NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
 )
@@ -73,12 +74,25 @@ NOT_RUN = {
     "mcp-asdf swarm --channel 'bus{robot}' --device 0=slcan:socket://127.0.0.1:20001": (
         "wants a controller at that port; tests/targets/test_firmware_in_the_loop.py has one"
     ),
+    "mcp-asdf view walk.parquet": IN_A_BROWSER,
+    "mcp-asdf view run.log": IN_A_BROWSER,
+    "mcp-asdf view --interface socketcan --channel vcan0": NO_CAN,
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
-    "mcp-asdf reproduce --part fully_connected --seed 2 --output second": TAKES_LONG,
-    "mcp-asdf reproduce --firmware reference --conventions authors --output authors": TAKES_LONG,
+    "mcp-asdf reproduce --paper": TAKES_LONG,
+    "mcp-asdf reproduce --redraw": "redraws what the first has run",
+    "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
+    "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
+        TAKES_LONG
+    ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
+    "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
+    "mcp-asdf sweep explore.toml": TAKES_LONG,
+    "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
+        "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
+    ),
     "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
@@ -95,6 +109,8 @@ SLOW = {
     "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
+    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --robots 8 --steps 600 "
+    "--filter-period 100 --animate swarm.webp --quiet",
 }
 """Commands that are for ``make verify``."""
 
@@ -103,11 +119,7 @@ NEEDED = {
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
-"""What commands want beside Python and a C compiler, by a part of the command."""
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
+"""Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
 
 
 def commands_in(block: str) -> list[str]:
@@ -135,7 +147,7 @@ def is_run_elsewhere(page: Path, command: str) -> bool:
 
 
 def is_run(page: Path, command: str) -> bool:
-    """Whether it is for the page's own test; ``make`` would set up or test everything."""
+    """True for commands of the page's own test; ``make`` would set up or test everything."""
     others = (*HERE_WITH_MULTICAST, *C_NODES, *NOT_RUN)
     return not (command.startswith("make ") or command in others or is_run_elsewhere(page, command))
 
@@ -210,11 +222,11 @@ def test_a_slow_command_has_a_quick_one_beside_it() -> None:
 @pytest.mark.parametrize("command", [c for c in NOT_RUN if c.startswith("mcp-asdf ")])
 def test_what_is_not_run_is_parsed(command: str) -> None:
     _, name, *words = shlex.split(command)
-    cli._parser_for(cli._load(name), f"mcp-asdf {name}").parse_args(words)
+    cli._parser_for(name, cli._load(name)).parse_args(words)
 
 
 def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
-    """Each gets as far as the interface or the sensor, which no machine has by that name."""
+    """Each gets as far as the interface, the sensor or the file, which are not there by that name."""
     run(require("cmake"), "-S", ROOT / "c_ref/ports/linux", "-B", tmp_path)
     run("cmake", "--build", tmp_path)
     for command in C_NODES:
@@ -227,7 +239,9 @@ def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == 2
-        assert re.match(r"mcp_asdf_node: (there is no CAN interface none0|cannot open /none/)", done.stderr)
+        assert re.match(
+            r"mcp_asdf_node: (there is no CAN interface none0|cannot open (/none/|\w+\.txt))", done.stderr
+        )
 
 
 def test_a_swarm_of_processes_runs() -> None:
@@ -236,16 +250,17 @@ def test_a_swarm_of_processes_runs() -> None:
 
 
 def test_a_node_on_one_machine_passes_the_verification() -> None:
-    """In two terminals: the node is started when the other is listening. Fewer ticks than by default do."""
+    """In two terminals: the node is started when the other listens. Few ticks and a short memory will do."""
     multicast(98)
     bus = {"CAN_CHANNEL": "239.74.163.98", "CAN_CONFIG": '{"port": 43298}'}
     radio, node = (command.split() for command in HERE_WITH_MULTICAST[1:])
     environment = {**os.environ, "PATH": PATH, **bus}
-    with subprocess.Popen([*radio, "--steps", "3"], env=environment, stdout=subprocess.PIPE) as judge:
+    short = ["--filter-period", "10", "--memory", "64"]
+    with subprocess.Popen([*radio, *short, "--steps", "3"], env=environment, stdout=subprocess.PIPE) as judge:
         joined = "62A34AEF"  # 239.74.163.98 as the kernel writes it
         while judge.poll() is None and joined not in Path("/proc/net/igmp").read_text():
             time.sleep(0.05)
-        with subprocess.Popen(node, env=environment, stdout=subprocess.DEVNULL) as controller:
+        with subprocess.Popen([*node, *short], env=environment, stdout=subprocess.DEVNULL) as controller:
             printed, _ = judge.communicate(timeout=PATIENCE)
             controller.terminate()
     assert judge.returncode == 0, printed.decode()
@@ -300,7 +315,9 @@ def test_the_readme_names_every_exit_code() -> None:
     (said,) = re.findall(r"Exit codes: ([^.]*)\.", cli.__doc__)
     codes = re.findall(r"\b\d+\b", said)
     (shown,) = re.findall(r"exit codes are ([^.]*)\.", (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert re.findall(r"\b\d+\b", shown) == codes == ["0", "1", "2", "130", "141"]
+    assert (
+        set(re.findall(r"\b\d+\b", shown)) == set(codes) == {"0", "1", "2", "128", "129", "130", "141", "143"}
+    )
 
 
 def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
@@ -316,8 +333,11 @@ def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
-    for code in blocks(page, "python"):
-        run(sys.executable, "-c", code, cwd=tmp_path)
+    """One after the other in one process, which loads libraries once, but each in a module of its own."""
+    programs = blocks(page, "python")
+    script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
+    if programs:
+        run(sys.executable, "-c", script, cwd=tmp_path)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

@@ -1,4 +1,4 @@
-"""What ``.ci/setup`` does to a virtual environment, and that the page's way by hand is the same."""
+"""The effects of ``.ci/setup`` on a virtual environment, which are those of the page's way by hand."""
 
 from __future__ import annotations
 
@@ -127,12 +127,12 @@ def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
 
 
 def after_announcing(done: list[str]) -> list[str]:
-    """What follows what is said of the Python packages."""
+    """The lines after the announcement of the Python packages."""
     return done[next(i for i, line in enumerate(done) if "installing the Python packages" in line) + 1 :]
 
 
 def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> None:
-    """What pip itself says where nothing answers."""
+    """pip's own message where nothing answers."""
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
     asks = f'[ "$5" != install ] || exec {sys.executable} -m pip download {nowhere}\n'
     program(clone / ".venv/bin/python", f"#!/bin/sh\n{asks}")

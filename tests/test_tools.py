@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import shutil
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from support import ROOT, require, run
+from support import PAGES, ROOT, blocks, require, run
 
 C_FILES = sorted(
     path for folder in ("c_ref", "host_tools", "tables", "tests") for path in (ROOT / folder).rglob("*.[ch]")
@@ -111,12 +114,16 @@ ROOMS = (
     ),
 )
 SIMULATORS = ("tests/c_ref/avr_robot.c", "tests/benchmarks/cost/avr_machine.c")
+IN_THE_NODE = ("tests/fuzz/fuzz_node.c",)
+SEALED = ("tests/bit_flips/sealed.c",)
 TEST_ROOMS = (
     Room(
         "tests",
         ("tests/**/*.c",),
-        not_files=SIMULATORS,
+        not_files=(*SIMULATORS, *IN_THE_NODE, *SEALED),
     ),
+    Room("node", IN_THE_NODE, ("-D_GNU_SOURCE",)),
+    Room("sealed", SEALED, ("-Itests/benchmarks/cost",)),
     Room(
         "simulators",
         SIMULATORS,
@@ -142,8 +149,41 @@ def test_python_is_formatted() -> None:
     run(require("ruff"), "format", "--diff")
 
 
+def test_docstrings_state_their_object_first() -> None:
+    """ "Output of a command", not "What a command prints", which reads like a translation."""
+    folders = (ROOT / folder for folder in (".ci", "firmware_py", "host_tools", "tests"))
+    paths = [path for folder in folders for path in folder.rglob("*.py")]
+    wrong = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in paths
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if isinstance(node.value.value, str) and node.value.value.startswith(("What ", "Whether "))
+    ]
+    assert len(paths) > 200
+    assert wrong == []
+
+
 def test_types_are_right() -> None:
-    run(require("mypy"))
+    """The project's, and those of the programs on its pages, as their readers' mypy sees them."""
+    folder = ROOT / "build/programs"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for page in PAGES:
+        for number, code in enumerate(blocks(page, "python")):
+            (folder / f"{page.stem}_{number}.py").write_text(code, encoding="utf-8")
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
+    run(require("mypy"), *settings["files"], folder)
+
+
+def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
+    run(
+        require("biome"),
+        "check",
+        "--config-path=.ci",
+        "--error-on-warnings",
+        "host_tools/mcp_asdf_tools/view/page",
+    )
 
 
 def test_c_is_formatted() -> None:

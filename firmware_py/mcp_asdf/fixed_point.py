@@ -9,9 +9,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from operator import index
+from typing import TYPE_CHECKING
 
 from mcp_asdf.robot import MAX_ID, Status, Sums, accepted, check_alpha, shown, whole_number
 from mcp_asdf.table import MAX_WORD
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 ONE = 1 << 23
 """1.0 as x_hat, x_bar or x."""
@@ -72,7 +77,7 @@ def sums_add(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
+    """True if sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
     return (
         alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
         and 0 <= alpha_x_low < 1 << 62
@@ -82,7 +87,7 @@ def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
 
 
 def sums_possible(sums: Sums) -> bool:
-    """Whether ``count`` messages can have given these sums."""
+    """True if ``count`` messages can have given these sums."""
     return (
         0 <= sums.count <= MAX_ID
         and 0 <= sums.x <= sums.count * ONE
@@ -135,6 +140,10 @@ class FixedPointView(ABC):
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         """``receive_raw``, given integers of Python's own."""
 
+    def _receive_all(self, messages: NDArray[np.uint32]) -> int:
+        """``receive_all`` of an array that is as it should be."""
+        return sum(self._receive(*each) is Status.OK for each in messages.tolist())
+
     @abstractmethod
     def _unheard(self) -> list[int]:
         """Ids of the other robots that were not heard in this round, from the lowest."""
@@ -144,11 +153,8 @@ class FixedPointView(ABC):
         """Note that these robots were heard in this round."""
 
     @abstractmethod
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """``add_round`` of the last messages of a round, for simulators that settle next.
-
-        Nothing is checked, and it is not noted which robots were heard. O(1).
-        """
+    def _add_sums(self, sums: Sums, messages: int) -> None:
+        """Add the sums of this many messages to the open round."""
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as the firmware's word.
@@ -164,6 +170,15 @@ class FixedPointView(ABC):
             raise ValueError(f"alpha is {alpha}; the firmware's word has 32 bits")
         return self._receive(sender, x_hat, alpha)
 
+    def receive_all(self, messages: NDArray[np.uint32]) -> int:
+        """``receive_raw`` of several messages in order; returns how many were accepted."""
+        if messages.dtype != "uint32" or messages.shape[1:] != (3,) or not messages.flags.c_contiguous:
+            raise ValueError(
+                f"messages are an array of {messages.dtype} of shape {messages.shape}; "
+                "give a C-contiguous one of uint32 of shape (messages, 3)"
+            )
+        return self._receive_all(messages)
+
     def add_round(self, sums: Sums, messages: int) -> None:
         """Receive ``messages`` messages at once, of which these are the exact sums."""
         whole = Sums(**{name: whole_number(value) for name, value in vars(sums).items()})
@@ -174,7 +189,7 @@ class FixedPointView(ABC):
                 f"{messages} messages of {len(unheard)} robots not heard yet cannot sum up to {whole}"
             )
         self._note_heard(unheard[:number])
-        self.receive_sums(whole, number)
+        self._add_sums(whole, number)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message; values off the firmware's grids are rounded down.

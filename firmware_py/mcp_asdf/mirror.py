@@ -174,7 +174,7 @@ def reestimate(t: int, n: int, closed: Closed) -> int | None:
 
 
 def estimate_possible(s: State) -> bool:
-    """Whether t, n and b_hat give x_hat and alpha or, if b_hat was updated since, another one may have."""
+    """True if t, n and b_hat give x_hat and alpha or, if b_hat was updated since, another one may have."""
     if s.updated:
         is_canonical = s.alpha & 0xE0 == 0 and (s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0)
         return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
@@ -278,8 +278,8 @@ class MirrorRobot(FixedPointView):
         for sender in senders:
             self.s.heard[sender >> 5] |= 1 << (sender & 31)
 
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """Add sums of messages to the open round."""
+    def _add_sums(self, sums: Sums, messages: int) -> None:
+        """Add the sums of this many messages to the open round."""
         s = self.s
         s.accepted = s.accepted + messages & COUNTER_MASK
         for name, value in vars(sums).items():
@@ -387,7 +387,7 @@ class MirrorRobot(FixedPointView):
         return flat
 
     def holds_invariants(self) -> bool:
-        """Whether the state could have come from calls alone (``docs/invariants.md``)."""
+        """True if the state could have come from calls alone (``docs/invariants.md``)."""
         s, config = self.s, self.config
         heard = sum(word.bit_count() for word in s.heard)
         return (

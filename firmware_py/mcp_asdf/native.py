@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary
 
 from mcp_asdf._native import ffi, lib
@@ -28,6 +28,10 @@ from mcp_asdf.robot import (
     whole_settings,
 )
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 __all__ = ["NativeRobot", "ffi", "lib"]
 
@@ -98,6 +102,10 @@ class NativeRobot(FixedPointView):
             fitting = _fit(sender, _MAX_BYTE), _fit(x_hat, MAX_WORD)
             return _STATUS[lib.mcp_asdf_receive(self.pointer, *fitting, alpha)]
 
+    def _receive_all(self, messages: NDArray[np.uint32]) -> int:
+        words = ffi.from_buffer("uint32_t[]", messages)
+        return int(lib.mcp_asdf_receive_all(self.pointer, words, len(messages)))
+
     def _unheard(self) -> list[int]:
         robot = self.pointer
         return [i for i in range(MAX_ID + 1) if i != robot.id and not robot.heard.of[i >> 3] >> (i & 7) & 1]
@@ -106,8 +114,8 @@ class NativeRobot(FixedPointView):
         for sender in senders:
             self.pointer.heard.of[sender >> 3] |= 1 << (sender & 7)
 
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """Add sums of messages to the open round."""
+    def _add_sums(self, sums: Sums, messages: int) -> None:
+        """Add the sums of this many messages to the open round."""
         counters, open_round = self.pointer.counters, self.pointer.open
         counters.accepted = counters.accepted + messages & _COUNTER_MASK
         for name, value in vars(sums).items():
@@ -177,7 +185,7 @@ class NativeRobot(FixedPointView):
         return dict(_flatten("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
 
     def holds_invariants(self) -> bool:
-        """Whether the state could have come from calls alone (``docs/invariants.md``)."""
+        """True if the state could have come from calls alone (``docs/invariants.md``)."""
         return bool(lib.mcp_asdf_invariants_hold(self.pointer))
 
 

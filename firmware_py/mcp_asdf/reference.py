@@ -18,8 +18,6 @@ from functools import cache
 from statistics import mean, stdev
 from typing import NamedTuple
 
-from scipy.special import stdtrit  # type: ignore[import-untyped]
-
 from mcp_asdf.robot import (
     B_HAT_MARGIN,
     MAX_ID,
@@ -168,6 +166,8 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
 
     ``m`` >= 2, 0 < ``omega`` < 1. O(1) after the first call with the same arguments.
     """
+    from scipy.special import stdtrit  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
+
     if not (m >= 2 and 0 < omega < 1):
         raise ValueError(f"m is {m} and omega {omega}; there is a t-score for m >= 2 and 0 < omega < 1")
     return float(stdtrit(m - conventions.lost_degrees, (1 + omega) / 2))
@@ -176,7 +176,7 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
 def rejects(
     x_hat: float, neighbours: Sequence[float], omega: float, conventions: Conventions = PAPER
 ) -> bool:
-    """Whether ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
+    """True if ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
 
     Never for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
     """

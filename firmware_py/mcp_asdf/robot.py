@@ -12,9 +12,13 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 from operator import index
-from typing import Any, Protocol, SupportsIndex, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex, runtime_checkable
 
 from mcp_asdf.table import Table, TableError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 MAX_ID = 127
 """Largest robot id; a round therefore holds at most 127 messages."""
@@ -138,8 +142,8 @@ class Robot(Protocol):
     Constructors take ``(config, robot_id, b_hat)``: a :class:`Config`, an id in 0..127 and the
     initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise :class:`FirmwareError`.
 
-    Where an ``int`` is asked for any integer will do, NumPy's included, and where a ``float`` any real
-    number; another type raises TypeError and changes nothing.
+    An ``int`` may be any integer, NumPy's included, and a ``float`` any real number; another type raises
+    TypeError and changes nothing.
     """
 
     def observe(self, z: Observation) -> Status:
@@ -219,10 +223,11 @@ class FixedPointRobot(Robot, Protocol):
         and changes nothing, where there are not as many, or that many messages cannot have these sums.
         """
 
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """``add_round`` of the last messages of a round, for simulators that settle next. O(1).
+    def receive_all(self, messages: NDArray[np.uint32]) -> int:
+        """``receive_raw`` of several messages in order; returns how many were accepted. O(messages).
 
-        Nothing is checked, and it is not noted which robots were heard.
+        ``messages`` has shape (messages, 3), the columns sender, x_hat and alpha. Raises ValueError, and
+        changes nothing, for an array of another type or shape, or one that is not C-contiguous.
         """
 
     def save(self) -> bytes:
@@ -241,7 +246,7 @@ class FixedPointRobot(Robot, Protocol):
         """Every field of the state by name, for comparing two firmwares bit for bit."""
 
     def holds_invariants(self) -> bool:
-        """Whether the state could have come from calls of this interface alone. O(1)."""
+        """True if the state could have come from calls of this interface alone. O(1)."""
 
     @property
     def b_hat_raw(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
     from matplotlib.figure import Figure
 
-PLOTS = ("boxes", "scatter", "series", "trajectories", "network")
-"""Kinds of pictures of results; the first two are of scores, the others of one experiment."""
+PLOTS = ("boxes", "strips", "scatter", "bands", "curve", "series", "trajectories", "network")
+"""Kinds of pictures of results; the last three are of one experiment."""
 
 
 def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
@@ -78,33 +79,60 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     return rescored(table, chosen_limits(k_max, e_max))
 
 
-def plot(results: pa.Table | SwarmRun, kind: str = PLOTS[0], *, trial: int = 0, step: int = 600) -> Figure:
+def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
+    results: pa.Table | SwarmRun,
+    kind: str = PLOTS[0],
+    *,
+    trial: int = 0,
+    step: int = 600,
+    x: str = "",
+    hue: str = "",
+    y: str = "H",
+) -> Figure:
     """A picture of results or of a swarm's run; its method ``savefig`` writes a file.
 
-    Kinds for results: ``boxes`` and ``scatter`` show scores; ``series`` a ``trial`` over time, which needs
-    ``record``; ``trajectories`` and ``network`` robots that move, up to or at a ``step``. Raises UsageError
-    if the results do not have what it shows.
+    Kinds for results: ``boxes``, ``strips`` and ``scatter`` show scores; ``bands`` b_hat of all trials over
+    time; ``curve`` the measure ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each
+    value of a parameter ``hue``; ``series`` a ``trial`` over time, which needs ``record``; ``trajectories``
+    and ``network`` robots that move, up to or at a ``step``. Raises UsageError if the results do not have
+    what it shows.
     """
     if isinstance(results, SwarmRun):
         from mcp_asdf_tools.swarm import draw  # noqa: PLC0415 (matplotlib loads slowly)
 
         return draw(results)
-    return plot_trials(experiments_in(results), kind, trial, step)
+    return plot_trials(experiments_in(results), PlotChoice(kind, trial, step, x, hue, y))
 
 
-def plot_trials(
-    experiments: Sequence[Trials], kind: str, trial: int, step: int, limits: LimitsOf = paper_limits
-) -> Figure:
+@dataclass(frozen=True)
+class PlotChoice:
+    """Arguments of ``plot``."""
+
+    kind: str
+    trial: int = 0
+    step: int = 600
+    x: str = ""
+    hue: str = ""
+    y: str = "H"
+
+
+def plot_trials(experiments: Sequence[Trials], choice: PlotChoice, limits: LimitsOf = paper_limits) -> Figure:
     """``plot`` of trials that are read already, with scores for any ``limits``."""
-    from mcp_asdf_tools.experiments import arena_plots, plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import arena_plots, curves, plots  # noqa: PLC0415 (matplotlib loads slowly)
 
+    kind = choice.kind
     if kind not in PLOTS:
         raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
-    if kind in PLOTS[:2]:
-        return (plots.boxes if kind == "boxes" else plots.scatter)(experiments, limits)
+    if kind in ("boxes", "strips", "scatter"):
+        draw = {"boxes": plots.boxes, "strips": plots.strips, "scatter": plots.scatter}[kind]
+        return draw(experiments, limits)
+    if kind == "bands":
+        return plots.bands(experiments)
+    if kind == "curve":
+        return curves.curve(experiments, choice.x, choice.hue, choice.y, limits)
     if len(experiments) != 1:
         raise UsageError(f"there are {len(experiments)} experiments; {kind} shows one: choose it")
     if kind == "series":
-        return plots.series(experiments[0], trial)
-    draw = arena_plots.network if kind == "network" else arena_plots.trajectories
-    return draw(experiments[0].experiment, trial, step)
+        return plots.series(experiments[0], choice.trial)
+    in_arena = arena_plots.network if kind == "network" else arena_plots.trajectories
+    return in_arena(experiments[0].experiment, choice.trial, choice.step)

@@ -1,6 +1,7 @@
 """How the moving world compares with the simulation it is modelled on: statistics of the motion, and speed.
 
-    python tests/benchmarks/arena.py [--trials N] [--steps T] [--seed S] [--json] [--write docs/arena.md]
+    PYTHONPATH=tests python -m benchmarks.arena [--trials N] [--steps T] [--seed S] [--json]
+        [--write docs/arena.md]
 
 Runs trials of the paper's dynamic setup (N = 20, D = 1) and prints every statistic beside the reference's, in
 tests/data/motion_statistics.json, with the standard error of the trials. Then it measures how many
@@ -31,7 +32,7 @@ REFERENCE = json.loads((ROOT / "tests/data/motion_statistics.json").read_text(en
 START, END = "<!-- motion table -->", "<!-- end of motion table -->"
 SETTINGS = ArenaSettings(20, square_side(20, 1), square_side(20, 1))
 SPEED_TICKS, SPEED_REPEATS = 40000, 5
-OTHERWISE = ("avoidances in 1000 s", "time between contacts", "largest coordinate")
+OTHERWISE = ("time between contacts", "largest coordinate")
 """Depend on a definition or on the length of a run that the reference does not state."""
 
 
@@ -115,7 +116,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.trials < 2 or args.steps <= 500 or args.seed < 0:
         parser.error(f"--trials {args.trials} --steps {args.steps} --seed {args.seed}: at least 2, 501 and 0")
-    rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_steps_per_second"])
+    rate, baseline = robot_steps_per_second(), float(REFERENCE["robot_ticks_per_second"])
     rows = compare(args.trials, args.steps, args.seed)
     table = markdown(rows, args.trials, args.steps)
     if args.json:

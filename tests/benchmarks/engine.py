@@ -170,7 +170,7 @@ def missed(rates: dict[str, dict[str, float]], short_vectors: bool) -> list[str]
 
 
 def has_long_vectors() -> bool:
-    """Whether this processor has vectors of 64 bytes."""
+    """True if this processor has vectors of 64 bytes."""
     return " avx512vl " in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " ")
 
 

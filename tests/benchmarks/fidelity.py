@@ -111,7 +111,7 @@ def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
         flawed_accuracy=float(flawed_accuracy),
         flawed=int(flawed),
         filter=Filtering(mode.replace("_", "-")),
-        filter_period=int(tau) or 1000,  # 0 where nobody filters
+        filter_period=int(tau) or 1000,  # 0 without a filter
     )
 
 
@@ -213,7 +213,7 @@ class Parts:
 
 def _place(experiment: Experiment) -> str:
     e = experiment
-    accuracies = f"{e.fill_ratio:4g} {e.true_accuracy:4g} {e.flawed_accuracy:5g} {e.flawed_robots:6}"
+    accuracies = f"{e.fill_ratio:4g} {e.true_accuracy:4g} {e.flawed_accuracy:5g} {e.flawed:6}"
     return f"{plain_value(e.topology):>15} {accuracies} {e.filter.value:>10} {e.filter_period:4}"
 
 
@@ -242,7 +242,7 @@ def conventions_table(rows: Sequence[Row]) -> str:
             continue
         medians = f"{np.median(row.ours[:, 2]):.2f} | {np.median(row.others[:, 2]):.2f}"
         topology = str(plain_value(e.topology)).replace("-", " ")
-        place = f"{topology} | {e.fill_ratio} | {e.true_accuracy} | {e.flawed_accuracy} | {e.flawed_robots}"
+        place = f"{topology} | {e.fill_ratio} | {e.true_accuracy} | {e.flawed_accuracy} | {e.flawed}"
         outcome = f"{medians} | {differing} | {apart.max():.2f}"
         lines.append(f"| {place} | {e.filter.value} | {e.filter_period} | {outcome} |")
     trials, others = len(rows[0].ours), len(rows) - len(lines) + 2

@@ -13,6 +13,13 @@ LAGS = (1, 10, 50, 100, 500)
 _TICKS_PER_SECOND = 10
 """Of the arenas whose motion this is."""
 
+_APART = 10
+"""Avoidances at most so many ticks apart are one burst."""
+
+MEAN_DEGREE = 0.867
+"""Of all trials together. About the mean of each trial alone the degree would look less persistent: a trial
+is too short to tell its mean from slow changes."""
+
 
 def motion_statistics(motion: Motion) -> dict[str, float]:
     """Every statistic by name; in metres, radians, and ticks unless the name says otherwise.
@@ -25,6 +32,7 @@ def motion_statistics(motion: Motion) -> dict[str, float]:
         **_rounds(motion.adjacency),
         **_driving(motion),
         **_avoidances(motion),
+        **bursts(motion.avoids.astype(np.bool_)),
         **_contacts(motion.adjacency),
         **{name: value for lag in LAGS for name, value in _after(motion, lag).items()},
     }
@@ -75,11 +83,22 @@ def _avoidances(motion: Motion) -> dict[str, float]:
     turns = np.abs(angle[first + lengths + 1, robots] - angle[first + 1, robots])
     at_robot = np.concatenate([np.zeros((1, motion.avoids.shape[1])), motion.sees_robot.cumsum(axis=0)])
     seen = at_robot[first + lengths + 1, robots] - at_robot[first + 1, robots] > 0
-    seconds = motion.avoids.size / _TICKS_PER_SECOND
     return {
-        "avoidances in 1000 s": 1000 * len(lengths) / seconds,
         "avoidances of a robot": float(seen.mean()),
         "turn of an avoidance": float(turns.mean()),
+    }
+
+
+def bursts(avoids: NDArray[np.bool_]) -> dict[str, float]:
+    """Avoidances with those that follow at once, as a robot that turns away from two obstacles in turn."""
+    joined = avoids.copy()
+    starts, lengths = runs(~avoids)
+    for (robot, before), length in zip(starts[lengths < _APART], lengths[lengths < _APART], strict=True):
+        joined[before + 1 : before + 1 + length, robot] = True
+    seconds = avoids.size / _TICKS_PER_SECOND
+    return {
+        "avoidance bursts in 1000 s": 1000 * len(runs(joined)[1]) / seconds,
+        "ticks between bursts": float(runs(~joined)[1].mean()),
     }
 
 
@@ -96,14 +115,14 @@ def _contacts(adjacency: NDArray[np.bool_]) -> dict[str, float]:
 def _after(motion: Motion, lag: int) -> dict[str, float]:
     adjacency, position, heading = motion.adjacency, motion.position, motion.heading
     degree = adjacency.sum(axis=2, dtype=np.float64)
-    deviation = degree - degree.mean()
+    deviation = degree - MEAN_DEGREE
     moved = position[lag:] - position[:-lag]
     return {
         f"pairs persisting after {lag}": float(
             (adjacency[lag:] & adjacency[:-lag]).sum() / adjacency[:-lag].sum()
         ),
         f"degree autocorrelation after {lag}": float(
-            (deviation[lag:] * deviation[:-lag]).mean() / degree.var()
+            (deviation[lag:] * deviation[:-lag]).mean() / (deviation**2).mean()
         ),
         f"squared displacement after {lag}": float((moved**2).sum(axis=2).mean()),
         f"cosine of turn after {lag}": float((heading[lag:] * heading[:-lag]).sum(axis=2).mean()),

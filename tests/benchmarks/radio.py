@@ -5,6 +5,8 @@
 
 Each swarm runs in lockstep in one process, for the given time after one tick to warm up. *x virtual* is the
 speed relative to python-can's virtual bus in the same run; *in process* is the run without a bus.
+*python-can alone* and *sockets alone* exchange as many frames over as many connections and do nothing else:
+no swarm with a connection for each robot can be faster on that interface.
 Seconds are of processor time, that of the kernel included. *Delivered* are messages that reached a
 neighbour's firmware. *Send* and *receive* are the shares that python-can and the kernel take for that; *rest*
 is all that is ours: world, codec, firmware, medium.
@@ -15,14 +17,19 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import socket
+import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 import can
 from rich.console import Console
 from rich.table import Table
 
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho, wrapped
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -30,6 +37,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 
 PORT = 30_000 + os.getpid() % 100 * 130
 """And 128 more: of this process."""
+GROUP = ("239.74.163.2", PORT + 128)
 COLUMNS = (
     "ticks/s",
     "x virtual",
@@ -41,6 +49,12 @@ COLUMNS = (
     "rest",
     "limited by",
 )
+
+CAN_FRAME = struct.Struct("=IB3x8s")
+"""Linux's struct can_frame."""
+
+Row = dict[str, Any]
+"""Figures by the names of COLUMNS; those that make no sense are left out."""
 
 
 class Timed(can.BusABC):
@@ -71,9 +85,7 @@ class Timed(can.BusABC):
         self._bus.shutdown()
 
 
-def measure(
-    settings: SwarmSettings, open_bus: OpenBus | None, is_shared: bool, seconds: float
-) -> dict[str, Any]:
+def measure(settings: SwarmSettings, open_bus: OpenBus | None, is_shared: bool, seconds: float) -> Row:
     """Figures of one swarm, by the names of COLUMNS; the ratio is still missing."""
     spent = {"send": 0.0, "receive": 0.0}
     timed = None if open_bus is None else lambda robot: Timed(open_bus(robot), spent)
@@ -97,8 +109,89 @@ def measure(
     }
 
 
+def alone(send: Sequence[Callable[[], object]], read: Sequence[Callable[[], object]], seconds: float) -> Row:
+    """Figures of ticks in which each connection sends one frame and then reads one of each connection."""
+    robots, ticks, began = len(send), 0, time.process_time()
+    while (took := time.process_time() - began) < seconds:
+        for each in send:
+            each()
+        for each in read:
+            for _ in range(robots):
+                each()
+        ticks += 1
+    return {"ticks/s": ticks / took, "robot-ticks/s": robots * ticks / took}
+
+
+def python_can_alone(open_bus: Callable[[], can.BusABC], robots: int, seconds: float) -> Row:
+    """Figures of python-can, on an interface that returns a frame to its sender, too."""
+    frames = [encode(Message(robot, 0, 0, 0), FrameFormat()) for robot in range(robots)]
+    with ExitStack() as stack:
+        buses = [stack.enter_context(open_bus()) for _ in frames]
+        send = [partial(bus.send, frame) for bus, frame in zip(buses, frames, strict=True)]
+        return alone(send, [partial(bus.recv, 1.0) for bus in buses], seconds)
+
+
+def sockets_alone(
+    open_socket: Callable[[], socket.socket], frame: bytes, address: Any, robots: int, seconds: float
+) -> Row:
+    """Figures of plain sockets, each of which hears itself."""
+    with ExitStack() as stack:
+        found = [stack.enter_context(open_socket()) for _ in range(robots)]
+        for each in found:
+            each.settimeout(1.0)
+        return alone(
+            [partial(each.sendto, frame, address) for each in found],
+            [partial(each.recv, 64) for each in found],
+            seconds,
+        )
+
+
+def udp_socket() -> socket.socket:
+    """A member of a multicast group."""
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.bind(GROUP)
+    one.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP[0]) + bytes(4))
+    one.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+    return one
+
+
+def can_socket(channel: str) -> socket.socket:
+    """A socket on a SocketCAN interface that hears itself."""
+    one = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    one.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 1)
+    one.bind((channel,))
+    return one
+
+
+def without_robots(robots: int, seconds: float, socketcan: str | None) -> dict[str, Row]:
+    """Limits of the interfaces: python-can alone, sockets alone."""
+
+    def udp() -> can.BusABC:
+        return can.Bus(interface="udp_multicast", port=PORT + 129, hop_limit=0, ignore_config=True)
+
+    def vcan() -> can.BusABC:
+        return can.Bus(
+            interface="socketcan", channel=socketcan, receive_own_messages=True, ignore_config=True
+        )
+
+    limits = {
+        "udp_multicast, python-can alone": python_can_alone(udp, robots, seconds),
+        "udp_multicast, sockets alone": sockets_alone(udp_socket, bytes(50), GROUP, robots, seconds),
+    }
+    if socketcan is not None:
+        frame = CAN_FRAME.pack(FrameFormat().identifier(0) | socket.CAN_EFF_FLAG, 8, bytes(8))
+        limits |= {
+            f"socketcan {socketcan}, python-can alone": python_can_alone(vcan, robots, seconds),
+            f"socketcan {socketcan}, sockets alone": sockets_alone(
+                lambda: can_socket(socketcan), frame, (socketcan,), robots, seconds
+            ),
+        }
+    return limits
+
+
 def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
-    """What to measure: how to join each robot's bus, and whether that is one for all."""
+    """Swarms to measure: how to join each robot's bus, and whether that is one for all."""
 
     def virtual(name: str) -> can.BusABC:
         return can.Bus(interface="virtual", channel=name, ignore_config=True)
@@ -116,14 +209,16 @@ def swarms(socketcan: str | None) -> dict[str, tuple[OpenBus | None, bool]]:
     if socketcan is not None:
         chosen[f"socketcan {socketcan}"] = (
             lambda robot: wrapped(
-                "socketcan", can.Bus(interface="socketcan", channel=socketcan, ignore_config=True)
+                "socketcan",
+                can.Bus(interface="socketcan", channel=socketcan, ignore_config=True),
+                socketcan,
             ),
             True,
         )
     return chosen
 
 
-def table_of(rows: dict[str, dict[str, Any]]) -> Table:
+def table_of(rows: dict[str, Row]) -> Table:
     """The figures for people."""
     table = Table("interface", *COLUMNS, box=None)
     forms: dict[str, Callable[[Any], str]] = {
@@ -133,7 +228,7 @@ def table_of(rows: dict[str, dict[str, Any]]) -> Table:
         "limited by": str,
     }
     for name, row in rows.items():
-        table.add_row(name, *(forms[column](row[column]) for column in COLUMNS))
+        table.add_row(name, *(forms[column](row[column]) if column in row else "" for column in COLUMNS))
     return table
 
 
@@ -156,6 +251,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name: measure(settings, open_bus, is_shared, args.seconds)
         for name, (open_bus, is_shared) in swarms(args.socketcan).items()
     }
+    rows |= without_robots(args.robots, args.seconds, args.socketcan)
     for row in rows.values():
         row["x virtual"] = row["ticks/s"] / rows["virtual"]["ticks/s"]
     if args.json:

@@ -41,7 +41,7 @@ ALPHA = alpha_to_word(32.0)
 
 @cache
 def answer() -> str:
-    """What the program prints, by the mirror; the run passes through an update of b_hat."""
+    """Expected output of the program, by the mirror; the run passes through an update of b_hat."""
     robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), 1, 0.75)
     for tick in range(2000):
         robot.receive_raw(2, 2**23 // 10 * 9, ALPHA)

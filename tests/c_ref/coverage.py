@@ -31,7 +31,7 @@ Span = tuple[int, int, int, int]
 
 @dataclass
 class Decisions:
-    """What was seen of the conditions and decisions of some functions.
+    """Observed values of the conditions and decisions of some functions.
 
     Attributes:
         outcomes: How often a condition was true and false, by function, file and place.

@@ -1,4 +1,4 @@
-"""The core's choices for a target compile in every combination, and what is wrong does not compile at all."""
+"""The core's choices for a target compile in every combination, and wrong ones do not compile at all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DIVISIONS = ("BY_HARDWARE", "BY_TABLE", "BY_BITS", "IN_LANES")
 
 
 def complaint(*flags: str, source: Path = CORE) -> str:
-    """What the compiler prints while it refuses the core under these flags."""
+    """The compiler's errors, with which it refuses the core under these flags."""
     command = ["gcc", "-std=c99", "-fsyntax-only", *flags, str(source)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode != 0, f"{flags} compiles"
@@ -58,7 +58,7 @@ OWN = {
     "avr-gcc -mmcu=atmega328p": "3010",
     "s390x-linux-gnu-gcc": "2000",
 }
-"""What each compiler chooses by itself: the digits are the values of CHOICES."""
+"""The choices that each compiler makes by itself: the digits are the values of CHOICES."""
 PACKAGES = {"arm": "gcc-arm-none-eabi", "riscv64": "gcc-riscv64-unknown-elf", "avr": "gcc-avr avr-libc"}
 
 

@@ -17,7 +17,7 @@ UNREACHED = {
         "the index of a reciprocal is above 64 in damaged memory only, which test_damaged.c tries at random"
     ),
 }
-"""What cannot be seen: function, text, what of it; and the reason."""
+"""Conditions that cannot be reached: function, text and value; and the reason."""
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@
 #define CASES 8000
 #define CALLS 8
 
-/* A robot between bytes that nobody may touch. */
+/* A robot between bytes that must not be touched. */
 typedef struct {
     uint8_t before[32];
     mcp_asdf_t robot;

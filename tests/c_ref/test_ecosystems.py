@@ -149,7 +149,7 @@ def test_platformio_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
 
 
 def consumer_of(library: Path, settings: dict[str, str], folder: Path) -> str:
-    """What the consumer prints, built as PlatformIO does: a folder's sources with another's headers."""
+    """Output of the consumer, built as PlatformIO does: a folder's sources with another's headers."""
     (folder / "main.c").write_text(CONSUMER)
     sources = sorted((library / settings["srcDir"]).glob("*.c"))
     include = f"-I{library / settings['includeDir']}"

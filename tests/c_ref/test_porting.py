@@ -34,7 +34,7 @@ ESTIMATES = FrameFormat()
 MARK, PACKET, SLOTS = 0x7E, 13, 8
 IMAGE_SIZE = 124
 NO_TILE = 2
-"""Of a script: a tick in which the sensor cannot tell."""
+"""Of a script: a tick in which the sensor gives no colour."""
 GREETING = b"?"
 """Of the board that takes a script."""
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
@@ -106,7 +106,7 @@ class Expected:
         self.sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
 
     def play(self, script: bytes) -> bytes:
-        """What it sends while a script is played; demo_scripted.c has the format."""
+        """Bytes that it sends while a script is played; demo_scripted.c has the format."""
         at = 0
         while at < len(script):
             length = max(0, script[at] - NO_TILE)

@@ -18,7 +18,7 @@ CHOSEN = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_tex
 
 
 def compiles(*compiler: str) -> bool:
-    """Whether the compiler makes a program with the standard library."""
+    """True if the compiler makes a program with the standard library."""
     source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
     command = [*compiler, "-x", "c", "-", "-o", "/dev/null"]
     done = subprocess.run(command, input=source, text=True, stderr=subprocess.DEVNULL, check=False)
@@ -44,7 +44,8 @@ def test_c_tests_pass(preset: str, choice: str) -> None:
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
     report = ROOT / f"build/reports/ctest-{preset}.xml"
-    quickly = [] if preset == "small-target" else ["-DCMAKE_BUILD_TYPE=Debug"]
+    debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
+    quickly = [] if preset == "small-target" else debug
     run(require("cmake"), "--preset", preset, "-B", folder, f"-DTEST_VARIANTS={choice}", *quickly)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
@@ -70,7 +71,7 @@ KINDS = {
     "left shift": "unsigned-shift-base",
     "implicit conversion": "implicit-signed-integer-truncation",
 }
-"""What the sanitizer reports, and the section of the list in which it is allowed."""
+"""Kinds of the sanitizer's reports, and the section of the list that allows each."""
 REPORT = re.compile(rf"(\S*/c_ref/src/\S*?):(\d+):\d+: runtime error: ({'|'.join(KINDS)}|.*)")
 DEFINITION = re.compile(r"\b(?!if\b|for\b|while\b|switch\b)(\w+)\([^(){};]*\)\s*\{")
 VARIANTS = (("2", "1", "0", "0"), ("3", "0", "1", "0"))

@@ -838,7 +838,7 @@ def spread_out(m: int) -> list[int]:
 
 
 def decides(kind: FixedPointType, own: int, xs: list[int]) -> bool:
-    """Whether a robot of this x_hat that hears these estimates re-estimates b_hat."""
+    """True if a robot of this x_hat that hears these estimates re-estimates b_hat."""
     robot = robot_at(kind, ADAPTIVE, t=8, n=3, x_hat=own, alpha=ALPHA_ONE)
     receive_all(
         robot, [(s, x, ALPHA_ONE) for s, x in zip((i for i in range(128) if i != OWN_ID), xs, strict=False)]

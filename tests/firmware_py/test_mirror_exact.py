@@ -21,6 +21,9 @@ from mcp_asdf.mirror import Closed, MirrorRobot, accuracy_of, estimate, reestima
 from mcp_asdf.robot import Config, Filter, Observation, Sums
 from mcp_asdf.table import Table
 from robots import ALPHA_LEAST, ALPHA_MOST, ALPHA_ONE, HALF, ONE, OWN_ID, PLAIN, robot_at
+from support import draws, slow
+
+pytestmark = pytest.mark.random
 
 T_MOST = 2**31 - 1
 B_LEAST, B_MOST = 2**12, 2**32 - 2**12
@@ -85,18 +88,18 @@ def own(n: int, t: int, raw: int) -> tuple[Fraction, Fraction]:
 
 
 def test_x_hat_is_within_its_limits() -> None:
-    for n, t, raw in cases(1, 12000):
+    for n, t, raw in cases(1, draws(12000)):
         least, most = exact.x_hat_limits(n, t, raw * exact.Q32)
         assert least <= own(n, t, raw)[0] <= most, (n, t, raw)
 
 
 def test_alpha_is_within_its_limits() -> None:
-    for n, t, raw in cases(2, 12000):
+    for n, t, raw in cases(2, draws(12000)):
         least, most = exact.alpha_limits(n, t, raw * exact.Q32)
         assert least <= own(n, t, raw)[1] <= most, (n, t, raw)
 
 
-@pytest.mark.parametrize("raw", [*EDGES, *(2**32 - c for c in EDGES), 3 << 30, 2**31 + 1])
+@pytest.mark.parametrize("raw", [*EDGES, *slow(2**32 - c for c in EDGES), 3 << 30, 2**31 + 1])
 def test_every_count_of_few_observations(raw: int) -> None:
     b = raw * exact.Q32
     for t in range(1, 70):
@@ -142,7 +145,7 @@ def test_alpha_nearly_reaches_its_limits() -> None:
 def test_the_ends_and_the_middle_are_exact() -> None:
     """Every case distinction of eq. 3 is made on exact numbers, and half of all is 1/2 at every t."""
     middles = ((half, 2 * half, raw) for raw in EDGES for half in (1, 2**29 + 1, 2**30 - 1))
-    for n, t, raw in chain(cases(5, 8000), middles):
+    for n, t, raw in chain(cases(5, draws(8000)), middles):
         value, x_hat = exact.x_hat(n, t, raw * exact.Q32), own(n, t, raw)[0]
         if value in (0, exact.HALF, 1):
             assert x_hat == value, (n, t, raw)
@@ -358,7 +361,7 @@ def error_of_b_hat(n: int, t: int, closed: Closed) -> Fraction | None:
 
 
 def test_b_hat_is_within_its_limits() -> None:
-    for n, t, closed in re_estimates(11, 12000):
+    for n, t, closed in re_estimates(11, draws(12000)):
         error_of_b_hat(n, t, closed)
 
 
@@ -382,7 +385,7 @@ def test_a_social_estimate_near_one_half_updates_nothing() -> None:
 def test_b_hat_explains_x_bar() -> None:
     """Eq. 8 turns eq. 3 around: the new b_hat makes x_bar of x_hat, unless it is clamped or says nothing."""
     explained = 0
-    for n, t, closed in re_estimates(13, 6000):
+    for n, t, closed in re_estimates(13, draws(6000)):
         raw, x_bar = reestimate(t, n, closed), mean_of(closed)
         if raw is None or raw in (B_LEAST, B_MOST) or not exact.is_informative(raw * exact.Q32):
             continue
@@ -391,7 +394,7 @@ def test_b_hat_explains_x_bar() -> None:
         tolerance += exact.Q31 / abs(2 * raw * exact.Q32 - 1)
         assert abs(own(n, t, raw)[0] - x_bar) <= tolerance, (n, t, closed)
         explained += 1
-    assert explained > 500
+    assert explained > draws(500)
 
 
 @pytest.mark.parametrize("seed", range(20))

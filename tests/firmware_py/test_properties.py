@@ -1,4 +1,4 @@
-"""What holds for every sequence of calls (docs/invariants.md), tried by Hypothesis on the mirror and the C.
+"""Properties of every sequence of calls (docs/invariants.md), tried by Hypothesis on the mirror and the C.
 
 Examples are derandomised: a failure prints the smallest calls that show it, and another run finds it again.
 """
@@ -38,12 +38,15 @@ from robots import (
     robot_at,
     unpack,
 )
+from support import draws
+
+pytestmark = pytest.mark.random
 
 Message = tuple[int, int, int]
 """Sender, x_hat and alpha, raw."""
 
 quick = settings(derandomize=True, deadline=None, max_examples=20)
-thorough = settings(derandomize=True, deadline=None, max_examples=150)
+thorough = settings(derandomize=True, deadline=None, max_examples=draws(150))
 
 ALPHA_ENDS = (
     *(0, 0x1F, ALPHA_LEAST, 0x1E0, 0x101, 0x7FFFFF00, 0x80000000),

@@ -1,4 +1,4 @@
-"""What robots make of other types than the interface names: the same, whichever arithmetic runs inside."""
+"""Arguments of other types than the interface names: treated alike, whichever arithmetic runs inside."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ every way to divide, multiply and shift."""
 CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 
 COVERAGE = "-fsanitize-coverage=inline-8bit-counters,pc-table"
-"""What libFuzzer needs; comparisons are not traced, which would take most of the time."""
+"""Options that libFuzzer needs; comparisons are not traced, which would take most of the time."""
 FAST = ("-O2", COVERAGE, "-fsanitize=undefined", "-fsanitize-trap=undefined")
 CHECKED = ("-O1", "-g", COVERAGE, "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
@@ -96,7 +96,7 @@ HARNESSES = {
 
 @cache
 def _everything() -> list[Path]:
-    """What programs are made of, whether or not one needs all of it."""
+    """Sources of the programs, whether or not one needs all of them."""
     folders = (HERE, CORE.parent, TABLE.parent, *(PORTS / name for name in ("", "node", "slcan", "linux")))
     return sorted(each for folder in folders for each in folder.glob("*.[ch]*") if each.is_file())
 
@@ -133,7 +133,7 @@ def _link(program: Path, sources: list[Path], flags: tuple[str, ...], compiler: 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run.
+    """Outcome of a run.
 
     Attributes:
         executions: Inputs tried.

@@ -1,4 +1,4 @@
-"""What fuzzing has found to be worth keeping finds nothing; nor does a little more of it; and it would."""
+"""The inputs that fuzzing kept find nothing, nor does a little more fuzzing; planted faults are found."""
 
 from __future__ import annotations
 

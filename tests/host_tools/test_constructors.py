@@ -33,6 +33,9 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.world.arena import ArenaSettings, Picture, Tiles
 from mcp_asdf_tools.world.settings import Drift, Floor, Topology, WorldSettings
 from mcp_asdf_tools.world.topology import Graph
+from support import draws
+
+pytestmark = pytest.mark.random
 
 SOUND: dict[type[Any], dict[str, Any]] = {
     WorldSettings: {},
@@ -129,7 +132,7 @@ ANYTHING = st.recursive(
 )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=600)
+@settings(deadline=None, max_examples=draws(600))
 @given(st.sampled_from(FIELDS), ANYTHING)
 def test_anything_is_coerced_or_refused(place: tuple[type[Any], str], value: Any) -> None:
     attempt(*place, value)

@@ -119,7 +119,7 @@ def _divisible(least: int) -> Callable[..., Any]:
 
 
 class Remainder:
-    """What holds after i turns of divide_by_bits(), of the quotient q so far and the present a < 2 d:
+    """Invariant of divide_by_bits() after i turns, with the quotient q so far and the present a < 2 d:
     2^i dividend = 2 d q + a. The product d q is a number of its own, so that all claims are linear."""
 
     def __init__(self) -> None:
@@ -166,7 +166,7 @@ class Remainder:
 
 
 def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
-    """What is known of prepare(d)."""
+    """The properties of prepare(d)."""
     if divide == HARDWARE:
         return lambda prepared, d: z3.And(d < prepared * 2**15, prepared * 2**15 <= d + 2**15)
     _, lost = PREPARED[divide]
@@ -311,7 +311,7 @@ def quotient_ensures(found: Any, a: Any, d: Any) -> Any:
 
 
 def is_tried(variant: Variant, name: str) -> bool:
-    """Whether every argument is tried instead of a proof."""
+    """True if every argument is tried instead of a proof."""
     return name == "prepare" and variant.divide in PREPARED
 
 

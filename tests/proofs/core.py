@@ -17,11 +17,11 @@ CORE = SOURCES / "mcp_asdf.c"
 ONE = 2**23
 WORD, LONG = Type(32), Type(64)
 OWN_HIGH, OWN_LOW, MEAN = z3.Ints("own_high own_low mean")
-"""What units() and mean() returned: numbers that formulas may name."""
+"""Results of units() and mean(): numbers that formulas may name."""
 DIVIDEND, DIVISOR = z3.Ints("dividend divisor")
-"""What quotient() was given."""
+"""Arguments of quotient()."""
 SUMS = z3.Ints("sum_alpha sum_low sum_high")
-"""What mean() was given."""
+"""Arguments of mean()."""
 
 
 def _product(_: Machine, a: Number, b: Number) -> Number:
@@ -126,7 +126,7 @@ def _are_halves(_: Any, __: Any, closed: Any, x_hat: Any, ___: Any) -> Any:
 
 
 def _rest(closed: Any, x_hat: Any) -> Any:
-    """What the division leaves, modulo 2^64, from the words at hand."""
+    """The remainder of the division, modulo 2^64, from the words at hand."""
     (_, sum_low), (alpha_high, alpha_low) = _halves(0), _halves(1)
     x = MEAN / 2**9
     product = x * alpha_low + 2**32 * (x * alpha_high % 2**32)
@@ -214,7 +214,7 @@ def _are_normal(g: Any, p: Any) -> Any:
 
 
 def _is_accuracy(after: Any, _: Any, b_hat: Any) -> Any:
-    """What the header says of the members, but for the squares."""
+    """The header's statements about the members, except the squares."""
     held = after["accuracy"]
     half = b_hat == 1 << 31
     c = z3.If(z3.ULT(b_hat, 1 << 31), b_hat, -b_hat)
@@ -243,7 +243,7 @@ C_MOST = (1 << 31) - (1 << 19)
 
 
 def product_bounds(product: Any, a: Any, b: Any, i: Any, j: Any) -> Any:
-    """What bounds of two numbers >= 0 say of their product."""
+    """Bounds of a product that follow from bounds of its factors, numbers >= 0."""
     below = z3.Implies(z3.And(a >= i, b >= j), product >= i * j)
     return z3.And(below, z3.Implies(z3.And(a < i, b < j), product < i * j))
 

@@ -40,7 +40,7 @@ def _writes(body: Any) -> list[Any]:
 
 
 def _changes(node: Any, name: str) -> bool:
-    """Whether this assigns to the variable, counts it or takes its address."""
+    """True if this assigns to the variable, counts it or takes its address."""
     target = node.lvalue if isinstance(node, c_ast.Assignment) else node.expr
     writes = isinstance(node, c_ast.Assignment) or node.op in ("++", "--", "p++", "p--", "&")
     return writes and isinstance(target, c_ast.ID) and target.name == name

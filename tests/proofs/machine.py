@@ -147,7 +147,7 @@ class Machine:
             self.obligations.append(Obligation((*self.facts, *self._path), formula, about))
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """What the function returns, None for none."""
+        """Call a function; returns its result, None without one."""
         if name in self.summaries:
             return self.summaries[name](self, *arguments)
         definition = self.program.functions[name]
@@ -270,7 +270,7 @@ class Machine:
         return getattr(self, f"_value_{type(node).__name__}")(node)
 
     def truth(self, node: Any) -> Any:
-        """Whether the expression is not 0, as a formula."""
+        """The formula that the expression is not 0."""
         if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
             left = self.truth(node.left)
             with self._under(left if node.op == "&&" else z3.Not(left)):

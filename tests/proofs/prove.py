@@ -87,7 +87,7 @@ def always(*_: Any) -> Any:
 
 
 class Invariant(Protocol):
-    """What stays true from turn to turn of a loop."""
+    """A formula that stays true from turn to turn of a loop."""
 
     def after_turn(self, machine: Machine) -> None:
         """Claims it of what a turn left, and then knows nothing else of that."""
@@ -116,7 +116,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a function promises; formulas take the terms of its arguments.
+    """The promises of a function; formulas take the terms of its arguments.
 
     Attributes:
         ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument

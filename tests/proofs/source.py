@@ -24,7 +24,7 @@ HARDWARE, TABLE, BITS, LANES = CHOICES["DIVIDE"]
 
 @dataclass(frozen=True)
 class Variant:
-    """What the preprocessor is told: the digits are values of ``CHOICES``, the macro names a target."""
+    """Definitions for the preprocessor: the digits are values of ``CHOICES``, the macro names a target."""
 
     digits: str
     target: str = ""

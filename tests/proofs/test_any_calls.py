@@ -63,12 +63,12 @@ def test_a_trap_is_found(tmp_path: Path) -> None:
 
 
 def alarms(said: str) -> list[str]:
-    """What each alarm is about."""
+    """The subjects of the alarms."""
     return sorted({about.strip() for about in ALARM.findall(said)})
 
 
 def eva(variant: Variant, sources: Path = SOURCES) -> str:
-    """What the analyser prints; an int of 16 or 32 bits, and a long of 32, as on the targets."""
+    """Output of the analyser; an int of 16 or 32 bits, and a long of 32, as on the targets."""
     flags = [f"-I{sources}", *variant.flags(), "-idirafter", str(INCLUDE)]
     return run(
         *(require("frama-c", "frama-c-base"), "-no-autoload-plugins"),

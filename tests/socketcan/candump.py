@@ -48,7 +48,7 @@ class Candump:
         self._process.wait(PATIENCE)
 
     def lines(self) -> list[str]:
-        """What was sent so far, in the order of the bus, each frame as ``ID#DATA``."""
+        """All frames sent so far, in the order of the bus, each as ``ID#DATA``."""
         with self._vcan.socket() as own:
             own.send(_LAST)
         deadline = time.monotonic() + PATIENCE

@@ -33,7 +33,7 @@ TOOLS = {
     "vng": "",
     "virtme-run": "",
 }
-"""What a guest takes, and the Debian packages that have it; "": in the virtual environment."""
+"""Programs that a guest needs, and their Debian packages; "": in the virtual environment."""
 
 MODULES = (
     *("net/can", "drivers/net/can/dev", "drivers/net/can/vcan.ko", "drivers/net/can/vxcan.ko", "net/sched"),
@@ -69,7 +69,7 @@ exec chroot $root sh {shared}/script
 """Shell script: run the real one on those files."""
 
 KERNEL_ARGUMENTS = "mitigations=off"
-"""What guards against other users costs an emulator a third of its time."""
+"""Protection against other users costs an emulator a third of its time."""
 
 
 class NoGuestError(Exception):

@@ -121,7 +121,7 @@ NODES_FOLDER = "nodes"
 
 
 def _script(shared: Path, tests: list[str]) -> str:
-    """What the guest does. Nodes are built here, which is much faster than there."""
+    """The guest's script. Nodes are built here, which is much faster than there."""
     for kind in (PLAIN, CORTEX_A8):
         try:
             kind.build(WORK / NODES_FOLDER / kind.name)

@@ -1,4 +1,4 @@
-"""What the guest's tests said arrives, and its absence shows. Needs no guest."""
+"""Reports of the guest's tests arrive, and missing ones show. Needs no guest."""
 
 from __future__ import annotations
 

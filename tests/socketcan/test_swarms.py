@@ -25,19 +25,20 @@ from support import PATIENCE
 from targets.c_node import PLAIN, CNode, built
 
 ESTIMATE = struct.Struct("<I4xHBIx")
-"""What a robot needs of a frame: identifier, x_hat in two parts, alpha as binary32."""
+"""The parts of a frame that a robot needs: identifier, x_hat in two parts, alpha as binary32."""
 
 pytestmark = pytest.mark.socketcan
 
 
 PERIODS = ("--filter-period", "4", "--telemetry-period", "4")
-SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, "--quiet")
+FAULTS = ("--fault=loss=0.2", "--fault=delay=0.2", "--fault=corrupt=0.1", "--fault=liar=0.1")
+SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, *FAULTS, "--quiet")
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The log of the swarm on a bus inside the process."""
-    return logged(tmp_path_factory.mktemp("simulated"), "--interface", "virtual")
+    """The log of the swarm without a bus."""
+    return logged(tmp_path_factory.mktemp("simulated"))
 
 
 def logged(folder: Path, *bus: str) -> list[str]:

@@ -37,7 +37,7 @@ def interfaces(*names: str) -> Iterator[None]:
 
 
 def making(name: str) -> tuple[str, str]:
-    """What makes an interface."""
+    """Arguments of ``ip`` that make an interface."""
     return f"link add dev {name} type vcan", f"link set {name} mtu 72 up"
 
 

@@ -81,12 +81,19 @@ CORTEX_A8 = Kind(
 
 
 class CNode:
-    """A running ``mcp_asdf_node``."""
+    """A running ``mcp_asdf_node``.
+
+    Attributes:
+        complaints: What it said on standard error, once it has ended.
+    """
 
     def __init__(
-        self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
+        self, command: Sequence[str], interface: str, robot_id: int | str, *options: object, **streams: Any
     ) -> None:
-        """Start it with the options given; ``streams`` are those of subprocess.Popen."""
+        """Start it with the options given; ``streams`` are those of subprocess.Popen.
+
+        ``robot_id`` may be a range, such as "0-4".
+        """
         arguments = ["--interface", interface, "--id", robot_id, *options]
         self.process = subprocess.Popen(
             [*command, *map(str, arguments)],
@@ -97,13 +104,20 @@ class CNode:
         )
 
     def summary(self, status: int = 0) -> dict[str, Any]:
-        """Its last line, when it has ended by itself with ``status``."""
+        """Its last line, when it has ended by itself with ``status``; see ``summaries``."""
+        (figures,) = self.summaries(status)
+        return figures
+
+    def summaries(self, status: int = 0) -> list[dict[str, Any]]:
+        """Its last lines, one for each robot, when it has ended by itself with ``status``.
+
+        With status 0 it must not have said anything else but that ids are in conflict.
+        """
         printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
-        assert not complaints or status
-        (line,) = printed.splitlines()
-        figures: dict[str, Any] = json.loads(line)
-        return figures
+        self.complaints = complaints.splitlines()
+        assert all("; give one of them another" in each for each in self.complaints) or status
+        return [json.loads(line) for line in printed.splitlines()]
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> dict[str, Any]:
         """Its last line, after that signal."""

@@ -1,4 +1,4 @@
-"""What golden scenarios are made of: calls as the cross-check writes them, crowds of messages, and runs.
+"""Parts of golden scenarios: calls as the cross-check writes them, crowds of messages, and runs.
 
 A *crowd* and a *run* are a few numbers from which ``tests/targets/player.c`` and this module make the same
 calls, so that a microcontroller's flash holds rounds of 127 messages and thousands of ticks.

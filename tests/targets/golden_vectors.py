@@ -47,7 +47,7 @@ def mix(digest: int, word: int) -> int:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a call did: its status modulo 2**32, and what was seen of the robot then (zeros without one)."""
+    """Effect of a call: its status modulo 2**32, and the robot's readings afterwards (zeros without one)."""
 
     status: int
     x: int = 0
@@ -158,7 +158,7 @@ def golden_vectors() -> dict[str, bytes]:
 
 
 def digest(scenario: GoldenScenario) -> int:
-    """What every target must reach at the end of the scenario."""
+    """The digest that every target must reach at the end of the scenario."""
     player = Player(scenario.setup)
     for call in scenario.calls():
         player.apply(call)
@@ -167,7 +167,7 @@ def digest(scenario: GoldenScenario) -> int:
 
 
 def outcomes(scenario: GoldenScenario) -> Iterator[tuple[str, Outcome]]:
-    """What is done, as text, and what then is expected, call by call; first comes the making of the robot."""
+    """Calls as text, each with its expected outcome; the first is the making of the robot."""
     player = Player(scenario.setup)
     yield str(scenario.setup), player.look(player.made)
     for call in scenario.calls():

@@ -35,7 +35,7 @@ HERE = Path(__file__).resolve().parent
 TOOLCHAINS = HERE.parents[1] / "c_ref" / "cmake"
 IMAGE = "golden_vectors"
 CORE_SOURCES = ("mcp_asdf.c", "mcp_asdf_image.c")
-"""What the player needs of the firmware."""
+"""Sources of the firmware that the player needs."""
 
 VECTORS = {"golden_edges.bin": edge_scenarios, "golden_runs.bin": run_scenarios}
 """Files of vectors, and the scenarios that they hold."""
@@ -52,7 +52,7 @@ class BuildError(Exception):
 
 
 class PlayError(Exception):
-    """An image is not what it should be, or did not print what it should; the message tells."""
+    """An image or its output is not as it should be; the message names the difference."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ CHOICES = {
     "divide in lanes": ("MCP_ASDF_DIVIDE=4",),
     "multiply halves": ("MCP_ASDF_SPLIT_MULTIPLY=1", "MCP_ASDF_HAS_CLZ=0"),
 }
-"""What a target's core can be made to compute by, as definitions for the compiler."""
+"""Ways to compute that a target's core can be built with, as definitions for the compiler."""
 
 
 @dataclass(frozen=True)
@@ -164,16 +164,19 @@ def cells_of(target: Target) -> list[Cell]:
     ]
 
 
-def build(preset: str, folder: Path, *settings: str) -> Path:
-    """Build the player in ``folder``; returns the image. Raises BuildError with all that was said."""
+def build(preset: str, folder: Path, *settings: str, only: str = "all") -> Path:
+    """Build the player and the ports, or ``only`` a target of CMake's, in ``folder``; returns the image.
+
+    Raises BuildError with all that was said.
+    """
     _tool("cmake", "--preset", preset, "-B", str(folder), *(f"-D{setting}" for setting in settings))
-    _tool("cmake", "--build", str(folder))
+    _tool("cmake", "--build", str(folder), "--target", only)
     return folder / IMAGE
 
 
 @cache
 def verdict_of(*names: str) -> str:
-    """What an image has to print that plays these files of ``VECTORS``; every call counts."""
+    """Expected output of an image that plays these files of ``VECTORS``; every call counts."""
     scenarios = [scenario for name in names for scenario in VECTORS[name]()]
     calls = [call.name for scenario in scenarios for call in scenario.calls()]
     ticks = calls.count("observe") + calls.count("step")

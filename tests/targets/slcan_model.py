@@ -1,4 +1,4 @@
-"""What a robot that speaks slcan has to answer, byte by byte: c_ref/ports/slcan once more, in Python.
+"""A robot that speaks slcan, byte by byte: c_ref/ports/slcan once more, in Python.
 
 Text is matched with regular expressions and the robot is ``robots.node.RobotNode`` with the mirror, so
 that nothing is shared with the C but the documents.
@@ -66,7 +66,7 @@ class Model:
         self._line = b""
 
     def take(self, text: bytes) -> bytes:
-        """What the program sends when it receives ``text``."""
+        """The program's answer to ``text``."""
         sent = b""
         for piece in re.findall(rb"[^\r\a]*[\r\a]|[^\r\a]+", text):
             self._line += piece

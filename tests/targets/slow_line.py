@@ -30,7 +30,7 @@ class SlowLine:
     """The board with an image, asleep. What the program sends is taken at once.
 
     Attributes:
-        sent: What the program has sent and nobody has asked for.
+        sent: Bytes that the program has sent and that were not yet asked for.
     """
 
     def __init__(self, image: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ BAND = 1 << 19
 
 
 def facts_of(scenario: GoldenScenario) -> Iterator[str]:
-    """What is met on the way, in words."""
+    """Situations that a scenario passes through, in words."""
     player = Player(scenario.setup)
     yield player.made.name
     if player.robot is not None:
@@ -150,7 +151,7 @@ def test_the_edges_are_met() -> None:
 
 
 def verdicts_on_images(name: str) -> list[str]:
-    """What becomes of each restore of a scenario, and where rounds end."""
+    """The outcome of each restore of a scenario, and where rounds end."""
     (scenario,) = (each for each in edge_scenarios() if each.name == name)
     player, said = Player(scenario.setup), []
     for call in scenario.calls():
@@ -201,6 +202,12 @@ def margin_of(robot: mirror.MirrorRobot) -> Fraction:
     return (sums.x - sums.count * robot.s.x_hat) ** 2 - k * (sums.count * sums.x_squared - sums.x**2)
 
 
+@cache
+def digests_of_edges() -> list[int]:
+    """Those of the right mirror, as the tests that change it begin with it."""
+    return [digest(scenario) for scenario in edge_scenarios()]
+
+
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
@@ -227,9 +234,9 @@ def margin_of(robot: mirror.MirrorRobot) -> Fraction:
 def test_small_faults_change_a_digest(
     name: str, fault: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = list(map(digest, edge_scenarios()))
+    expected = digests_of_edges()
     monkeypatch.setattr(mirror, name, fault(getattr(mirror, name)))
-    assert list(map(digest, edge_scenarios())) != expected
+    assert any(digest(each) != right for each, right in zip(edge_scenarios(), expected, strict=True))
 
 
 # ---- Runs ----
@@ -273,7 +280,7 @@ def test_a_crowd_goes_around_at_the_end_of_ids_and_numbers() -> None:
 
 
 def printed(number: int, change: int | None, field: str = "state") -> str:
-    """What a target would print that gets the call ``change`` of a scenario wrong, and all that follow."""
+    """Output of a target that gets the call ``change`` of a scenario wrong, and all that follow."""
     lines = [f"scenario {number} expected 1 found 2"]
     for index, (_, outcome) in enumerate(outcomes(SCENARIOS[number])):
         values = {"status": outcome.status, "x": outcome.x, "x_bar": outcome.x_bar, "state": outcome.state}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import re
+import resource
 import signal
 import subprocess
 import time
@@ -20,6 +21,7 @@ import pytest
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
+    MAX_NODE_ID,
     Action,
     Command,
     FrameFormat,
@@ -32,7 +34,8 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_command,
 )
-from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from support import PATIENCE, ROOT, require, run, slow
 from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
@@ -64,7 +67,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
     """Starts nodes on the bus, and stops those that are left."""
     started: list[CNode] = []
 
-    def start_node(robot_id: int, *options: object, **streams: object) -> CNode:
+    def start_node(robot_id: int | str, *options: object, **streams: object) -> CNode:
         started.append(CNode(command, bus.channel_info, robot_id, *options, **streams))
         return started[-1]
 
@@ -74,7 +77,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
 
 
 def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
-    """What a Python node in lockstep says when it is told ``frames``."""
+    """The answers of a Python node in lockstep to ``frames``."""
     return node.start() + [answer for frame in frames for answer in node.hear(frame)]
 
 
@@ -110,6 +113,74 @@ def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
         lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
         lockstep.estimates(robots)
         lockstep.settle(robots)
+
+
+@pytest.mark.parametrize("comms_period", [1, 3])
+def test_robots_of_one_process_hear_each_other_as_robots_of_several_do(
+    start: Start, bus: UnixBus, comms_period: int
+) -> None:
+    """One process of robots 1, 2, 3, one of 4 and 5: the same bits as Python nodes that all hear all."""
+    options = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps", 61)
+    options = (*options, "--activation", "always", "--b-hat", 0.7)
+    ranges = {"1-3": range(1, 4), "4-5": range(4, 6)}
+    nodes, peers = [], []
+    for ids in ranges:
+        nodes.append(start(ids, *options))
+        peers.append(bus.accept())
+    config = {"filter_period": 12, "comms_period": comms_period, "filter": Filter.ALWAYS}
+    twins = {robot: twin(robot, 0.7, **config) for robot in range(1, 6)}
+    for each in twins.values():
+        each.start()
+    draw = random.Random(3)
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up(twins, PATIENCE)
+    for tick in range(61):
+        seen = {robot: draw.choice(BOTH) for robot in twins}
+        lockstep.observe(seen)
+        if (tick + 1) % comms_period == 0:
+            lockstep.estimates(twins)
+        exchange(
+            twins, [Command(DRIVER_ID, tick, robot, Action.observing(z), 0) for robot, z in seen.items()]
+        )
+        lockstep.settle(twins)
+        exchange(twins, [Command(DRIVER_ID, tick, robot, Action.SETTLE, 0) for robot in twins])
+    for node, robots, peer in zip(nodes, ranges.values(), peers, strict=True):
+        for figures, robot in zip(node.summaries(), robots, strict=True):
+            assert (figures["id"], figures["ended"]) == (robot, "ticks")
+            assert_same_robot(figures, twins[robot])
+            assert figures["updates"] > 0 and figures["collisions"] == 0
+        senders = {frame.arbitration_id & MAX_NODE_ID for frame in peer.said}
+        assert senders == set(robots)
+
+
+def exchange(nodes: dict[int, RobotNode], commands: list[Command]) -> None:
+    """Let Python nodes hear the commands, and each of them all that the others say then."""
+    for command in commands:
+        frame = encode_command(command, Subjects().commands)
+        for robot, node in nodes.items():
+            for answer in node.hear(frame):
+                for other in nodes.keys() - {robot}:
+                    nodes[other].hear(answer)
+
+
+def test_each_robot_of_a_process_has_its_observations_and_its_state(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    """Two steps of three robots, by rising id; then, from their files, one more."""
+    text = tmp_path / "observations"
+    options = ("--steps-per-second", 1000, "--filter", "none", "--state", tmp_path / "of {id}.state")
+    totals = {7: [0, 0], 8: [0, 0], 9: [0, 0]}
+    for symbols in ("01-\n11-\n", "-01\n"):
+        text.write_text(symbols, encoding="ascii")
+        node = start("7-9", *options, "--observations", text)
+        hear_out(bus, bus.accept())
+        for place, symbol in enumerate(symbols.replace("\n", "")):
+            totals[7 + place % 3][0] += symbol != "-"
+            totals[7 + place % 3][1] += symbol == "1"
+        figures = node.summaries()
+        assert [each["ended"] for each in figures] == ["observations"] * 3
+        assert {each["id"]: [each["t"], each["n"]] for each in figures} == totals
+    assert sorted(path.name for path in tmp_path.glob("*.state")) == [f"of {n}.state" for n in (7, 8, 9)]
 
 
 SUBJECTS = Subjects(FrameFormat(7, 0), FrameFormat(8, 6), FrameFormat(9, 3))
@@ -187,6 +258,42 @@ def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: 
                 pass
     while len(peer.said) < answers:
         assert bus.recv(PATIENCE) is not None, f"{len(peer.said)} answers, expected {answers}"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_notices_the_id_conflicts_that_a_python_node_does(start: Start, bus: UnixBus, seed: int) -> None:
+    """Some ids have two senders; messages are lost, repeated and late, and senders restart."""
+    draw, watch = random.Random(seed), IdConflictWatch(5)
+    messages = arriving_messages(draw)
+    for message in messages:
+        watch.hear(message)
+    order = list(watch.found)
+    node = start(5, "--lockstep", "--subject", 7, "--command-subject", 9, "--priority", 0)
+    peer = bus.accept()
+    frames = [encode(message, SUBJECTS.estimates) for message in messages]
+    tell_and_hear(bus, peer, [*frames, command_frame(1, 5, Action.OBSERVE_BLACK)], 2)
+    figures = node.stop()
+    assert figures["heard"] == len(messages)
+    assert figures["id_conflicts"] == sorted(order), f"replay: random.Random({seed})"
+    said = [f"mcp_asdf_node: {watch.found[each].value}: {each}; give one of them another" for each in order]
+    assert node.complaints == said
+    assert {5} < set(order) <= {3, 5, 7, 9}
+
+
+def arriving_messages(draw: random.Random) -> list[Message]:
+    """Messages of the ids 0 to 9 in the order of their arrival; 3, 5, 7 and 9 have two senders."""
+    arrivals = []
+    for robot in range(10):
+        loss, late = draw.choice([0, 0.1, 0.2]), draw.choice([0, 3])
+        for sender in range(1 + (robot in (3, 5, 7, 9))):
+            count = draw.randrange(32)
+            for number in range(150):
+                count = 0 if draw.random() < 0.01 else count + 1
+                message = Message(robot, draw.randrange(2**23), (2**23 + sender) << 8, count % 32)
+                for _ in range(1 + (draw.random() < 0.05)):
+                    if draw.random() >= loss:
+                        arrivals.append((number + draw.uniform(0, late), message))
+    return [message for _, message in sorted(arrivals, key=lambda each: each[0])]
 
 
 @pytest.mark.parametrize(("ticks", "rounds"), [(2, 0), (3, 1), (5, 1), (6, 2)])
@@ -379,7 +486,7 @@ def test_a_full_queue_costs_frames_but_no_tick(start: Start, bus: UnixBus, tmp_p
     assert len(peer.said) == figures["estimates"] + figures["heartbeats"] - figures["unsent"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_run_cleanly(start: Start, bus: UnixBus, number: signal.Signals) -> None:
     node = start(5, "--lockstep")
     drive_one(bus, bus.accept())
@@ -467,8 +574,30 @@ def test_a_state_that_cannot_be_saved_is_a_failure(start: Start, bus: UnixBus, t
     assert "cannot save the state" in complaints
 
 
+def test_a_full_disk_does_not_stop_the_robot(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    """Files of at most 50 bytes stand for it: the state of before stays, and one line tells."""
+    text, state = tmp_path / "observations", tmp_path / "state"
+    text.write_text("1" * 100, encoding="ascii")
+    state.write_bytes(before := twin(5).robot.save())  # type: ignore[attr-defined]
+    options = ("--state", state, "--save-period", 10, "--steps-per-second", 1000, "--observations", text)
+    node = start(
+        5,
+        *options,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50, 50)),
+        restore_signals=False,  # Python ignores SIGXFSZ; so must the node here
+    )
+    hear_out(bus, bus.accept())
+    figures = node.summary(status=1)
+    assert figures["t"] == 100
+    assert node.complaints == [
+        f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
+    ]
+    assert state.read_bytes() == before
+    assert not state.with_name("state.new").exists()
+
+
 def complaint(node: CNode) -> str:
-    """What a node says that does not start."""
+    """The error message of a node that does not start."""
     printed, complaints = node.process.communicate(timeout=PATIENCE)
     assert (node.process.returncode, printed) == (2, "")
     return str(complaints)
@@ -483,6 +612,12 @@ def complaint(node: CNode) -> str:
         ("--id 128 --lockstep", "--id is 128; choose a whole number, 0 to 127"),
         ("--id -1 --lockstep", "--id is -1; "),
         ("--id 1x --lockstep", "--id is 1x; "),
+        ("--id 5-3 --lockstep", "--id is 5-3; choose a whole number, 0 to 127, or a range such as 0-126"),
+        ("--id 0-128 --lockstep", "--id is 0-128; "),
+        ("--id 0- --lockstep", "--id is 0-; "),
+        ("--id 0--1 --lockstep", "--id is 0--1; "),
+        ("--id 0-3 --sensor x", "--sensor is x; one sensor is for one robot"),
+        ("--id 0-3 --lockstep --state x", "--state is x; robots need a file each: write {id} where"),
         ("--lockstep", "--id is missing; see --help"),
         ("--id 1", "choose one of --lockstep, --observations, --sensor"),
         ("--id 1 --lockstep --observations -", "choose one of --lockstep, --observations, --sensor"),
@@ -516,7 +651,7 @@ def test_what_is_wrong_is_named(command: list[str], options: str, told: str) -> 
 
 
 def refusal(command: list[str], *options: str) -> str:
-    """What the node says of options that will not do."""
+    """The node's error message for invalid options."""
     done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (2, "")
     return done.stderr
@@ -534,7 +669,7 @@ def test_a_bus_that_cannot_be_joined_is_named(command: list[str], tmp_path: Path
 
 def test_help_and_version(command: list[str]) -> None:
     told = run(*command, "--help")
-    assert told.startswith("One robot on a CAN bus: mcp_asdf_node ")
+    assert told.startswith("A robot on a CAN bus: mcp_asdf_node ")
     assert run(*command, "--version") == f"mcp_asdf_node {metadata.version('mcp-asdf')}\n"
     source = (SOURCES / "options.c").read_text(encoding="utf-8")
     names = set(re.findall(r'\[[A-Z_0-9]+\] = \{(?:\.name = )?"([a-z-]+)"', source))

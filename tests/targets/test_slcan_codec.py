@@ -13,15 +13,17 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf_tools.bus.slcan_server import line_of
-from support import ROOT, require, run
+from support import ROOT, draws, require, run
 from targets.slcan_model import LONGEST, frame_in
+
+pytestmark = pytest.mark.random
 
 SLCAN = ROOT / "c_ref/ports/slcan"
 CORE = ROOT / "c_ref/src"
 SEED = 20261121
 STANDARD, REMOTE, ERROR, FD = 1, 2, 4, 8
 
-fixed = settings(derandomize=True, deadline=None, max_examples=300)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 
 class Codec:

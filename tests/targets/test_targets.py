@@ -215,7 +215,8 @@ def test_the_widest_settings_are_built_and_run(number: int, b_hat: str, period: 
 def play_on_host(folder: Path, *settings: str) -> tuple[int, str]:
     """Exit status and output of the player built for this computer."""
     require("ninja", "ninja-build")
-    image = matrix.build("host", folder / "build", *settings, "CMAKE_COMPILE_WARNING_AS_ERROR=OFF")
+    options = (*settings, "CMAKE_COMPILE_WARNING_AS_ERROR=OFF", "CMAKE_BUILD_TYPE=Debug")
+    image = matrix.build("host", folder / "build", *options, only=matrix.IMAGE)
     done = subprocess.run([image], capture_output=True, text=True, check=False)
     return done.returncode, done.stdout
 
@@ -272,7 +273,7 @@ FAULTS = [
         "scenario 59 (the threshold for 3), call 5, settle:",
     ),
 ]
-"""What is in the core, what is put in its place, and the first call that shows it."""
+"""A piece of the core, a wrong one to replace it, and the first call that shows the difference."""
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,16 @@
 #include <string.h>
 
 #define LARGEST UINT32_MAX
+#define ID_IN_NAME "{id}"
 
 extern const uint32_t MCP_ASDF_NODE_TABLE[];
 
 static const char usage[] =
-    "One robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
+    "A robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
+    "Many of them:         mcp_asdf_node --interface vcan0 --id 0-126 --observations tiles.txt\n"
     "\n"
     "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
-    "  --id N                 of robot and node, 0 to 127\n"
+    "  --id N                 of robot and node, 0 to 127; 0-126 for so many robots\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
     "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
     "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
@@ -26,8 +28,9 @@ static const char usage[] =
     "\n"
     "Clock and observations, one of:\n"
     "  --lockstep             do what command frames say\n"
-    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen; - is the standard input\n"
-    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black\n"
+    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen, in each step one of these\n"
+    "                         for each robot by rising id; - is the standard input\n"
+    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black; for one robot\n"
     "\n"
     "  --steps-per-second N   1 to 1000 (10); in lockstep of simulated time\n"
     "  --steps N              end after so many (0: no limit)\n"
@@ -35,15 +38,15 @@ static const char usage[] =
     "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
     "  --priority N           of estimates, 0 to 7 (4)\n"
     "  --receive-buffer BYTES of the kernel (0: its default)\n"
-    "  --state FILE           go on from there, and save there at the end\n"
+    "  --state FILE           go on from there, and save there at the end; {id} in its name is the robot's\n"
     "  --save-period STEPS    save there in between, too (0: no)\n"
     "\n"
-    "Ends with a line of JSON. Status 0: by --steps, the end of observations, SIGINT or SIGTERM;\n"
+    "Ends with a line of JSON for each robot. Status 0: by --steps, the end of observations, SIGINT or "
+    "SIGTERM;\n"
     "1: the bus or the observations failed; 2: it could not start.\n";
 
 /* Numbers first, then texts, then what takes no argument. */
 enum option_index {
-    ID,
     COMMS_PERIOD,
     FILTER_PERIOD,
     MEMORY,
@@ -57,6 +60,7 @@ enum option_index {
     RECEIVE_BUFFER,
     SAVE_PERIOD,
     INTERFACE,
+    IDS,
     B_HAT,
     FILTER,
     ACTIVATION,
@@ -75,8 +79,7 @@ enum option_index {
 static const struct {
     const char *name;
     uint32_t least, most, usual;
-} table[ALL] = {[ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
-                [COMMS_PERIOD] = {"comms-period", 1, LARGEST, 1},
+} table[ALL] = {[COMMS_PERIOD] = {"comms-period", 1, LARGEST, 1},
                 [FILTER_PERIOD] = {"filter-period", 1, LARGEST, 1000},
                 [MEMORY] = {"memory", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX, MCP_ASDF_MEMORY_MAX},
                 [RATE] = {"steps-per-second", 1, 1000, 10},
@@ -89,6 +92,7 @@ static const struct {
                 [RECEIVE_BUFFER] = {"receive-buffer", 0, INT32_MAX, 0},
                 [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
                 [INTERFACE] = {.name = "interface"},
+                [IDS] = {.name = "id"},
                 [B_HAT] = {.name = "b-hat"},
                 [FILTER] = {.name = "filter"},
                 [ACTIVATION] = {.name = "activation"},
@@ -124,6 +128,20 @@ static uint32_t number(const char *const given[ALL], enum option_index which)
         fail(which, text, fix);
     }
     return (uint32_t)value;
+}
+
+/* An id, or the first and the last of several. */
+static void ids(const char *text, uint8_t *first, unsigned *robots)
+{
+    char *end = NULL;
+    const unsigned long low = strtoul(text, &end, 10);
+    const bool is_range = *end == '-' && end[1] >= '0' && end[1] <= '9';
+    const unsigned long high = is_range ? strtoul(end + 1, &end, 10) : low;
+    if (*text < '0' || *text > '9' || *end != '\0' || low > high || high > MCP_ASDF_MAX_ID) {
+        fail(IDS, text, "choose a whole number, 0 to 127, or a range such as 0-126");
+    }
+    *first = (uint8_t)low;
+    *robots = (unsigned)(high - low) + 1;
 }
 
 static uint32_t b_hat(const char *text)
@@ -202,12 +220,18 @@ static void check(const options_t *options, const char *const given[ALL])
     const node_settings_t *node = &options->node;
     const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
     const uint16_t command = node->command.subject;
-    if (given[INTERFACE] == NULL || given[ID] == NULL) {
-        fail(given[INTERFACE] == NULL ? INTERFACE : ID, "missing", "see --help");
+    if (given[INTERFACE] == NULL) {
+        fail(INTERFACE, "missing", "see --help");
     }
     if ((given[LOCKSTEP] != NULL) + (given[OBSERVATIONS] != NULL) + (given[SENSOR] != NULL) != 1) {
         fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
+    }
+    if (options->robots > 1 && given[SENSOR] != NULL) {
+        fail(SENSOR, given[SENSOR], "one sensor is for one robot; choose --observations or --lockstep");
+    }
+    if (options->robots > 1 && options->state != NULL && strstr(options->state, ID_IN_NAME) == NULL) {
+        fail(STATE, given[STATE], "robots need a file each: write {id} where the id is to stand");
     }
     if (node->filter_period % node->comms_period != 0) {
         fail(FILTER_PERIOD, given[FILTER_PERIOD] == NULL ? "1000" : given[FILTER_PERIOD],
@@ -236,7 +260,6 @@ static node_settings_t node_settings(const char *const given[ALL])
         .b_hat = b_hat(given[B_HAT]),
         .ticks_per_second = number(given, RATE),
         .telemetry_period = number(given, TELEMETRY_PERIOD),
-        .id = (uint8_t)number(given, ID),
         .lockstep = given[LOCKSTEP] != NULL};
     return settings;
 }
@@ -246,14 +269,29 @@ void options_read(options_t *options, int count, char *const arguments[])
     const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "asdf-plus", [ACTIVATION] = "adaptive"};
     collect(given, count, arguments);
     answer_questions(given);
-    const options_t read = {.node = node_settings(given),
-                            .interface = given[INTERFACE],
-                            .observations = given[OBSERVATIONS],
-                            .sensor = given[SENSOR],
-                            .state = given[STATE],
-                            .save_period = number(given, SAVE_PERIOD),
-                            .ticks = number(given, TICKS),
-                            .receive_buffer = number(given, RECEIVE_BUFFER)};
+    options_t read = {.node = node_settings(given),
+                      .interface = given[INTERFACE],
+                      .observations = given[OBSERVATIONS],
+                      .sensor = given[SENSOR],
+                      .state = given[STATE],
+                      .save_period = number(given, SAVE_PERIOD),
+                      .ticks = number(given, TICKS),
+                      .receive_buffer = number(given, RECEIVE_BUFFER)};
+    if (given[IDS] == NULL) {
+        fail(IDS, "missing", "see --help");
+    }
+    ids(given[IDS], &read.node.id, &read.robots);
     check(&read, given);
     *options = read;
+}
+
+const char *options_state(char path[PATH_MAX], const options_t *options, uint8_t id)
+{
+    const char *const place = strstr(options->state, ID_IN_NAME);
+    if (place == NULL) {
+        return options->state;
+    }
+    (void)snprintf(path, PATH_MAX, "%.*s%u%s", (int)(place - options->state), options->state, id,
+                   place + strlen(ID_IN_NAME));
+    return path;
 }

@@ -40,14 +40,28 @@ static void print_bus(const bus_t *bus)
                  counts->error_frames, counts->bus_off, counts->downs, counts->odd_packets);
 }
 
+static void print_conflicts(const conflicts_t *conflicts)
+{
+    const char *between = "";
+    (void)printf(", \"id_conflicts\": [");
+    for (unsigned node = 0; node < CONFLICTS_NODES; ++node) {
+        if (conflicts->nodes[node].is_found) {
+            (void)printf("%s%u", between, node);
+            between = ", ";
+        }
+    }
+    (void)printf("]");
+}
+
 bool summary_print(const char *ended, const node_t *node, const bus_t *bus, const source_t *source,
-                   const ticker_t *ticker)
+                   const ticker_t *ticker, const conflicts_t *conflicts)
 {
     (void)printf("{\"id\": %u, \"ended\": \"%s\", \"ticks\": " U32 ", ", node->settings->id, ended,
                  node->ticks);
     print_robot(&node->robot);
     print_node(&node->counts);
     print_bus(bus);
+    print_conflicts(conflicts);
     (void)printf(", \"missing\": " U32 ", \"skipped\": " U32 ", \"worst_lateness_us\": %" PRId64 "}\n",
                  source->missing, ticker->skipped, ticker->worst / 1000);
     return fflush(stdout) == 0 && ferror(stdout) == 0;

@@ -7,6 +7,7 @@ from .dbc import dbc_text as dbc_text
 from .frames import COMMANDS as COMMANDS
 from .frames import EVERY_ROBOT as EVERY_ROBOT
 from .frames import FRAME_BYTES as FRAME_BYTES
+from .frames import HEARTBEAT_SUBJECT as HEARTBEAT_SUBJECT
 from .frames import MAX_B_HAT as MAX_B_HAT
 from .frames import MAX_NODE_ID as MAX_NODE_ID
 from .frames import MIN_B_HAT as MIN_B_HAT
@@ -16,6 +17,7 @@ from .frames import TRANSFER_IDS as TRANSFER_IDS
 from .frames import Action as Action
 from .frames import Command as Command
 from .frames import FrameFormat as FrameFormat
+from .frames import Health as Health
 from .frames import Heartbeat as Heartbeat
 from .frames import Message as Message
 from .frames import Rejection as Rejection

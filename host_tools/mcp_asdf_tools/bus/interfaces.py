@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import configparser
 import errno
+import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -51,12 +52,12 @@ class BusChoice:
 
     @property
     def has_channels(self) -> bool:
-        """Whether each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
+        """True if each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
         return _ROBOT in (self.channel or "")
 
     @property
     def is_private(self) -> bool:
-        """Whether no other program can be on the bus, and the user asked for nothing of it but a name."""
+        """True if no other program can be on the bus, and the user gave nothing but its name."""
         return self.interface == DEFAULT_INTERFACE and self._is_plain
 
     def of_robot(self, robot: int) -> BusChoice:
@@ -77,7 +78,7 @@ class BusChoice:
             bus = create_bus_from_namespace(self._args, **self._defaults)
         except argparse.ArgumentError as error:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
-        return wrapped(self.interface, bus)
+        return wrapped(self.interface, bus, self.channel or self.interface)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -115,8 +116,13 @@ class BusChoice:
         return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
 
 
-def wrapped(interface: str, bus: can.BusABC) -> can.BusABC:
-    """Connection that marks others' frames as received and returns no own ones, on any interface."""
+def wrapped(interface: str, bus: can.BusABC, name: str) -> can.BusABC:
+    """Connection that marks others' frames as received and returns no own ones, on any interface.
+
+    ``name`` is that of the bus where the interface does not name it.
+    """
+    if bus.channel_info == can.BusABC.channel_info:
+        bus.channel_info = name
     wrapper = _WRAPPERS.get(interface)
     return bus if wrapper is None else wrapper(bus)
 
@@ -184,6 +190,33 @@ class WithoutEcho(_Wrapper):
             timeout = 0.0  # the caller waits again for the rest of its time
 
 
+class Multicast(WithoutEcho):
+    """Connection to a multicast group, where any program of the network may send anything.
+
+    A datagram that is no frame arrives as an error frame, like a frame that is damaged on its way on a CAN
+    bus. It passes every filter.
+    """
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            frame, is_filtered = super()._recv_internal(timeout)
+        except can.CanOperationError as error:
+            if error.__cause__ is None or isinstance(error.__cause__, OSError):  # not the datagram's fault
+                raise
+            return self._damaged(), True
+        if frame is None:
+            return None, is_filtered
+        if type(frame.arbitration_id) is not int or type(frame.dlc) is not int:
+            return self._damaged(), True
+        frame.channel = self.channel_info  # the sender may have written anything
+        return frame, is_filtered
+
+    def _damaged(self) -> can.Message:
+        return can.Message(
+            time.time(), _PROTOCOL_ERROR, is_error_frame=True, channel=self.channel_info, dlc=0
+        )
+
+
 class ByAdapter(_Wrapper):
     """Connection through an adapter on a serial line; it closes even if the adapter is unplugged."""
 
@@ -197,9 +230,12 @@ class ByAdapter(_Wrapper):
 
 
 _MOST_ECHOES = 4096
+_PROTOCOL_ERROR = 0x8
+"""Class of an error frame in SocketCAN's identifiers: damaged on its way."""
+
 _WRAPPERS: dict[str, type[_Wrapper]] = {
     "socketcan": AllReceived,
-    "udp_multicast": WithoutEcho,
+    "udp_multicast": Multicast,
     "slcan": ByAdapter,
 }
 

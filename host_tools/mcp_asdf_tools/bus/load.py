@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 BIT_RATES = (125_000, 250_000, 500_000, 1_000_000)
 """Usual rates of classic CAN, bit/s."""
@@ -21,18 +23,24 @@ _TRAILER = 13
 
 _CRC_BITS, _CRC_POLYNOMIAL = 15, 0x4599
 
+_BITS = 120
+"""Enough whole bytes for the longest frame up to its checksum, 118 bits."""
+_ALTERNATING = int("01" * (_BITS // 2), 2)
 
-def wire_bits(frame: can.Message) -> int:
-    """Bits of a classic frame on the wire: with its checksum, the bits stuffed into it, and the gap after it.
 
-    A frame of 8 bytes with a 29-bit identifier takes 131 and 0 to 29 stuffed ones. O(bytes).
+def wire_bits(frames: Sequence[can.Message]) -> NDArray[np.int64]:
+    """Bits of classic frames on the wire: with checksums, stuffed bits, and the gap after each.
+
+    A frame of 8 bytes with a 29-bit identifier takes 131 and 0 to 29 stuffed ones. O(frames).
     """
-    if frame.is_error_frame:
-        return ERROR_BITS
-    content, length = _content(frame)
-    protected = content << _CRC_BITS | _crc(content)
-    length += _CRC_BITS
-    return length + _stuffed(protected, length) + _TRAILER
+    whole = [_content(frame) for frame in frames]
+    lengths = np.array([length for _, length in whole], np.int64) + _CRC_BITS
+    content = _bytes([bits for bits, _ in whole])
+    checked = [bits << _CRC_BITS | crc for (bits, _), crc in zip(whole, _crcs(content).tolist(), strict=True)]
+    # As if alternating bits had gone before, so that a run begins with the start bit, wherever bytes begin.
+    padded = [_ALTERNATING >> n << n | bits for bits, n in zip(checked, lengths.tolist(), strict=True)]
+    on_the_wire = lengths + _stuffed(_bytes(padded)) + _TRAILER
+    return np.where([frame.is_error_frame for frame in frames], ERROR_BITS, on_the_wire)
 
 
 def bus_load(bits: float, seconds: float, bit_rate: float) -> float:
@@ -55,34 +63,33 @@ def _content(frame: can.Message) -> tuple[int, int]:
     return head << 8 * len(data) | int.from_bytes(data, "big"), length + 8 * len(data)
 
 
-def _crc(content: int) -> int:
-    """CAN's checksum. Leading zeros do not change it, so whole bytes are enough."""
-    table, crc = _crc_table(), 0
-    for byte in content.to_bytes((content.bit_length() + 7) // 8, "big"):
+def _bytes(numbers: Sequence[int]) -> NDArray[np.uint8]:
+    """Integers of up to _BITS bits as bytes, the highest first, shape (bytes, numbers)."""
+    whole = b"".join(number.to_bytes(_BITS // 8, "big") for number in numbers)
+    return np.frombuffer(whole, np.uint8).reshape(-1, _BITS // 8).T
+
+
+def _crcs(content: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """CAN's checksums. Leading zeros do not change them."""
+    table, crc = _crc_table(), np.zeros(content.shape[1], np.int64)
+    for byte in content:
         crc = (crc << 8 & 0x7FFF) ^ table[crc >> 7 ^ byte]
     return crc
 
 
-def _stuffed(bits: int, length: int) -> int:
-    """Number of bits stuffed into ``bits``: one, of the other value, after five alike."""
-    table, stuffed = _stuffing_table(), 0
-    # As if ones had gone before: the start bit is a 0, so a run begins with it, wherever whole bytes begin.
-    padding = -length % 8
-    padded = (_ALTERNATING[padding] << length | bits).to_bytes((length + padding) // 8, "big")
-    state = 0
-    for byte in padded:
-        more, state = table[state << 8 | byte]
-        stuffed += more
+def _stuffed(content: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Numbers of bits stuffed: one, of the other value, after five alike."""
+    more, after = _stuffing_table()
+    stuffed = state = np.zeros(content.shape[1], np.int64)
+    for byte in content:
+        place = state << 8 | byte
+        stuffed, state = stuffed + more[place], after[place]
     return stuffed
 
 
-_ALTERNATING = [int("01" * 4, 2) & (1 << bits) - 1 for bits in range(8)]
-"""That many bits, ending with a 1 and without a run."""
-
-
 @cache
-def _crc_table() -> list[int]:
-    return [_shifted(byte << 7, 8, _CRC_POLYNOMIAL) for byte in range(256)]
+def _crc_table() -> NDArray[np.int64]:
+    return np.array([_shifted(byte << 7, 8, _CRC_POLYNOMIAL) for byte in range(256)])
 
 
 def _shifted(register: int, steps: int, polynomial: int) -> int:
@@ -94,13 +101,14 @@ def _shifted(register: int, steps: int, polynomial: int) -> int:
 
 
 @cache
-def _stuffing_table() -> list[tuple[int, int]]:
-    """For each state and byte: bits stuffed into it, and the state after it.
+def _stuffing_table() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For each state and byte: bits stuffed into it, and the state after it, both of shape (16 * 256,).
 
     A state is the last bit on the wire, times 8, and the number of equal ones in a row, 1 .. 4; 0 at the
     start.
     """
-    return [_through(state, byte) for state in range(16) for byte in range(256)]
+    pairs = np.array([_through(state, byte) for state in range(16) for byte in range(256)])
+    return pairs[:, 0].copy(), pairs[:, 1].copy()
 
 
 def _through(state: int, byte: int) -> tuple[int, int]:

@@ -130,7 +130,7 @@ class QemuBus(slcanBus):
         self.channel_info = f"{channel} under QEMU"
 
     def close(self) -> None:
-        """Close the bus; a program that has ended cannot be told."""
+        """Close the bus; a program that has ended gets no notice."""
         with suppress(can.CanOperationError):
             super().close()
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mcp_asdf.robot import Status
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common import INTERRUPTED, UsageError
 from mcp_asdf_tools.crosscheck import (
     Audit,
     CallCount,
@@ -33,7 +33,6 @@ from mcp_asdf_tools.crosscheck import (
 )
 from mcp_asdf_tools.robots import load_firmware
 
-HELP = "check the C against its mirror, exact arithmetic and its own claims"
 EPILOG = """\
 examples:
   mcp-asdf crosscheck                               # about ten seconds
@@ -42,10 +41,10 @@ examples:
   mcp-asdf crosscheck --replay robot:2:1:64:0:2147483648,step:1
 Random and adversarial scenarios run through the C and through its mirror in Python. Any differing bit of
 state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
-exit code: 0 all is well, 1 a check failed, 2 bad usage, 130 interrupted (what was done is reported)"""
+exit code: 0 all is well, 1 a check failed, 2 bad usage, 128 + signal if
+interrupted (what was done is reported)"""
 
 STEPS, SEED = 50_000, 1
-_INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +125,7 @@ def _check_all(
         print(result.verdict())
     if not result.is_good:
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0
 
 
 def _explain(scenario: Scenario) -> Failure:

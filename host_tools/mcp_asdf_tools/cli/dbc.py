@@ -11,7 +11,6 @@ from pathlib import Path
 from mcp_asdf_tools.bus import ANY_NODE_MASK, MAX_NODE_ID, FrameFormat, dbc_entries, dbc_text
 from mcp_asdf_tools.common import UsageError, write_atomically
 
-HELP = "write a DBC file, so that CAN tools show the frames' content"
 EPILOG = f"""\
 examples:
   mcp-asdf dbc                                      # to the screen

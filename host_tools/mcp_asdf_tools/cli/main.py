@@ -1,47 +1,47 @@
 """The command line: ``mcp-asdf COMMAND ...``; each command is a module in ``mcp_asdf_tools.cli``.
 
 Exit codes: 0 done, 1 a check or the bus failed, 2 bad usage, or a file or bus that cannot be opened or
-written, 130 interrupted, 141 output pipe closed.
+written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP), 141 output pipe closed.
 """
 
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Protocol, cast
 
-from mcp_asdf_tools.common import ReaderLeft, UsageError, screen, stopping
+from mcp_asdf_tools.common import INTERRUPTED, ReaderLeft, UsageError, interruptible, screen, stopping
 
 PROGRAM = "mcp-asdf"
-COMMANDS = (
-    "table",
-    "crosscheck",
-    "swarm",
-    "node",
-    "radio",
-    "replay",
-    "dbc",
-    "simulate",
-    "sweep",
-    "score",
-    "plot",
-    "reproduce",
-)
-"""Names of the commands; ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``."""
+COMMANDS = {
+    "table": "make t-tables, and check them in files and built images",
+    "crosscheck": "check the C against its mirror, exact arithmetic and its own claims",
+    "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
+    "node": "run one robot on a CAN bus",
+    "radio": "emulate the neighbours of one real controller on a CAN bus",
+    "replay": "check a log by running its robots again, or play it onto a bus",
+    "dbc": "write a DBC file, so that CAN tools show the frames' content",
+    "simulate": "run one experiment: a swarm, many trials, the paper's scores",
+    "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
+    "score": "score results: K, e, h_K, h_e and H",
+    "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
+    "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
+    "reproduce": "run the paper's whole study and report which of its claims hold",
+}
+"""A line on each command ``NAME``, which is the module ``mcp_asdf_tools.cli.NAME``. The lines stand here, so
+that the overview loads none of the libraries that commands use."""
 
 
 class Command(Protocol):
     """Module of a command.
 
-    ``HELP`` is one line for the overview. ``EPILOG`` holds the examples that ``--help`` ends with, one
-    a line, indented, starting with the program's name, explained behind a ``#`` if need be. The option
-    ``--json`` is added to every command here, and ``run`` finds it as ``args.json``.
+    ``EPILOG`` holds the examples that ``--help`` ends with, one a line, indented, starting with the
+    program's name, explained behind a ``#`` if need be. The option ``--json`` is added to every command
+    here, and ``run`` finds it as ``args.json``.
     """
 
-    HELP: str
     EPILOG: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -56,12 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
-    with screen():
+    with interruptible() as exit_code, screen():
         if name is None:
             code = _attempt(title, lambda: _show_overview(arguments))
         else:
-            code = _attempt(title, lambda: _run_command(name, title, arguments[1:]))
-        return _attempt(title, _flush) or code
+            code = _attempt(title, lambda: _run_command(name, arguments[1:]))
+        return _attempt(title, _flush) or exit_code(code)
 
 
 def _attempt(title: str, work: Callable[[], int]) -> int:
@@ -75,7 +75,7 @@ def _attempt(title: str, work: Callable[[], int]) -> int:
         return 2
     except KeyboardInterrupt:
         print(f"{title}: interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except ReaderLeft:
         return 141
 
@@ -86,25 +86,25 @@ def _flush() -> int:
     return 0
 
 
-def _run_command(name: str, title: str, arguments: Sequence[str]) -> int:
+def _run_command(name: str, arguments: Sequence[str]) -> int:
     """Import and run one command only: the others' libraries stay unloaded."""
     command = _load(name)
-    return command.run(_parser_for(command, title).parse_args(arguments))
+    return command.run(_parser_for(name, command).parse_args(arguments))
 
 
 def _load(name: str) -> Command:
-    """Import a command. Ctrl-C acts afterwards: inside a library's import it may raise anything."""
-    with stopping((signal.SIGINT,)) as is_asked:
+    """Import a command. A signal acts afterwards: inside a library's import it may raise anything."""
+    with stopping() as is_asked:
         command = cast(Command, import_module(f"mcp_asdf_tools.cli.{name}"))
     if is_asked():
         raise KeyboardInterrupt
     return command
 
 
-def _parser_for(command: Command, title: str) -> argparse.ArgumentParser:
+def _parser_for(name: str, command: Command) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog=title,
-        description=command.HELP,
+        prog=f"{PROGRAM} {name}",
+        description=COMMANDS[name],
         epilog=command.EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -123,8 +123,8 @@ def _show_overview(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
     listing = parser.add_subparsers(metavar="COMMAND", title="commands (each has its own --help)")
-    for name in COMMANDS:
-        listing.add_parser(name, help=_load(name).HELP)
+    for name, text in COMMANDS.items():
+        listing.add_parser(name, help=text)
     parser.parse_args(arguments)
     parser.print_help(sys.stderr)
     return 2

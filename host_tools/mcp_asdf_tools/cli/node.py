@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from can.typechecking import CanFilters
@@ -18,7 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.common import (
+    INTERRUPTED,
     UsageError,
     has_ended,
     results_beside,
@@ -27,7 +28,7 @@ from mcp_asdf_tools.common import (
     stopping,
     write_atomically,
 )
-from mcp_asdf_tools.recording import SidecarHeader, logging_to
+from mcp_asdf_tools.recording import SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -49,7 +50,6 @@ from mcp_asdf_tools.robots import (
     subjects_of,
 )
 
-HELP = "run one robot on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf node --id 3 --interface udp_multicast   # with others on this machine, until Ctrl-C
@@ -58,9 +58,8 @@ examples:
   mcp-asdf node --id 3 --interface socketcan --channel vcan0 --lockstep   # obeys command frames
 Observations come from the emulated world (robot ID of seed N sees what it sees in "swarm --seed N"), or are
 lines 0 (white), 1 (black), - (nothing). In real time a tick lasts until the next one begins.
-exit code: 0 done, 1 the bus failed, 2 bad usage, 130 stopped before --steps were done"""
+exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 
-_INTERRUPTED = 130
 _SECONDS_BETWEEN_PICTURES = 0.15
 _MAX_RATE = 10_000
 
@@ -73,13 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep what the node sends and hears: .log (candump), .asc, .blf, .csv, .trc, .txt; "
-        "FILE.events gets what it needs for a replay, FILE.json parameters and results",
-    )
+    add_log_option(output, "FILE.events gets what a replay needs, FILE.json parameters and results")
     output.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -92,15 +85,16 @@ def run(args: argparse.Namespace) -> int:
     record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
     results = None if args.log is None else results_beside(args.log)
     header = SidecarHeader([record], args.seed, settings.subjects.estimates, _parameters(args))
+    recording = recording_for("node", args.log, header, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, header) as (log, events):
+        with recording as (log, events):
             recorder = None if events is None else events.robots[record.id]
             run = _go(args, RobotNode(record.make(), settings, recorder), choice, log)
             report = _report(args, run, record, choice)
             ending.callback(_print, args, run, report, choice, record)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return _exit_code(run)
+    return exit_code(recording, _exit_code(run))
 
 
 def _go(
@@ -189,7 +183,7 @@ def _source_of(args: argparse.Namespace) -> ObservationSource:
 
 
 class _Watch:
-    """Shows the node's state on a terminal, and says at once what needs somebody's attention."""
+    """Shows the node's state on a terminal, and reports at once what needs attention."""
 
     def __init__(self, console: Console, node: RobotNode, link: BusLink) -> None:
         self._console = console
@@ -328,4 +322,4 @@ def _exit_code(run: NodeRun) -> int:
     if run.outcome.has_failed:
         print(f"mcp-asdf node: {run.outcome.ending}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return INTERRUPTED if run.outcome.is_interrupted else 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import Field, fields
 from enum import Enum
 from typing import Any, TypeVar
@@ -45,11 +45,11 @@ def _shown(default: str) -> str:
     return f" (default {default.replace('%', '%%')})" if default else ""
 
 
-def _choices(declared: Field[Any]) -> list[str] | None:
+def _choices(declared: Field[Any]) -> Iterable[str] | None:
     if declared.name == "firmware":
         return firmware_names()
     if declared.name == "topology":
-        return [*(member.value for member in Topology), *extensions.names(extensions.TOPOLOGIES)]
+        return extensions.Names((member.value for member in Topology), extensions.TOPOLOGIES)
     if isinstance(declared.default, Enum):
         return [member.value for member in type(declared.default)]
     return None

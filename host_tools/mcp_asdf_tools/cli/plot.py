@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Trials, experiments_in, read_table
-from mcp_asdf_tools.library import PLOTS, plot_trials
+from mcp_asdf_tools.library import PLOTS, PlotChoice, plot_trials
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HELP = "draw results: scores as boxes or points, a trial over time, robots' paths and who hears whom"
 EPILOG = """\
 examples:
   mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots
+  mcp-asdf plot grid.parquet strips.png --kind strips       # the same, a point for each trial
   mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
+  mcp-asdf plot grid.parquet curves.svg --kind curve --x omega --hue density --y e
+  mcp-asdf plot grid.parquet bands.png --kind bands         # b_hat of all robots and trials
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
   mcp-asdf plot run.parquet paths.svg --kind trajectories --step 600
   mcp-asdf plot run.parquet links.svg --kind network --step 600
@@ -42,6 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=600,
         help="of a network, and the last of trajectories (default %(default)s)",
     )
+    group = parser.add_argument_group("curves")
+    group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis, or its letter: tau")
+    group.add_argument("--hue", metavar="NAME", default="", help="parameter with a curve for each value")
+    group.add_argument("--y", metavar="NAME", default="H", help="H, h_K, h_e, K or e (default %(default)s)")
     options.add_limits(parser)
 
 
@@ -69,7 +75,8 @@ def _experiments_of(args: argparse.Namespace) -> list[Trials]:
 
 def _draw(args: argparse.Namespace, experiments: list[Trials]) -> Figure:
     if args.kind != "alpha":
-        return plot_trials(experiments, args.kind, args.trial, args.step, options.limits_of(args))
+        choice = PlotChoice(args.kind, args.trial, args.step, args.x, args.hue, args.y)
+        return plot_trials(experiments, choice, options.limits_of(args))
     from mcp_asdf_tools.experiments import plots  # noqa: PLC0415
 
     return plots.confidence()

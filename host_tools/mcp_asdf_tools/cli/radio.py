@@ -17,7 +17,15 @@ from rich.table import Table
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common import UsageError, results_beside, software_versions, stopping, write_atomically
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
+from mcp_asdf_tools.common import (
+    INTERRUPTED,
+    UsageError,
+    results_beside,
+    software_versions,
+    stopping,
+    write_atomically,
+)
 from mcp_asdf_tools.radio import (
     COLUMNS,
     ControllerBench,
@@ -29,9 +37,10 @@ from mcp_asdf_tools.radio import (
     choose_ids,
     configured_like,
     headline,
+    sections,
     write_verification_report,
 )
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -44,7 +53,6 @@ from mcp_asdf_tools.robots import (
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 
-HELP = "emulate the neighbours of one real controller on a CAN bus"
 EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
@@ -53,10 +61,10 @@ examples:
 --id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
-through one phase for each class of fault, and must do, bit for bit, what its model does.
-exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 130 interrupted"""
+through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
+exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
+interrupted"""
 
-_INTERRUPTED = 130
 _OF_WORLD = (
     "robots",
     "topology",
@@ -70,7 +78,7 @@ _OF_WORLD = (
     "seed",
 )
 """Parameters of a swarm, for the controller and its neighbours together."""
-_PHASE_TICKS = 250
+_PHASE_TICKS = 25
 _TIMEOUT = 2.0
 
 
@@ -82,13 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; with --verify FILE.events gets "
-        "what 'mcp-asdf replay FILE' needs",
-    )
+    add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -113,7 +115,8 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=int,
         metavar="N",
-        help=f"end after N steps (default: at Ctrl-C); with --verify, of each phase (default {_PHASE_TICKS})",
+        help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours "
+        f"(default {_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -194,15 +197,17 @@ def _verify(
     header = SidecarHeader(
         [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
     )
+    recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, header) as outputs:
+        with recording as outputs:
             verification = _judge(args, settings, choice, console, outputs)
             verdict = verification.verdict
             report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
             ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
         if args.report is not None:
             write_verification_report(args.report, report)
-    return _INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    return exit_code(recording, code)
 
 
 def _judge(
@@ -222,7 +227,7 @@ def _judge(
         bench.should_stop = stack.enter_context(stopping())
         verification = Verification(settings, bench)
         progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
-        task = progress.add_task("verifying", total=len(verification.verdict.phases) * bench.ticks)
+        task = progress.add_task("verifying", total=verification.expected_ticks)
         bench.progress = lambda ticks: progress.update(task, completed=ticks)
         verification.run()
     return verification
@@ -241,6 +246,10 @@ def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
         table.add_row(*(str(phase[name]) for name in shown))
     console = Console(soft_wrap=True)
     console.print(table)
+    for title, entries in sections(verdict).items():
+        console.print(
+            f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
+        )
     console.print(headline(verdict), markup=False)
 
 
@@ -251,14 +260,15 @@ def _emulate(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
     results = None if args.log is None else results_beside(args.log)
+    recording = recording_for("radio", args.log, None, choice)
     with ExitStack() as ending:
-        with logging_to(args.log, None) as (log, _):
+        with recording as (log, _):
             run = _go(args, settings, choice, console, log)
             report = _report(args, settings, choice) | {"results": run.figures()}
             ending.callback(_print_results, args, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return _INTERRUPTED if run.outcome.is_interrupted else 0
+    return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
 
 
 def _go(

@@ -14,18 +14,17 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
-from mcp_asdf_tools.common import UsageError, stopping
+from mcp_asdf_tools.common import INTERRUPTED, PART, UsageError, stopping
 from mcp_asdf_tools.recording import (
     Playback,
     Player,
     ReplayVerdict,
     SidecarReader,
     read_log,
-    sidecar_path,
+    sidecar_of,
     verify,
 )
 
-HELP = "check a log by running its robots again, or play it onto a bus"
 EPILOG = """\
 examples:
   mcp-asdf replay run.log                       # is every broadcast what the firmware makes of it?
@@ -33,9 +32,8 @@ examples:
   mcp-asdf replay run.log --interface socketcan --channel vcan0 --onto-bus --speed 0   # flat out
 Checking needs the file FILE.events that swarm and node write beside their logs. Without it the log is played
 onto the bus: --leave-out keeps back the frames of the robot that is there itself.
-exit code: 0 done, 1 a broadcast is not reproduced or the bus refused frames, 2 bad usage, 130 interrupted"""
-
-_INTERRUPTED = 130
+exit code: 0 done, 1 a broadcast is not reproduced or the bus refused frames, 2 bad usage, 128 + signal
+if interrupted"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the log or play it."""
     _check(args)
-    events = args.events or sidecar_path(args.log)
+    events = args.events or sidecar_of(args.log)
     if args.onto_bus or (args.events is None and not events.exists()):
         return _play(args)
     if args.leave_out or args.speed != 1:
@@ -73,8 +71,11 @@ def run(args: argparse.Namespace) -> int:
     with SidecarReader(events) as sidecar, Progress(console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("running the robots again", total=sidecar.bytes)
         verdict = verify(read_log(args.log), sidecar, lambda: bar.update(task, completed=sidecar.bytes_read))
-    report = {"log": str(args.log), "events": str(events), "verdict": verdict.plain()}
+    is_part = args.log.suffix == PART
+    report = {"log": str(args.log), "events": str(events), "incomplete": is_part, "verdict": verdict.plain()}
     _print(args, report, _table_of(verdict))
+    if is_part:
+        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
     if verdict.difference is not None:
         print(f"mcp-asdf replay: not reproduced: {verdict.difference}", file=sys.stderr)
     elif not verdict.reproduced + verdict.falsified:
@@ -95,7 +96,7 @@ def _play(args: argparse.Namespace) -> int:
     if choice.interface == interfaces.DEFAULT_INTERFACE:
         raise UsageError(
             f"the bus {choice} is inside this process, where no other program hears {args.log}: choose "
-            f"another with --interface; or, to check the log, give {sidecar_path(args.log)} or --events"
+            f"another with --interface; or, to check the log, give {sidecar_of(args.log)} or --events"
         )
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
@@ -107,7 +108,7 @@ def _play(args: argparse.Namespace) -> int:
         player.play(read_log(args.log))
     _print(args, {"log": str(args.log), "bus": str(choice), "playback": playback.plain()}, _line_of(playback))
     if playback.is_stopped:
-        return _INTERRUPTED
+        return INTERRUPTED
     if playback.failures:
         print(f"mcp-asdf replay: the bus refused frames: {playback.last_failure}", file=sys.stderr)
     return 1 if playback.failures else 0
@@ -129,6 +130,7 @@ def _table_of(verdict: ReplayVerdict) -> Table:
         (verdict.falsified, "broadcasts that a fault had given other values"),
         (verdict.foreign, "frames under a robot's id that it did not send"),
         (verdict.not_logged, "broadcasts that the log lacks"),
+        (verdict.beyond, "broadcasts after the events were cut off"),
         (verdict.other, "other frames"),
     ):
         table.add_row(str(count), text)

@@ -9,7 +9,6 @@ from pathlib import Path
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.experiments import experiments_in, metadata_of, read_table, write_csv
 
-HELP = "score results: K, e, h_K, h_e and H"
 EPILOG = """\
 examples:
   mcp-asdf score grid.parquet                       # K_max and e_max as in the paper: T and 0.45

@@ -19,7 +19,6 @@ from mcp_asdf_tools.experiments import (
     write_authors_json,
 )
 
-HELP = "run one experiment: a swarm, many trials, the paper's scores"
 EPILOG = """\
 examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
@@ -28,7 +27,7 @@ examples:
   mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
 FILE is an experiment (.toml) or the authors' parameter file (.yml). Equal parameters give equal results.
-exit code: 0 done, 2 bad usage, 130 interrupted"""
+exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import can
 from rich.console import Console
-from rich.table import Table
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
+from mcp_asdf_tools.cli import view
+from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, logging_to
+from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
+from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
-    LiveTable,
+    Companion,
+    LiveView,
+    Rows,
     Swarm,
     SwarmHook,
     SwarmRun,
@@ -33,17 +35,22 @@ from mcp_asdf_tools.swarm import (
     load_warning,
     one_line,
     run_swarm,
+    summary,
     summary_table,
 )
 
-__all__ = ["EPILOG", "HELP", "add_arguments", "run", "settings_of"]
+if TYPE_CHECKING:
+    from mcp_asdf_tools.view import SwarmCamera
 
-HELP = "emulate a swarm on a CAN bus and watch it calibrate itself"
+__all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
+
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
   mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
+  mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
+  mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
@@ -59,12 +66,34 @@ media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
 --processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
 states stay the same to the bit.
-exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 130 interrupted
-(what was done is saved)"""
+exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
+if interrupted (what was done is saved)"""
 
-_INTERRUPTED = 130
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
+
+
+@dataclass
+class _Attached:
+    """Companions of a swarm's run.
+
+    Attributes:
+        camera: Takes a film of it, if one is wanted.
+        companion: The same swarm without the filter, if they are to be compared.
+    """
+
+    camera: SwarmCamera | None = None
+    companion: Companion | None = None
+
+    @property
+    def hooks(self) -> list[SwarmHook]:
+        """Those there are, in the order in which they have to act."""
+        return [each for each in (self.companion, self.camera) if each is not None]
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on the other swarm."""
+        return 0.0 if self.companion is None else self.companion.seconds
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,51 +102,60 @@ def run(args: argparse.Namespace) -> int:
     choice = interfaces.choose_bus(args)
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
-    draw = _drawer(args.plot)
-    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    pictures = _Pictures(args)
+    beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:
         with ExitStack() as ending:
-            with logging_to(args.log, header) as outputs:
-                outcome, report = _emulate(args, settings, choice, wiring, outputs)
-                text = summary_table(outcome, str(choice), time.monotonic() - began)
-                ending.callback(_print, args, outcome, report, text)  # even if a file cannot be completed
-            last = outcome
-            if args.compare and not (outcome.interrupted or outcome.failure):
-                last = _run(args, settings.without_filter(), wiring)
-                report["without_filter"] = last.results
+            attached = _attach(args, settings, ending)
+            with recording as outputs:
+                outcome, report = _emulate(args, (settings, choice, wiring), outputs, attached)
+                seconds = time.monotonic() - began - attached.seconds
+                # Printed even if a file cannot be completed.
+                ending.callback(_print, args, outcome, report, summary(outcome, str(choice), seconds))
             with FileSet() as files:
-                if args.plot is not None:
-                    files.write(args.plot, draw(outcome))
+                pictures.write(files, outcome, attached.camera)
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return _exit_code(last)
+    return exit_code(recording, _exit_code(outcome))
+
+
+def _attach(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> _Attached:
+    camera = _camera(args, settings, ending)
+    if not args.compare:
+        return _Attached(camera)
+    companion = Companion(settings)
+    ending.enter_context(companion.swarm)
+    return _Attached(camera, companion)
 
 
 def _emulate(
     args: argparse.Namespace,
-    settings: SwarmSettings,
-    choice: interfaces.BusChoice,
-    wiring: Wiring,
+    chosen: tuple[SwarmSettings, interfaces.BusChoice, Wiring],
     outputs: LogOutputs,
+    attached: _Attached,
 ) -> tuple[SwarmRun, dict[str, Any]]:
     """Run the swarm; returns what came out, and all of it with all settings as plain values.
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
+    settings, choice, wiring = chosen
     with ExitStack() as stack:
         port = _admit(args, settings, choice, stack)
         swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
         nodes = stack.enter_context(_start(args, settings, choice))
         with _console(args).status("waiting for robots elsewhere"):
             swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        outcome = _watched(args, swarm)
+        outcome = _watched(args, swarm, attached)
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
+    if attached.companion is not None and outcome.failure is None:
+        report["without_filter"] = attached.companion.results()
     return outcome, report
 
 
@@ -127,15 +165,32 @@ def _check_comparison(args: argparse.Namespace, settings: SwarmSettings, wiring:
         raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
 
 
-def _run(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> SwarmRun:
-    with Swarm(settings, wiring) as swarm:
-        return _watched(args, swarm)
+def _watched(args: argparse.Namespace, swarm: Swarm, attached: _Attached) -> SwarmRun:
+    """Run a swarm to its end or Ctrl-C, and show it meanwhile."""
+    with LiveView(_console(args), attached.companion) as live, _interruptible() as stop:
+        return run_swarm(swarm, [*attached.hooks, live, stop])
 
 
-def _watched(args: argparse.Namespace, swarm: Swarm) -> SwarmRun:
-    """Run a swarm to its end or Ctrl-C, with the live table."""
-    with LiveTable(_console(args)) as table, _interruptible() as stop:
-        return run_swarm(swarm, [table, stop])
+def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
+    """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
+    if not (args.view or args.animate):
+        return None
+    from mcp_asdf_tools.view import SwarmCamera, serving  # noqa: PLC0415 (loads slowly)
+
+    camera = SwarmCamera(settings)
+    if args.view:
+        view.announce(args, ending.enter_context(serving(camera.film, args.port)))
+        ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
+    return camera
+
+
+def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -> None:
+    """The run is over; its page stays until Ctrl-C, unless an error ended it."""
+    camera.film.end()
+    sys.stdout.flush()
+    if is_regular:
+        with stopping() as should_stop:
+            view.wait(should_stop)
 
 
 def _console(args: argparse.Namespace) -> Console:
@@ -171,25 +226,42 @@ def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces
     return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
-def _drawer(path: Path | None) -> Callable[[SwarmRun], bytes]:
-    """Function that draws a run for the picture ``path``. Raises UsageError if it cannot be written."""
-    if path is None:
-        return lambda run: b""
-    # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
-    from mcp_asdf_tools.common import check_plot_path, image_of  # noqa: PLC0415
-    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+class _Pictures:
+    """The pictures of a run that are wanted."""
 
-    checked = check_plot_path(path)
-    return lambda run: image_of(draw(run), checked)
+    def __init__(self, args: argparse.Namespace) -> None:
+        """Raises UsageError if one of them cannot be written."""
+        # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
+        if args.plot is not None:
+            from mcp_asdf_tools.common import check_plot_path  # noqa: PLC0415
+
+            check_plot_path(args.plot)
+        if args.animate is not None:
+            from mcp_asdf_tools.view import check_animation_path  # noqa: PLC0415
+
+            check_animation_path(args.animate)
+        self._plot, self._animation = args.plot, args.animate
+
+    def write(self, files: FileSet, outcome: SwarmRun, camera: SwarmCamera | None) -> None:
+        """Draw a run that is over."""
+        if self._plot is not None:
+            from mcp_asdf_tools.common import image_of  # noqa: PLC0415
+            from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+
+            files.write(self._plot, image_of(draw(outcome), self._plot))
+        if self._animation is not None and camera is not None and outcome.results["steps"]:
+            from mcp_asdf_tools.view import image_of_film  # noqa: PLC0415
+
+            files.write(self._animation, image_of_film(camera.film.developed(), self._animation))
 
 
 @contextmanager
 def _interruptible() -> Iterator[SwarmHook]:
-    """Turn Ctrl-C into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
+    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
 
-    A second Ctrl-C, if the first finds a tick that does not end, acts at once.
+    Ctrl-C after that, if a tick does not end, acts at once.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
+    with stopping() as is_asked:
 
         def obey(swarm: Swarm) -> None:
             if is_asked():
@@ -198,27 +270,29 @@ def _interruptible() -> Iterator[SwarmHook]:
         yield obey
 
 
-def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], table: Table) -> None:
+def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows) -> None:
+    """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
+    console = Console()
     if args.json:
         print(json.dumps(report, indent=2))
-    elif args.quiet:
+        return
+    if args.quiet:
         print(one_line(outcome))
-        _print_comparison(report)
+    elif console.is_terminal:
+        console.print(summary_table(rows))
     else:
-        Console(soft_wrap=True).print(table)
-        _print_comparison(report)
+        print("\n".join("\t".join(row) for row in rows))
+    if not args.quiet:
         warning = load_warning(outcome.results)
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
-
-
-def _print_comparison(report: dict[str, Any]) -> None:
     if "without_filter" in report:
-        print(comparison(report["results"], report["without_filter"]))
+        sentence = comparison(report["results"], report["without_filter"])
+        console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)
 
 
 def _exit_code(outcome: SwarmRun) -> int:
     if outcome.failure is not None:
         print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
         return 1
-    return _INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if outcome.interrupted else 0

@@ -8,10 +8,11 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import FrameFormat, interfaces
-from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.cli import parameter_options, view
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.robots import ClockKind
+from mcp_asdf_tools.recording import add_log_option
+from mcp_asdf_tools.robots import ClockKind, add_estimate_options, format_of
 from mcp_asdf_tools.swarm import FaultKind, SwarmSettings, Wiring, check_remote
 
 _DEFAULTS = SwarmSettings()
@@ -69,43 +70,27 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="this robot is a controller there that obeys command frames; repeatable",
     )
-    frames = parser.add_argument_group("frames")
-    frame_format = _DEFAULTS.frames
-    frames.add_argument(
-        "--subject",
-        type=int,
-        default=frame_format.subject,
-        help="Cyphal subject, 0 to 6143 (default %(default)s)",
-    )
-    frames.add_argument(
-        "--priority", type=int, default=frame_format.priority, help="0 (first) to 7 (default %(default)s)"
-    )
+    add_estimate_options(parser)
     output = parser.add_argument_group("output (beside each file, FILE.json gets all parameters and results)")
     output.add_argument("--plot", metavar="FILE", type=Path, help="draw the run: .png, .svg or .pdf")
-    output.add_argument(
-        "--log",
-        metavar="FILE",
-        type=Path,
-        help="keep all frames: .log (candump), .asc, .blf, .csv, .trc, .txt; FILE.events gets what each "
-        "robot saw and heard",
-    )
+    add_log_option(output, "FILE.events gets what each robot saw and heard")
     output.add_argument(
         "--compare",
         action="store_true",
         help="also run the same swarm without the filter, and compare",
     )
+    output.add_argument(
+        "--animate", metavar="FILE", type=Path, help="draw the run as an animation: .webp or .gif"
+    )
+    output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    view.add_server_options(output)
     output.add_argument("--quiet", action="store_true", help="no live table, and one line for a summary")
 
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
     """Settings from parsed arguments. Raises UsageError for a value out of range."""
-    try:
-        frames = FrameFormat(args.subject, args.priority)
-    except ValueError as error:
-        raise UsageError(str(error)) from error
-    return parameter_options.settings_from(
-        args, SwarmSettings, frames=frames, faults=tuple(args.faults), clock=args.clock
-    )
+    own = {"frames": format_of(args.subject, args.priority), "faults": args.faults, "clock": args.clock}
+    return parameter_options.settings_from(args, SwarmSettings, **own)
 
 
 def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> Wiring:
@@ -146,4 +131,4 @@ def _open_device(interface: str, channel: str) -> can.BusABC:
         raise UsageError(
             f"cannot open the device at {interface}:{channel}: {error}; is it there, and not in use?"
         ) from error
-    return interfaces.wrapped(interface, bus)
+    return interfaces.wrapped(interface, bus, channel)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.common import progress
 from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
-HELP = "run a grid of experiments on all processors; goes on where it was interrupted"
 EPILOG = """\
 examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
@@ -22,7 +21,7 @@ examples:
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.
-exit code: 0 done, 2 bad usage, 130 interrupted (what was finished is kept)"""
+exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,12 +45,12 @@ def add_scheduler(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run_stores(stores: Sequence[Store], workers: int, args: argparse.Namespace) -> list[Any]:
-    """Run what sweeps miss, one after the other, and return their tables. If interrupted say what is left."""
+@contextmanager
+def telling_what_is_left(stores: Sequence[Store]) -> Iterator[None]:
+    """If interrupted say how many trials are left."""
     missing = sum(store.left for store in stores)
     try:
-        with progress("trials", missing, args.json) as report:
-            return [run_sweep(store, workers, report=report, scheduler=args.scheduler) for store in stores]
+        yield
     except KeyboardInterrupt:
         left = sum(store.left for store in stores)
         print(f"{left} of {missing} trials left; the same command goes on", file=sys.stderr)
@@ -64,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     given = [options.with_parameters(experiment, args) for experiment in read_experiments(args.file)]
     store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given)
     missing = store.left
-    (table,) = run_stores([store], workers, args)
+    with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
+        table = run_sweep(store, workers, report=report, scheduler=args.scheduler)
     experiments = experiments_in(table)
     limits = options.limits_of(args)
     if args.json:

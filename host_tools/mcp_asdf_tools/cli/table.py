@@ -21,7 +21,6 @@ from mcp_asdf_tools.tables import (
     write,
 )
 
-HELP = "make t-tables, and check them in files and built images"
 EPILOG = """\
 examples:
   mcp-asdf table --output build/tables            # the paper's omega (0.05), any number of neighbours

@@ -3,6 +3,7 @@
 from . import extensions as extensions
 from .errors import UsageError as UsageError
 from .figures import COLOURS as COLOURS
+from .figures import DIVERGING as DIVERGING
 from .figures import FLAWED as FLAWED
 from .figures import GREY as GREY
 from .figures import INK as INK
@@ -18,6 +19,9 @@ from .files import explaining as explaining
 from .files import refusal as refusal
 from .files import results_beside as results_beside
 from .files import write_atomically as write_atomically
+from .growing_files import PART as PART
+from .growing_files import GrowingFiles as GrowingFiles
+from .parameters import Given as Given
 from .parameters import Meaning as Meaning
 from .parameters import ParameterError as ParameterError
 from .parameters import as_type as as_type
@@ -26,10 +30,14 @@ from .parameters import check_types as check_types
 from .parameters import meaning_of as meaning_of
 from .parameters import member_of as member_of
 from .parameters import parameter as parameter
+from .parameters import parameters as parameters
 from .parameters import plain_value as plain_value
 from .parameters import special_parameter as special_parameter
 from .progress_bar import progress as progress
+from .signals import ENDING_SIGNALS as ENDING_SIGNALS
+from .signals import INTERRUPTED as INTERRUPTED
 from .signals import has_ended as has_ended
+from .signals import interruptible as interruptible
 from .signals import standard_input as standard_input
 from .signals import stopping as stopping
 from .terminal import ReaderLeft as ReaderLeft

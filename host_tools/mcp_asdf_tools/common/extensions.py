@@ -6,6 +6,7 @@ example of each group.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import metadata
 from typing import Any
@@ -20,9 +21,22 @@ SENSORS = "mcp_asdf.sensors"
 """Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.SensorModel``."""
 
 
+class Names:
+    """Names that come with the project, then those of a group's extensions, which are sought when needed."""
+
+    def __init__(self, own: Iterable[str], group: str) -> None:
+        self._own, self._group = list(own), group
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._own or name in names(self._group)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._own + names(self._group))
+
+
 @cache
 def _points(group: str) -> dict[str, metadata.EntryPoint]:
-    """Entry points of a group by name. Reading what is installed takes milliseconds, so it is done once."""
+    """Entry points of a group by name. Reading all that is installed takes a tenth of a second."""
     return {point.name: point for point in metadata.entry_points(group=group)}
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -19,20 +20,26 @@ _STAMPS: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf
 
 def check_plot_path(path: Path) -> Path:
     """Return ``path``. Raises UsageError if no plot can be written there."""
-    if path.suffix.lower() not in _STAMPS:
-        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(_STAMPS)}")
+    _format_of(path)
     check_target(path)
     return path
 
 
+def _format_of(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix not in _STAMPS:
+        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(_STAMPS)}")
+    return suffix
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure. Raises UsageError if that cannot be done."""
-    write_atomically(path, image_of(figure, path))
+    write_atomically(check_plot_path(path), image_of(figure, path))
 
 
 def image_of(figure: Figure, path: Path) -> bytes:
-    """Content of the file ``path`` for a figure. Raises UsageError if no plot can be written there."""
-    image, suffix = io.BytesIO(), check_plot_path(path).suffix.lower()
+    """Content of the file ``path`` for a figure. Raises UsageError if its name is not that of a picture."""
+    image, suffix = io.BytesIO(), _format_of(path)
     with rc_context({"svg.hashsalt": "mcp-asdf"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
     return image.getvalue()
@@ -49,6 +56,9 @@ COLOURS = (
 
 
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
+
+DIVERGING = LinearSegmentedColormap.from_list("below to above", [COLOURS[1], "#ffffff", COLOURS[0]])
+"""Of differences: orange below 0, blue above."""
 
 
 def empty_figure(width: float, height: float) -> Figure:

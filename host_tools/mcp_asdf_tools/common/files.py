@@ -23,20 +23,14 @@ class FileSet:
         """Begin with no file."""
         self._drafts: list[tuple[Path | str, Path]] = []
 
-    def begin(self, path: Path | str, suffix: str = ".tmp") -> Path:
-        """Where to write what will be ``path``: a new name, ending in ``suffix``, in the same folder.
-
-        Raises UsageError as ``check_target``.
-        """
-        temporary = check_target(path).with_name(f".{secrets.token_hex(8)}{suffix}")
-        self._drafts.append((path, temporary))
-        return temporary
-
     def write(self, path: Path | str, data: bytes | str) -> None:
         """Write what will be ``path``; text as UTF-8. Raises UsageError if it cannot be written."""
-        temporary = self.begin(path)
-        with explaining(path):
-            temporary.write_bytes(data.encode() if isinstance(data, str) else data)
+        temporary = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
+        self._drafts.append((path, temporary))
+        with explaining(path), temporary.open("wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())  # it must not have its name before the disk has it: the power may fail
 
     def __enter__(self) -> FileSet:
         return self

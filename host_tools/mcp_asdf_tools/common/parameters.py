@@ -16,9 +16,23 @@ from enum import Enum
 from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from mcp_asdf_tools.common.errors import UsageError
+
+Held = TypeVar("Held")
+Also = TypeVar("Also")
+Kind = TypeVar("Kind")
 
 
 class ParameterError(UsageError):
@@ -46,14 +60,35 @@ class Meaning:
     is_checked_by_class: bool = False
 
 
-def parameter(default: Any, text: str, least: float = -math.inf, most: float = math.inf) -> Any:
-    """A dataclass field with a default, its meaning in one line and, for a number, its range."""
+class Given(Generic[Held, Also]):
+    """Annotation of a parameter that holds a ``Held``; its constructor coerces an ``Also`` to one."""
+
+    if TYPE_CHECKING:
+
+        def __get__(self, instance: object, owner: type[Any]) -> Held: ...
+
+        def __set__(self, instance: object, value: Held | Also) -> None: ...
+
+
+def parameter(text: str, least: float = -math.inf, most: float = math.inf, *, default: Any) -> Any:
+    """A dataclass field with its meaning in one line, for a number its range, and its default."""
     return field(default=default, metadata={"meaning": Meaning(text, least, most)})
 
 
-def special_parameter(default: Any, text: str) -> Any:
+def special_parameter(text: str, *, default: Any) -> Any:
     """The same for a field that its class coerces and checks."""
     return field(default=default, metadata={"meaning": Meaning(text, is_checked_by_class=True)})
+
+
+@dataclass_transform(
+    kw_only_default=True, frozen_default=False, field_specifiers=(parameter, special_parameter, field)
+)
+def parameters(kind: type[Kind]) -> type[Kind]:
+    """Make a class of parameters: a frozen dataclass with keywords alone.
+
+    Type checkers see what ``Given`` says only in classes that they do not take for frozen.
+    """
+    return dataclass(frozen=True, kw_only=True)(kind)
 
 
 def meaning_of(declared: Field[Any]) -> Meaning | None:

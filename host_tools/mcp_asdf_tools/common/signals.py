@@ -1,4 +1,4 @@
-"""Ending on Ctrl-C or a polite kill without losing what is done."""
+"""Ending on Ctrl-C, a polite kill or a closed terminal without losing what is done."""
 
 from __future__ import annotations
 
@@ -7,39 +7,73 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 from mcp_asdf_tools.common.errors import UsageError
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a program to end: Ctrl-C, a kill or service manager, a terminal that closes."""
+
+INTERRUPTED = 130
+"""Exit code of interrupted work; ``interruptible`` turns it into 128 + the signal that came."""
+
+_came: list[int] = []
+"""Signals since the program began, so that one piece of code can count what another has handled."""
 
 
 @contextmanager
-def stopping(signals: Sequence[signal.Signals] = _SIGNALS) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether one of ``signals`` has arrived, for use between steps of work.
+def interruptible() -> Iterator[Callable[[int], int]]:
+    """Let every signal that asks to end raise KeyboardInterrupt, as Ctrl-C does.
 
-    A second signal raises KeyboardInterrupt at once, in case a step does not end.
+    Yields a function that makes the program's exit code of that of its work.
+    """
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        _came.append(signum)
+        # Terminals and service managers may send two signals: the second must not disturb the saving.
+        if len(_came) == 1 or signum == signal.SIGINT:
+            raise KeyboardInterrupt
+
+    _came.clear()
+    with _handled_by(interrupt):
+        yield lambda code: 128 + _came[0] if code == INTERRUPTED and _came else code
+
+
+@contextmanager
+def stopping() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether a signal has asked to end, for use between steps of work.
+
+    Ctrl-C after another signal raises KeyboardInterrupt at once, in case a step does not end.
     Outside the main thread, where Python delivers no signals, the answer is always no.
     """
     asked = False
 
     def note(signum: int, frame: FrameType | None) -> None:
         nonlocal asked
-        if asked:
+        _came.append(signum)
+        if asked and signum == signal.SIGINT:
             raise KeyboardInterrupt
         asked = True
 
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    previous = [signal.signal(each, note) for each in signals]
-    try:
+    with _handled_by(note):
         yield lambda: asked
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle the signals that ask to end, but for those that this process was started to ignore (nohup)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = [each for each in ENDING_SIGNALS if signal.getsignal(each) not in (signal.SIG_IGN, None)]
+    previous = [signal.signal(each, handler) for each in heeded]
+    try:
+        yield
     finally:
-        for each, handler in zip(signals, previous, strict=True):
-            signal.signal(each, handler)
+        for each, before in zip(heeded, previous, strict=True):
+            signal.signal(each, before)
 
 
 def standard_input() -> int:
@@ -53,5 +87,5 @@ def standard_input() -> int:
 
 
 def has_ended(fd: int) -> bool:
-    """Whether there is no more to read from ``fd``; what there is is read and dropped. Does not wait."""
+    """True at the end of the input from ``fd``; input that is there is read and dropped. Does not wait."""
     return bool(select.select([fd], [], [], 0)[0]) and not os.read(fd, 1 << 16)

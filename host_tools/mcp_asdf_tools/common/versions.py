@@ -5,9 +5,6 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-import can
-import numpy as np
-
 PROGRAM = "mcp-asdf"
 """The distribution's name."""
 
@@ -24,7 +21,7 @@ def software_versions() -> dict[str, str]:
     """Versions of the software that results may depend on, by name."""
     return {
         "mcp-asdf": own_version(),
-        "numpy": np.__version__,
+        "numpy": metadata.version("numpy"),
         "python": platform.python_version(),
-        "python-can": can.__version__,
+        "python-can": metadata.version("python-can"),
     }

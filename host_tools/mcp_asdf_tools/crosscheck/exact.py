@@ -49,7 +49,7 @@ def exact_b_hat(n: int, t: int, x_bar: Fraction) -> Fraction:
 
 
 def updates(x_bar: Fraction) -> bool | None:
-    """Whether a re-estimate follows from the exact ``x_bar``; None within its error of the limit."""
+    """True if a re-estimate follows from the exact ``x_bar``; None within its error of the limit."""
     distance = abs(2 * x_bar - 1) - UNINFORMATIVE
     return None if abs(distance) < 2 * _x_bar_error(x_bar) else distance > 0
 

@@ -271,7 +271,7 @@ class _Follower:
         return problems + self._updated(rejects, before, after)
 
     def _filter_acts(self, sums: State, t: int) -> bool:
-        """Whether there is enough for the filter to go by."""
+        """True if the round gives the filter enough to go by."""
         least = 2 if self._setup.filter == Filter.ADAPTIVE else 1
         return t > 0 and sums["open_count"] >= least and self._setup.filter != Filter.OFF
 

@@ -66,7 +66,7 @@ class Result:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing is wrong."""
+        """True if no difference or problem was found."""
         return self.failure is None and not self.problems
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Many trials without a bus: parameters, engine, results, scores and plots."""
 
 from . import arena_plots as arena_plots
+from . import curves as curves
 from . import plots as plots
 from .authors_formats import write_authors_json as write_authors_json
 from .experiment import Convention as Convention
@@ -8,7 +9,8 @@ from .experiment import Experiment as Experiment
 from .experiment import grid as grid
 from .experiment_files import STUDIES as STUDIES
 from .experiment_files import read_experiments as read_experiments
-from .plots import MODE_NAMES as MODE_NAMES
+from .measurement import QUANTITIES as QUANTITIES
+from .plots import FILTER_NAMES as FILTER_NAMES
 from .results import Trials as Trials
 from .results import experiments_in as experiments_in
 from .results import metadata_of as metadata_of
@@ -26,4 +28,5 @@ from .simulation import run_trials as run_trials
 from .sweep import Report as Report
 from .sweep import Store as Store
 from .sweep import default_workers as default_workers
+from .sweep import run_missing as run_missing
 from .sweep import run_sweep as run_sweep

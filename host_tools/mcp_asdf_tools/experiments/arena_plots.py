@@ -110,7 +110,7 @@ def _draw_robots(axes: Axes, experiment: Experiment, arena: Arena) -> None:
 
 
 def _colour(experiment: Experiment, robot: int) -> str:
-    return FLAWED if robot < experiment.flawed_robots else OTHER
+    return FLAWED if robot < experiment.flawed else OTHER
 
 
 def _finish(figure: Figure, axes: Axes, title: str, marks: list[Line2D]) -> None:

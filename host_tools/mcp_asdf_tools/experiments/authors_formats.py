@@ -100,7 +100,7 @@ class _Parameters:
                 yield key, _Value(value.value, line)
 
     def has(self, key: str) -> bool:
-        """Whether ``key`` is given."""
+        """True if ``key`` is given."""
         return key in self._values
 
     def error(self, key: str, message: str) -> UsageError:
@@ -197,7 +197,7 @@ def write_authors_json(folder: Path, trials: Trials) -> list[Path]:
         raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
     paths = []
     for index, number in enumerate(trials.numbers):
-        paths.append(folder / f"f{trials.experiment.flawed_robots}_t{number}.json")
+        paths.append(folder / f"f{trials.experiment.flawed}_t{number}.json")
         content = _authors_parameters(trials.experiment) | {
             "trial_ind": number,
             "data_str": _data_rows(trials, index),
@@ -223,8 +223,8 @@ def _authors_parameters(experiment: Experiment) -> dict[str, Any]:
         "sim_type": f"{'dynamic' if experiment.is_dynamic else 'static'}_topo_static_deg",
         "method": "BRAVO" if adaptive else "ALPHA",
         "num_robots": experiment.robots,
-        "num_flawed_robots": experiment.flawed_robots,
-        "num_correct_robots": experiment.robots - experiment.flawed_robots,
+        "num_flawed_robots": experiment.flawed,
+        "num_correct_robots": experiment.robots - experiment.flawed,
         "num_steps": experiment.steps,
         "num_trials": experiment.trials,
         "comms_period": experiment.comms_period,

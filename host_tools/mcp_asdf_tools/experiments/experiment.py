@@ -6,12 +6,11 @@ Words and letters are the paper's; ``simulation`` runs experiments, ``experiment
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from itertools import product
-from typing import Any
+from typing import Any, Literal
 
-from mcp_asdf_tools.common import ParameterError, parameter
+from mcp_asdf_tools.common import Given, ParameterError, parameter, parameters
 from mcp_asdf_tools.robots import Population
 
 MAX_TRIALS = 10**6
@@ -26,15 +25,17 @@ class Convention(Enum):
     AUTHORS = "authors"
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class Experiment(Population):
     """A definition; equal ones give equal results. Raises ParameterError, naming the field.
 
     Trial i of two experiments with one seed sees the same draws, and the same motion in the same arena.
     """
 
-    trials: int = parameter(30, "number of trials", 1, MAX_TRIALS)
-    conventions: Convention = parameter(Convention.PAPER, "reading of the equations, for firmware reference")
+    trials: int = parameter("number of trials", 1, MAX_TRIALS, default=30)
+    conventions: Given[Convention, Literal["paper", "authors"]] = parameter(
+        "reading of the equations, for firmware reference", default=Convention.PAPER
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

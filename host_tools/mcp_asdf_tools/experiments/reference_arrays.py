@@ -58,7 +58,7 @@ def conventions_of(experiment: Experiment) -> Conventions:
 
 
 def can_run(experiment: Experiment) -> bool:
-    """Whether ``run`` has all that an experiment asks for: broadcasts in every step, and no forgetting."""
+    """True if ``run`` has all that an experiment asks for: broadcasts in every step, and no forgetting."""
     is_plain = experiment.comms_period == 1 and experiment.memory > experiment.steps
     return experiment.firmware == "reference" and is_plain
 

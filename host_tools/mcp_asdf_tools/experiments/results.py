@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.compute as pc  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
@@ -34,7 +35,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
 from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
 
-FORMAT = 4
+FORMAT = 5
 _KEY = b"mcp-asdf"
 SCORES = ("H", "h_K", "h_e")
 _LISTS = {
@@ -165,7 +166,9 @@ def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
     robots = experiment.robots
 
     def matrix(name: str) -> NDArray[Any]:
-        return np.array(table[name].to_pylist())
+        """A row for each trial, whose lists are all of one length."""
+        values: NDArray[Any] = pc.list_flatten(table[name]).to_numpy()
+        return values.reshape(len(table), -1)
 
     def steps(name: str) -> NDArray[np.float64]:
         return matrix(name).reshape(len(table), -1, robots)

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import reference_arrays
-from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured, measure, measured_trial
 
@@ -41,8 +39,10 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
 def _run_one(experiment: Experiment, trial: int, sampling_interval: int) -> Measured:
     if _is_for_engine(experiment):
         return _run_native(experiment, trial, 1, sampling_interval)
-    if sampling_interval == 0 and reference_arrays.can_run(experiment):
+    if experiment.firmware == "reference" and sampling_interval == 0 and _arrays().can_run(experiment):
         return _run_float64(experiment, trial)
+    from mcp_asdf_tools.experiments.by_message import run_by_message  # noqa: PLC0415 (as ``_arrays``)
+
     return run_by_message(experiment, trial, sampling_interval)
 
 
@@ -62,6 +62,13 @@ def _engine() -> ModuleType:
             f"the engine cannot be loaded ({error}); build it with 'pip install .' or choose firmware mirror"
         ) from error
     return native
+
+
+def _arrays() -> ModuleType:
+    """The reference in arrays, loaded when first needed: it brings SciPy, which no native worker needs."""
+    from mcp_asdf_tools.experiments import reference_arrays  # noqa: PLC0415
+
+    return reference_arrays
 
 
 def _run_native(experiment: Experiment, first: int, trials: int, sampling_interval: int) -> Measured:
@@ -102,7 +109,7 @@ def _confidences(words: NDArray[np.uint32]) -> NDArray[np.float64]:
 
 
 def _run_float64(experiment: Experiment, trial: int) -> Measured:
-    outcome = reference_arrays.run(experiment, trial)
+    outcome = _arrays().run(experiment, trial)
     counts = (outcome.tests, outcome.updates)
     return measured_trial(experiment, trial, outcome.x, outcome.b_hat, counts)
 

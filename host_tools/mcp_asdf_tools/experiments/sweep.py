@@ -17,12 +17,13 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby, islice
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
+from threading import Thread
 
 import pyarrow as pa  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.common import UsageError, check_target, software_versions, stopping
+from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import metadata_of, read_table, table_of, write_table
@@ -51,22 +52,29 @@ def identity(experiment: Experiment, sampling_interval: int) -> str:
 class Store:
     """The results of a sweep on disk, finished or not."""
 
-    def __init__(self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0) -> None:
-        """Read the results of ``experiments`` that exist already.
+    def __init__(
+        self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0, most: int = 0
+    ) -> None:
+        """Read the results of ``experiments`` that exist already, also of further trials up to ``most``.
 
         Raises UsageError if the files hold other results, which would be lost, or cannot be written.
         """
         self.output = output
         self.parts = output.with_name(f"{output.name}.parts")
-        self.experiments = list(dict.fromkeys(experiments))
         self._interval = sampling_interval
-        self._names = {experiment: identity(experiment, sampling_interval) for experiment in self.experiments}
+        self._most = most
+        self.want(experiments)
         self._tables: list[pa.Table] = []
         self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
         check_target(output)
         for path in [*sorted(self.parts.glob("*.parquet")), output]:
             if path.exists():
                 self._take_file(path)
+
+    def want(self, experiments: Iterable[Experiment]) -> None:
+        """Choose the experiments whose results it is for."""
+        self.experiments = list(dict.fromkeys(experiments))
+        self._names = {each: identity(each, self._interval) for each in self.experiments}
 
     def missing(self, experiment: Experiment) -> list[int]:
         """The trials of an experiment that have no results yet."""
@@ -90,14 +98,18 @@ class Store:
         write_table(self.parts / f"{name}-{job.first}-{job.count}.parquet", table)
         self._take(table, [name] * len(table))
 
-    def finish(self) -> pa.Table:
-        """Write the one file, in the order of the experiments, and remove the parts. Needs all trials."""
+    def table(self) -> pa.Table:
+        """All trials, in the order of the experiments. Needs all of them."""
         wanted = [(each, trial) for each in self.experiments for trial in range(each.trials)]
         rows = [self._rows[self._names[experiment], trial] for experiment, trial in wanted]
         table = pa.concat_tables(self._tables).combine_chunks().take(rows)
         column = table.column_names.index("trials")  # there may have been fewer when a row was made
         trials = pa.array([experiment.trials for experiment, _ in wanted], pa.uint64())
-        table = table.set_column(column, "trials", trials)
+        return table.set_column(column, "trials", trials)
+
+    def finish(self) -> pa.Table:
+        """Write the one file and remove the parts; returns the table. Needs all trials."""
+        table = self.table()
         write_table(self.output, table)
         for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
             path.unlink(missing_ok=True)
@@ -113,7 +125,9 @@ class Store:
             row: identity(Experiment.from_parameters(json.loads(row)), self._interval) for row in set(rows)
         }
         wanted = {
-            (name, trial) for experiment, name in self._names.items() for trial in range(experiment.trials)
+            (name, trial)
+            for experiment, name in self._names.items()
+            for trial in range(max(self._most, experiment.trials))
         }
         found = zip([own[row] for row in rows], table["trial"].to_pylist(), strict=True)
         is_same = (
@@ -156,8 +170,20 @@ def run_sweep(
     report: Report = lambda trials: None,
     scheduler: str | None = None,
 ) -> pa.Table:
-    """Run what is missing on ``workers`` processes, 1 being this one, and return the finished table. With the
-    address of a ``scheduler`` run it on that Dask cluster instead.
+    """Run what is missing, as ``run_missing``, and return the finished table."""
+    run_missing(store, workers, sampling_interval, report, scheduler)
+    return store.finish()
+
+
+def run_missing(
+    store: Store,
+    workers: int,
+    sampling_interval: int = 0,
+    report: Report = lambda trials: None,
+    scheduler: str | None = None,
+) -> None:
+    """Run what is missing on ``workers`` processes, 1 being this one. With the address of a ``scheduler`` run
+    it on that Dask cluster instead.
 
     KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
     or a worker process of this machine dies.
@@ -166,7 +192,6 @@ def run_sweep(
     for job, measured in _results_of(jobs, workers, scheduler):
         store.add(job, measured)
         report(job.count)
-    return store.finish()
 
 
 def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[tuple[Job, Measured]]:
@@ -185,7 +210,7 @@ def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
 def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
     """Run jobs in processes; yields results as they come. At most two per worker are queued."""
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         running: dict[Future[Measured], Job] = {}
         while True:
@@ -202,19 +227,31 @@ def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Me
         ) from error
     finally:
         for process in set(active_children()) - others:
-            process.terminate()
+            process.kill()  # the signal of terminate() is among those held back; it has nothing to save
         pool.shutdown(cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """Let this worker process end with the one that started it, however that dies."""
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Keep Ctrl-C from processes that are started in here; this process handles it afterwards.
+    """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
 
     They inherit the signal mask before Python starts in them. In this process another thread may still
     receive the signal, so its handler waits, too.
     """
-    with stopping((signal.SIGINT,)) as is_asked:
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    with stopping() as is_asked:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             yield
         finally:

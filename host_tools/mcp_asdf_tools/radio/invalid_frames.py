@@ -27,36 +27,46 @@ Draw = random.Random
 Breaker = Callable[[can.Message, Draw], None]
 
 
-def malformed(draw: Draw, subjects: Subjects, sender: int) -> list[can.Message]:
+def malformed(draw: Draw, subjects: Subjects, sender: int) -> dict[str, can.Message]:
     """A frame for every way not to be an estimate, from ``sender`` where the identifier allows."""
-    frames = []
-    for spoil in _WAYS:
+    frames = {}
+    for name, spoil in _WAYS.items():
         message = Message(sender, draw.randint(0, ONE), draw.randrange(1 << 32), draw.randrange(32))
         frame = encode(message, subjects.estimates)
         spoil(frame, draw)
-        frames.append(frame)
+        frames[name] = frame
     telemetry = Telemetry(sender, draw.randint(0, ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0)
-    return [
-        *frames,
-        encode_telemetry(telemetry, subjects.telemetry),
-        encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0)),
-    ]
+    return frames | {
+        _TELEMETRY: encode_telemetry(telemetry, subjects.telemetry),
+        _HEARTBEAT: encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0)),
+    }
 
 
-def stray_commands(draw: Draw, frames: FrameFormat, robot: int, other: int, tick: int) -> list[can.Message]:
+def stray_commands(
+    draw: Draw, frames: FrameFormat, robot: int, other: int, tick: int
+) -> dict[str, can.Message]:
     """Commands that ``robot`` must not obey between its *observe* and its *settle* of ``tick``."""
-    orders = [
-        (robot, tick, Action(draw.randrange(3))),
-        (EVERY_ROBOT, tick, Action.OBSERVE_BLACK),
-        (robot, (tick + 1 + draw.randrange(1000)) % (1 << 32), Action.SETTLE),
-        (EVERY_ROBOT, (tick - 1) % (1 << 32), Action.SETTLE),
-        (other, tick, Action.SETTLE),
-        (other, tick, Action.OBSERVE_WHITE),
-    ]
-    return [
-        encode_command(Command(other, number, target, action, draw.randrange(32)), frames)
-        for target, number, action in orders
-    ]
+    targets = {"robot": robot, "other": other, "all": EVERY_ROBOT}
+    ticks = {
+        "open": tick,
+        "later": (tick + 1 + draw.randrange(1000)) % (1 << 32),
+        "last": (tick - 1) % (1 << 32),
+    }
+    return {
+        name: encode_command(Command(other, ticks[when], targets[target], action, draw.randrange(32)), frames)
+        for name, (target, when, action) in STRAY.items()
+    }
+
+
+STRAY = {
+    "an observe of the open tick": ("robot", "open", Action.OBSERVE_WHITE),
+    "an observe of the open tick, for all": ("all", "open", Action.OBSERVE_BLACK),
+    "a settle of a later tick": ("robot", "later", Action.SETTLE),
+    "a settle of the last tick, for all": ("all", "last", Action.SETTLE),
+    "a settle for another robot": ("other", "open", Action.SETTLE),
+    "an observe for another robot": ("other", "later", Action.OBSERVE_WHITE),
+}
+"""Commands not to be obeyed: target, tick and action."""
 
 
 def _set_id(flip: int) -> Breaker:
@@ -96,19 +106,22 @@ def _alpha(low: int, high: int) -> Breaker:
     return spoil
 
 
-_WAYS: tuple[Breaker, ...] = (
-    _standard,
-    _remote,
-    _short,
-    _tail,
-    _x_hat,
-    _alpha(0x7F80_0000, 0x7F80_0000),  # infinite
-    _alpha(0x7F80_0001, 0x7FFF_FFFF),  # no number
-    _alpha(0x8000_0000, 0x8000_0000),  # -0
-    _alpha(0x8000_0001, 0xFFFF_FFFF),  # negative
-    _set_id(1 << 25),  # a service
-    _set_id(1 << 24),  # anonymous
-    _set_id(1 << 23),  # reserved
-    _set_id(1 << 7),  # reserved
-    _set_id(1 << 20),  # another subject
-)
+_WAYS: dict[str, Breaker] = {
+    "an 11-bit identifier": _standard,
+    "a remote frame": _remote,
+    "fewer than 8 bytes": _short,
+    "no single-frame tail byte": _tail,
+    "x_hat above 1": _x_hat,
+    "alpha infinite": _alpha(0x7F80_0000, 0x7F80_0000),
+    "alpha not a number": _alpha(0x7F80_0001, 0x7FFF_FFFF),
+    "alpha -0": _alpha(0x8000_0000, 0x8000_0000),
+    "alpha negative": _alpha(0x8000_0001, 0xFFFF_FFFF),
+    "a service transfer": _set_id(1 << 25),
+    "an anonymous sender": _set_id(1 << 24),
+    "reserved bit 23 set": _set_id(1 << 23),
+    "reserved bit 7 set": _set_id(1 << 7),
+    "another subject": _set_id(1 << 20),
+}
+_TELEMETRY, _HEARTBEAT = "telemetry of another robot", "a heartbeat of another robot"
+INVALID = (*_WAYS, _TELEMETRY, _HEARTBEAT)
+"""Ways not to be an estimate."""

@@ -6,12 +6,14 @@ from neighbours in range and after the faults.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, Subjects
 from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, SentFrame, SwarmSettings
@@ -70,11 +72,13 @@ class _Renumbered:
     def __init__(self, world: World, ids: Sequence[int]) -> None:
         self._world = world
         self._ids = ids
-        self._places = {robot: place for place, robot in enumerate(ids)}
 
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears."""
-        return frozenset(self._ids[place] for place in self._world.neighbours(self._places[robot]))
+    @property
+    def hears(self) -> NDArray[np.bool_]:
+        """True if robot i hears j, by id."""
+        hears = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
+        hears[np.ix_(self._ids, self._ids)] = self._world.hears
+        return hears
 
 
 class Neighbourhood:
@@ -116,13 +120,13 @@ class Neighbourhood:
         """
         controller = self.settings.controller.id
         frames = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(sent))]
+        arrivals = self._air.arrivals(self.tick, frames)
         for robot, node in self.nodes.items():
-            for frame in self._air.arrivals(robot, self.tick, frames):
-                node.hear(frame)
+            node.hear(*arrivals.of(robot))
         for node in self.nodes.values():
             if node.is_alive:
                 node.settle()
-        heard = self._air.arrivals(controller, self.tick, frames)
+        heard = arrivals.of(controller)
         self.tick += 1
         # Error frames are a driver's report: they cannot be sent.
         return [frame for frame in heard if not frame.is_error_frame]

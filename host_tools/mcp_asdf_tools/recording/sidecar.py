@@ -23,18 +23,17 @@ run (:class:`SidecarHeader`). Every other line is either
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import can
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus import FrameFormat, frame_as_text
-from mcp_asdf_tools.common import FileSet, UsageError, explaining, refusal, software_versions
+from mcp_asdf_tools.common import PART, UsageError, software_versions
 from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord, TickConfig
 from mcp_asdf_tools.tables import generate
 
@@ -47,6 +46,18 @@ _MAX_WORD = 2**32 - 1
 def sidecar_path(log: Path | str) -> Path:
     """Path of a log's sidecar."""
     return Path(f"{log}.events")
+
+
+def sidecar_of(log: Path) -> Path:
+    """Path of the sidecar of a log that is there, complete or a part.
+
+    If a program is killed while the two take their names, that of a part is complete already.
+    """
+    if log.suffix != PART:
+        return sidecar_path(log)
+    complete = sidecar_path(log.with_suffix(""))
+    part = complete.with_name(complete.name + PART)
+    return part if part.exists() else complete
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,10 @@ class SidecarHeader:
     parameters: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=software_versions)
 
+    def line(self) -> str:
+        """The first line of a sidecar."""
+        return json.dumps(self.plain(), allow_nan=False) + "\n"
+
     def plain(self) -> dict[str, Any]:
         """The header as plain values, for JSON."""
         return {
@@ -84,49 +99,28 @@ class SidecarHeader:
 
 
 class SidecarWriter:
-    """A sidecar in the making.
-
-    A context manager: at its end the sidecar is complete, and one of the files that appear together.
+    """Lines of a sidecar after its header, as events come.
 
     Attributes:
         robots: The recorder of each robot of the header, by id.
     """
 
-    def __init__(self, path: Path | str, header: SidecarHeader, files: FileSet) -> None:
-        """Begin a sidecar, one of ``files``.
-
-        Raises UsageError if it cannot be written or two robots have one id.
-        """
+    def __init__(self, header: SidecarHeader, write: Callable[[str], object]) -> None:
+        """Pass each line to ``write``. Raises UsageError if two robots have one id."""
         ids = [robot.id for robot in header.robots]
         if len(set(ids)) < len(ids):
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-        first = json.dumps(header.plain(), allow_nan=False) + "\n"
-        self._path = path
-        temporary = files.begin(path)
-        with explaining(path):
-            self._file = temporary.open("w", encoding="ascii", buffering=1 << 16)
-        self._write(first)
-        self.robots = {robot: Recorder(robot, self._write) for robot in ids}
+        self._write = write
+        self.robots = {robot: Recorder(robot, write) for robot in ids}
 
     def injected(self, frame: can.Message) -> None:
         """``frame`` went over the bus, but no robot sent it."""
         self._write(f'"{frame_as_text(frame)}"\n')
 
-    def _write(self, line: str) -> None:
-        try:
-            self._file.write(line)
-        except OSError as error:
-            raise refusal(self._path, error) from error
-
-    def __enter__(self) -> SidecarWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with explaining(self._path), self._file:
-            for recorder in self.robots.values():
-                recorder.flush()
+    def finish(self) -> None:
+        """Pass on what robots have of ticks that are open."""
+        for recorder in self.robots.values():
+            recorder.flush()
 
 
 # --- Reading ---------------------------------------------------------------------------------------------
@@ -139,11 +133,13 @@ class SidecarReader:
         header: Description of the run.
         bytes: Size of the file.
         bytes_read: Read so far.
+        is_part: Whether the run was cut off: a last line that has no end is left out then.
     """
 
     def __init__(self, path: Path | str) -> None:
         """Read the header. Raises UsageError if it is missing or malformed."""
         self._path = Path(path)
+        self.is_part = self._path.suffix == PART
         self._number = self.bytes_read = 0
         try:
             self._file = self._path.open(encoding="ascii", newline="\n")
@@ -189,7 +185,7 @@ class SidecarReader:
         try:
             line = self._file.readline()
             self.bytes_read += len(line)
-            return line
+            return "" if self.is_part and not line.endswith("\n") else line
         except UnicodeDecodeError as error:
             raise UsageError(f"{self._path} is no text: {error}") from error
 
@@ -244,10 +240,10 @@ def _robot_of(plain: dict[str, Any]) -> RobotRecord:
 
 def _is_event(event: Any) -> bool:
     if isinstance(event, list):
-        return len(event) in (2, 3) and all(map(is_plain_int, event)) and event[-1] <= _MAX_WORD
+        return len(event) in (2, 3) and all(map(is_plain_int, event)) and max(event) <= _MAX_WORD
     return event in (SILENT, RESTART) if isinstance(event, str) else is_plain_int(event) and event <= SETTLE
 
 
 def is_plain_int(value: Any) -> bool:
-    """Whether ``value`` is an integer >= 0, but no bool."""
+    """True for an integer >= 0 that is no bool."""
     return type(value) is int and value >= 0

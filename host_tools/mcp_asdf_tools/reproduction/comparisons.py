@@ -1,17 +1,25 @@
-"""The words in which the paper's claims are written down: sets of cells, comparisons, the list of claims."""
+"""The words in which the paper's claims are written down: sets of cells, what is asked of them, sizes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Protocol
 
 import numpy as np
 
+from mcp_asdf_tools.reproduction.resampling import (
+    MEDIAN,
+    SPREAD,
+    Summary,
+    exactly,
+    interval,
+    rank_correlation,
+)
 from mcp_asdf_tools.reproduction.study import (
     FLAWED_ACCURACIES,
+    H_E,
+    H_K,
     PART_NAMES,
     Cell,
     H,
@@ -20,12 +28,29 @@ from mcp_asdf_tools.reproduction.study import (
     Study,
     cells_of,
 )
-from mcp_asdf_tools.reproduction.verdicts import MARGIN, Comparison, Expectation, Finding, Summary, estimate
+from mcp_asdf_tools.reproduction.verdicts import Comparison, Expectation, Place, Scope
 from mcp_asdf_tools.robots import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 BOTH = (DYNAMIC, FULLY_CONNECTED)
 NONE, MINUS, PLUS = Filtering
+
+# --- Sizes: one scale for all claims, in points of a score of 0 to 100 -----------------------------------
+
+SEEN = 2.0
+"""From which a difference counts: "better", "worse", "maintains"; less cannot be seen in the paper's
+figures."""
+SIMILAR = 5.0
+"""Up to which scores are "similar", "comparable", "close", "largely the same", "not discernible"."""
+MUCH = 10.0
+"""From which a difference is "much", "substantial", "significant", "remarkable", "drastic"; up to which it is
+"slight", "minor" or "moderate"."""
+OVERWHELMING = 20.0
+
+EXCELLENT, QUITE_HIGH, ALMOST_PERFECT, POOR = 90, 80, 95, 50
+"""Levels of a score."""
+
+# --- Cells -----------------------------------------------------------------------------------------------
 
 Panel = tuple[float, float]
 """f and b of one plot of the paper's figures."""
@@ -44,89 +69,22 @@ HARD = (OVER_CLEAR, *UNDER)
 
 PARTLY = (10, 30, 50)
 """P in percent of partially flawed swarms."""
+UP_TO_HALF = (0, *PARTLY)
 
 Pair = tuple[Cell, Cell]
-
-
-# --- Claims ----------------------------------------------------------------------------------------------
-
-
-class Decide(Protocol):
-    """Decides a claim about ``part``."""
-
-    __name__: str
-
-    def __call__(self, study: Study, part: Part) -> Finding:
-        """Outcome."""
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A statement of the paper about one part of its study.
-
-    Attributes:
-        name: Of the function that decides it.
-        section: Of the paper.
-        text: What it says.
-        part: About which experiments; None where the equations alone decide.
-        needs: The parts whose results decide it.
-        decide: Decides it, given results of these parts.
-    """
-
-    name: str
-    section: str
-    text: str
-    part: Part | None
-    needs: frozenset[Part]
-    decide: Callable[[Study], Finding]
-
-
-CLAIMS: list[Claim] = []
-"""In the order in which they stand in the paper."""
-
-
-def claim(section: str, *parts: Part, beside: Sequence[Part] = ()) -> Callable[[Decide], Decide]:
-    """Enter a function into CLAIMS for each of ``parts``; its docstring is the claim."""
-
-    def enter(decide: Decide) -> Decide:
-        for part in parts:
-            needs = frozenset({part, *beside})
-            about = partial(decide, part=part)
-            CLAIMS.append(Claim(decide.__name__, section, _text_of(decide), part, needs, about))
-        return decide
-
-    return enter
-
-
-def equation(section: str) -> Callable[[Callable[[], Finding]], Callable[[], Finding]]:
-    """Enter a function into CLAIMS that needs no results."""
-
-    def enter(decide: Callable[[], Finding]) -> Callable[[], Finding]:
-        name, text = decide.__name__, _text_of(decide)
-        CLAIMS.append(Claim(name, section, text, None, frozenset(), lambda study: decide()))
-        return decide
-
-    return enter
-
-
-def _text_of(decide: Callable[..., Finding]) -> str:
-    return " ".join((decide.__doc__ or "").split())
-
-
-# --- Cells -----------------------------------------------------------------------------------------------
 
 
 def cells(
     part: Part,
     panels: Iterable[Panel] = EVERYWHERE,
     percents: Iterable[int] = PARTLY,
-    mode: Filtering = NONE,
+    filter: Filtering = NONE,
     periods: Iterable[int] = (1000,),
 ) -> list[Cell]:
     """The cells of a part in these panels, with every flawed accuracy that is flawed there."""
     percents, periods = tuple(percents), tuple(periods)
     return [
-        Cell(part, f, b, b_hat, percent, mode, period)
+        Cell(part, f, b, b_hat, percent, filter, period)
         for f, b in panels
         for b_hat in FLAWED_ACCURACIES
         if b_hat != b
@@ -135,12 +93,37 @@ def cells(
     ]
 
 
-def physical_cells(mode: Filtering = NONE) -> list[Cell]:
-    """The cells of the physical experiment with this filter."""
-    return [cell for cell in cells_of(PHYSICAL) if cell.mode is mode]
+def physical_cells(*filters: Filtering) -> list[Cell]:
+    """The cells of the physical experiment with these filters."""
+    return [cell for cell in cells_of(PHYSICAL) if cell.filter in filters]
 
 
-# --- Comparisons -----------------------------------------------------------------------------------------
+def versus(each: Iterable[Cell], other: Filtering) -> list[Pair]:
+    """Each cell and the same with another filter."""
+    return [(cell, cell.but(filter=other)) for cell in each]
+
+
+def versus_flawless(each: Iterable[Cell]) -> list[Pair]:
+    """Each cell and a swarm without flawed robots and without filter."""
+    return [(cell, cell.but(percent=0, filter=NONE)) for cell in each]
+
+
+def versus_dynamic(each: Iterable[Cell]) -> list[Pair]:
+    """Each cell and the same in the dynamic topology."""
+    return [(cell, cell.but(part=DYNAMIC)) for cell in each]
+
+
+def versus_period(each: Iterable[Cell], period: int) -> list[Pair]:
+    """Each cell and the same with another filtering period."""
+    return [(cell, cell.but(period=period)) for cell in each]
+
+
+def versus_percent(each: Iterable[Cell], *percents: int) -> list[Pair]:
+    """Each cell and the same with other proportions of flawed robots."""
+    return [(cell, cell.but(percent=percent)) for cell in each for percent in percents]
+
+
+# --- Questions -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -150,107 +133,167 @@ class Expected:
     Attributes:
         expectation: The direction.
         measure: What is compared.
-        margin: Size from which a difference counts, in the measure's unit.
-        summary: What stands for a cell's trials.
+        size: From which a difference counts, in the measure's unit.
+        summary: What stands for the trials of the first cell.
+        other: What stands for those of the second; None for the same.
     """
 
     expectation: Expectation
     measure: Measure = H
-    margin: float = MARGIN
-    summary: Summary = np.median
+    size: float = SEEN
+    summary: Summary = MEDIAN
+    other: Summary | None = None
 
     def of(self, measure: Measure) -> Expected:
         """The same of another measure."""
         return replace(self, measure=measure)
 
-    def by(self, margin: float) -> Expected:
-        """The same with another margin."""
-        return replace(self, margin=margin)
+    def by(self, size: float) -> Expected:
+        """The same with another size."""
+        return replace(self, size=size)
 
-    def in_spread(self, margin: float) -> Expected:
+    def in_spread(self) -> Expected:
         """The same of the interquartile range over the trials."""
-        return replace(self, summary=spread, margin=margin)
+        return replace(self, summary=SPREAD)
+
+    def versus(self, summary: Summary) -> Expected:
+        """The same with another summary of the second cell."""
+        return replace(self, other=summary)
 
 
 ABOVE, BELOW, SAME, NOT_ABOVE, NOT_BELOW = map(Expected, Expectation)
 
 
-def spread(values: Any, axis: int = -1) -> Any:
-    """The interquartile range along an axis."""
-    upper, lower = np.percentile(values, [75, 25], axis=axis)
-    return upper - lower
+@dataclass(frozen=True)
+class Difference:
+    """Question for the sum of some cells' values less that of others, or less a level."""
+
+    expected: Expected
+    place: Place
+    plus: tuple[Cell, ...]
+    minus: tuple[Cell, ...] = ()
+    level: float = 0.0
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cells that answer it."""
+        return (*self.plus, *self.minus)
+
+    def answer(self, study: Study, confidence: float) -> Comparison:
+        """The comparison, from the trials that all cells have."""
+        expected, count = self.expected, study.count(self.cells)
+        first, second = expected.summary, expected.other or expected.summary
+        plus = [study.summarized(cell, expected.measure, first, count) for cell in self.plus]
+        minus = [study.summarized(cell, expected.measure, second, count) for cell in self.minus]
+        value = sum(one.value for one in plus) - sum(one.value for one in minus) - self.level
+        again = np.sum([one.again for one in plus], axis=0) - self.level
+        again -= np.sum([one.again for one in minus], axis=0)
+        found = interval(value, again, confidence)
+        return Comparison(self.place, found, expected.expectation, expected.size)
 
 
-def compare(study: Study, expected: Expected, pairs: Iterable[Pair]) -> list[Comparison]:
+WEAK_CORRELATION = 0.2
+"""Up to which it counts for nothing."""
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Question for the rank correlation of h_K and h_e over a cell's trials."""
+
+    expectation: Expectation
+    cell: Cell
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """The cell that answers it."""
+        return (self.cell,)
+
+    def answer(self, study: Study, confidence: float) -> Comparison:
+        """The comparison."""
+        speed, accuracy = (study.sample(self.cell, measure) for measure in (H_K, H_E))
+        place = _place([self.cell], ["rank correlation of h_K and h_e"])
+        found = rank_correlation(speed, accuracy, confidence)
+        return Comparison(place, found, self.expectation, WEAK_CORRELATION)
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Question whose answer is not subject to chance."""
+
+    expectation: Expectation
+    place: Place
+    size: float
+    value: Callable[[Study], float]
+    cells: tuple[Cell, ...] = field(default=())
+
+    def answer(self, study: Study, confidence: float) -> Comparison:
+        """The comparison."""
+        return Comparison(self.place, exactly(self.value(study)), self.expectation, self.size)
+
+
+def fact(expected: Expected, row: str, column: str, value: float) -> Fact:
+    """A number that follows from the equations and what is expected of it."""
+    rounded = round(value, 12)  # without what doubles add
+    return Fact(expected.expectation, Place(row, column), expected.size, lambda study: rounded)
+
+
+Question = Difference | Correlation | Fact
+
+
+def compare(expected: Expected, pairs: Iterable[Pair]) -> list[Question]:
     """Of each pair, the first less the second."""
-    name = f"{'spread of ' if expected.summary is spread else ''}{expected.measure.name}"
-    comparisons = []
-    for left, right in dict.fromkeys((left.normal, right.normal) for left, right in pairs):
-        samples = [[study.sample(cell, expected.measure)] for cell in (left, right)]
-        difference = estimate(samples[0], samples[1], expected.summary)
-        label = f"{name}, {_difference(left, right)}"
-        comparisons.append(Comparison(label, difference, expected.expectation, expected.margin))
-    return comparisons
+    name = f"{'spread of ' if expected.summary is SPREAD else ''}{expected.measure.name}"
+    distinct = dict.fromkeys((left.normal, right.normal) for left, right in pairs)
+    return [
+        Difference(expected, _place([left, right], [name]), (left,), (right,)) for left, right in distinct
+    ]
 
 
-def against(study: Study, expected: Expected, each: Iterable[Cell], level: float) -> list[Comparison]:
+def against(expected: Expected, each: Iterable[Cell], level: float) -> list[Question]:
     """Of each cell, its value less ``level``."""
-    comparisons = []
-    for cell in dict.fromkeys(cell.normal for cell in each):
-        sample = study.sample(cell, expected.measure)
-        difference = estimate([sample], [np.full_like(sample, level)], expected.summary)
-        label = f"{expected.measure.name}, {words_of(cell)}: less {level:.4g}"
-        comparisons.append(Comparison(label, difference, expected.expectation, expected.margin))
-    return comparisons
+    distinct = dict.fromkeys(cell.normal for cell in each)
+    name = f"{expected.measure.name} less {level:g}"
+    return [Difference(expected, _place([cell], [name]), (cell,), level=level) for cell in distinct]
 
 
-def versus(each: Iterable[Cell], mode: Filtering) -> list[Pair]:
-    """Each cell and the same with another filter."""
-    return [(cell, cell.but(mode=mode)) for cell in each]
-
-
-def versus_flawless(each: Iterable[Cell]) -> list[Pair]:
-    """Each cell and a swarm without flawed robots and without filter."""
-    return [(cell, cell.but(percent=0, mode=NONE)) for cell in each]
-
-
-def versus_dynamic(each: Iterable[Cell]) -> list[Pair]:
-    """Each cell and the same in the dynamic topology."""
-    return [(cell, cell.but(part=DYNAMIC)) for cell in each]
-
-
-def rises(
-    study: Study, each: Sequence[Cell], percents: Sequence[int], measure: Measure = H
-) -> list[Comparison]:
+def rises(each: Sequence[Cell], percents: Sequence[int], measure: Measure = H) -> list[Question]:
     """That each cell's value grows with P: nowhere falls, and ends above where it began."""
-    return _follows(study, _paths(each, percents), NOT_BELOW.of(measure), ABOVE.of(measure))
+    return _follows(_paths(each, percents), NOT_BELOW.of(measure), ABOVE.of(measure))
 
 
-def falls(
-    study: Study, each: Sequence[Cell], percents: Sequence[int], measure: Measure = H
-) -> list[Comparison]:
+def falls(each: Sequence[Cell], percents: Sequence[int], measure: Measure = H) -> list[Question]:
     """That each cell's value falls with P: nowhere grows, and ends below where it began."""
-    return _follows(study, _paths(each, percents), NOT_ABOVE.of(measure), BELOW.of(measure))
+    return _follows(_paths(each, percents), NOT_ABOVE.of(measure), BELOW.of(measure))
 
 
 def _paths(each: Sequence[Cell], percents: Sequence[int]) -> list[list[Cell]]:
     return [[cell.but(percent=percent) for percent in percents] for cell in each]
 
 
-def _follows(study: Study, paths: list[list[Cell]], step: Expected, whole: Expected) -> list[Comparison]:
+def _follows(paths: list[list[Cell]], step: Expected, whole: Expected) -> list[Question]:
     steps = [(after, before) for path in paths for before, after in pairwise(path)]
-    return [*compare(study, step, steps), *compare(study, whole, [(path[-1], path[0]) for path in paths])]
+    return [*compare(step, steps), *compare(whole, [(path[-1], path[0]) for path in paths])]
 
 
 # --- Words -----------------------------------------------------------------------------------------------
 
+FILTER_NAMES = {NONE: "no filter", MINUS: "ASDF-", PLUS: "ASDF+"}
 
-MODE_NAMES = {NONE: "no filter", MINUS: "ASDF-", PLUS: "ASDF+"}
 
-
-def words_of(cell: Cell) -> str:
-    """A cell in words, but for its part."""
-    return ", ".join(word for name, word in _words(cell).items() if name != "part")
+def _place(each: Sequence[Cell], words: Sequence[str]) -> Place:
+    """Row: f, b and b_hat of the first cell. Column: what else it is, and how the second differs."""
+    first, *others = [_words(cell) for cell in each]
+    row = ", ".join(
+        first[name] for name in ("fill_ratio", "true_accuracy", "flawed_accuracy") if name in first
+    )
+    rest = [first[name] for name in ("part", "percent", "filter", "period") if name in first]
+    column = ", ".join([*words, *rest[1:]])
+    for other in others:
+        if other["part"] != first["part"]:
+            column = ", ".join([*words, *rest])
+        less = [word for name, word in other.items() if first.get(name) != word]
+        column += f" less {', '.join(less)}"
+    return Place(row, column)
 
 
 def _words(cell: Cell) -> dict[str, str]:
@@ -261,17 +304,48 @@ def _words(cell: Cell) -> dict[str, str]:
         "true_accuracy": f"b {cell.true_accuracy:g}",
         "flawed_accuracy": f"b_hat {cell.flawed_accuracy:g}",
         "percent": f"P {cell.percent} %",
-        "mode": MODE_NAMES[cell.mode],
+        "filter": FILTER_NAMES[cell.filter],
         "period": f"tau {cell.period}",
     }
-    meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.mode is NONE}
+    meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.filter is NONE}
     return {name: word for name, word in words.items() if not meaningless.get(name)}
 
 
-def _difference(left: Cell, right: Cell) -> str:
-    """Attributes that two cells share, and those in which they differ."""
-    one, other = _words(left), _words(right)
-    common = {name for name, word in one.items() if other.get(name) == word}
-    shared = [word for name, word in one.items() if name in common - {"part"}]
-    own = [[word for name, word in words.items() if name not in common] for words in (one, other)]
-    return f"{', '.join(shared)}: {', '.join(own[0])} less {', '.join(own[1])}"
+# --- Claims ----------------------------------------------------------------------------------------------
+
+Ask = Callable[[Part], Sequence[Question]]
+"""The questions that decide a claim about a part."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another way to read a claim."""
+
+    words: str
+    ask: Ask
+    scope: Scope = Scope.ALL
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement of the paper.
+
+    Attributes:
+        name: Of it.
+        where: Section, and figure or table.
+        words: The paper's own.
+        compared: What is compared, in ours.
+        ask: The questions that decide it.
+        parts: About which experiments; none where the equations decide.
+        scope: How many comparisons must hold, by its words.
+        readings: Other ways to read it.
+    """
+
+    name: str
+    where: str
+    words: str
+    compared: str
+    ask: Ask
+    parts: tuple[Part, ...] = ()
+    scope: Scope = Scope.ALL
+    readings: tuple[Reading, ...] = ()

@@ -1,27 +1,28 @@
-"""The pictures of the report, after the paper's."""
+"""The pictures of the report: the paper's figures with its numbers and codes, and what it does not show."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import (
-    MODE_NAMES,
-    Experiment,
-    Trials,
-    arena_plots,
-    experiments_in,
-    plots,
-    run_trials,
-    table_of,
+from mcp_asdf_tools.experiments import E_MAX, FILTER_NAMES, Experiment, Trials, arena_plots, plots
+from mcp_asdf_tools.reproduction.comparisons import (
+    BOTH,
+    DYNAMIC,
+    FULLY_CONNECTED,
+    MINUS,
+    NONE,
+    OVER_AMBIGUOUS,
+    PARTLY,
+    PHYSICAL,
+    PLUS,
+    cells,
 )
-from mcp_asdf_tools.reproduction.comparisons import DYNAMIC, FULLY_CONNECTED, MINUS, NONE, PHYSICAL, PLUS
 from mcp_asdf_tools.reproduction.study import (
     PART_NAMES,
     PERIODS,
-    Cell,
     Part,
     Scale,
     Study,
@@ -33,89 +34,199 @@ from mcp_asdf_tools.robots import Filtering
 _TRIAL = 0
 """Which one is drawn over time and space."""
 
-_POINTS = 400
-"""Of a series."""
+_MOMENT = 1000
+"""Step at which moving robots are drawn."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Everything that a picture may show.
+
+    Attributes:
+        study: The results with the first seed.
+        series: Trials recorded over time, without a filter and with ASDF+.
+        scale: How much was run.
+    """
+
+    study: Study
+    series: Sequence[Trials]
+    scale: Scale
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A picture of the report: its file's name, what to say below it, the parts it needs, how it is drawn."""
+    """A picture of the report.
+
+    Attributes:
+        name: Of its file.
+        title: What it shows.
+        paper: Number of the paper's figure that it follows, empty if there is none.
+        needs: The parts it shows.
+        draw: Draws it.
+        shown: The results in it; none where nothing is scored.
+        note: How to read it.
+    """
 
     name: str
-    caption: str
+    title: str
+    paper: str
     needs: frozenset[Part]
-    draw: Callable[[Study, Scale], Figure]
+    draw: Callable[[Drawn], Figure]
+    shown: Callable[[Drawn], Sequence[Trials]] = lambda drawn: []
+    note: str = ""
+
+    def caption(self, drawn: Drawn) -> str:
+        """Title, number in the paper, how to read it, trials and limits of the scores."""
+        paper = f" (the paper's figure {self.paper})" if self.paper else ""
+        words = [f"{self.title}{paper}.", self.note, _trials_in_words(self.shown(drawn))]
+        return " ".join(filter(None, words))
 
 
-def _boxes(part: Part, mode: Filtering) -> ReportFigure:
-    """H without and with a filter, as figure 4; where all are flawed, ASDF- is ASDF+ and not shown twice."""
-
-    def draw(study: Study, scale: Scale) -> Figure:
-        shown = _of_modes(study, part, (NONE, mode))
-        if mode is MINUS:
-            shown = [each for each in shown if each.experiment.flawed_robots < each.experiment.robots]
-        return plots.boxes(shown)
-
-    caption = f"H of {PART_NAMES[part]} swarms without filter and with {MODE_NAMES[mode]} (paper: figure 4)."
-    return ReportFigure(f"{part.value}_{mode.value}", caption, frozenset({part}), draw)
+def _trials_in_words(shown: Sequence[Trials]) -> str:
+    if not shown:
+        return ""
+    counts = {len(trials.numbers) for trials in shown}
+    trials = f"{min(counts)} to {max(counts)}" if len(counts) > 1 else f"{min(counts)}"
+    k_max = " and ".join(f"{steps}" for steps in sorted({trials.experiment.steps for trials in shown}))
+    return f"{trials} trials of each experiment; K_max = {k_max}, e_max = {E_MAX:g}."
 
 
-def _points(part: Part) -> ReportFigure:
-    """h_e against h_K, as figure 5."""
-
-    def draw(study: Study, scale: Scale) -> Figure:
-        shown = [each for each in study.of(part) if each.experiment.filter_period == PERIODS[0]]
-        return plots.scatter(shown)
-
-    words = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {PERIODS[0]}"
-    caption = f"{words} (paper: figure 5)."
-    return ReportFigure(f"{part.value}_scatter", caption, frozenset({part}), draw)
+_WHISKERS = f"{plots.WHISKERS[0].upper()}{plots.WHISKERS[1:]}, points beyond; the line is the median."
 
 
-def _topologies(mode: Filtering) -> ReportFigure:
-    """Dynamic beside fully connected, as figure 6."""
+def _of(part: Part, filters: Sequence[Filtering], *periods: int) -> Callable[[Drawn], list[Trials]]:
+    """Results of a part with these filters, and periods if any are given."""
+
+    def chosen(drawn: Drawn) -> list[Trials]:
+        return [
+            each
+            for some in filters
+            for each in drawn.study.of(part)
+            if each.experiment.filter is some
+            and (some is NONE or not periods or each.experiment.filter_period in periods)
+        ]
+
+    return chosen
+
+
+def _boxes(part: Part, own: Filtering, paper: str) -> ReportFigure:
+    """H without and with a filter; where all are flawed, ASDF- is ASDF+ and not shown twice."""
+    every = _of(part, (NONE, own))
+
+    def shown(drawn: Drawn) -> list[Trials]:
+        all_are_flawed = own is MINUS
+        return [
+            each
+            for each in every(drawn)
+            if not (all_are_flawed and each.experiment.flawed == each.experiment.robots)
+        ]
+
+    return ReportFigure(
+        f"{part.value}_{own.value}",
+        f"H of {PART_NAMES[part]} swarms without filter and with {FILTER_NAMES[own]}",
+        paper,
+        frozenset({part}),
+        lambda drawn: plots.boxes(shown(drawn)),
+        shown,
+        _WHISKERS,
+    )
+
+
+_POINTS = "A point is a trial, a line the median"
+
+
+def _physical_scores() -> ReportFigure:
+    shown = _of(PHYSICAL, (NONE, PLUS))
+    return ReportFigure(
+        "physical_scores",
+        f"H of physical swarms without filter and with {FILTER_NAMES[PLUS]}",
+        "8a",
+        frozenset({PHYSICAL}),
+        lambda drawn: plots.strips(shown(drawn)),
+        shown,
+        f"{_POINTS}.",
+    )
+
+
+def _strips(part: Part) -> ReportFigure:
+    every = _of(part, tuple(Filtering), PERIODS[0])
+
+    def shown(drawn: Drawn) -> list[Trials]:
+        return [
+            each
+            for each in every(drawn)
+            if (each.experiment.fill_ratio, each.experiment.true_accuracy) == OVER_AMBIGUOUS
+        ]
+
+    return ReportFigure(
+        f"{part.value}_strips",
+        f"H of every trial of {PART_NAMES[part]} swarms where f = b = 0.55, tau = {PERIODS[0]}",
+        "",
+        frozenset({part}),
+        lambda drawn: plots.strips(shown(drawn)),
+        shown,
+        f"{_POINTS}: where trials fall into two groups the median may be in neither.",
+    )
+
+
+def _points(part: Part, paper: str) -> ReportFigure:
+    shown = _of(part, tuple(Filtering), PERIODS[0])
+    return ReportFigure(
+        f"{part.value}_scatter",
+        f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {PERIODS[0]}",
+        paper,
+        frozenset({part}),
+        lambda drawn: plots.scatter(shown(drawn)),
+        shown,
+        "A point is a trial: blue where flawed robots are overconfident, red or orange where they are "
+        "underconfident.",
+    )
+
+
+def _topologies(own: Filtering, paper: str) -> ReportFigure:
+    """Dynamic beside fully connected."""
 
     def name(experiment: Experiment) -> str:
-        return f"{'dynamic' if experiment.is_dynamic else 'fully connected'}, {MODE_NAMES[experiment.filter]}"
+        return (
+            f"{'dynamic' if experiment.is_dynamic else 'fully connected'}, {FILTER_NAMES[experiment.filter]}"
+        )
 
-    def draw(study: Study, scale: Scale) -> Figure:
-        shown = [
-            each
-            for part in (DYNAMIC, FULLY_CONNECTED)
-            for each in _of_modes(study, part, (NONE, mode))
-            if each.experiment.filter_period == PERIODS[0]
-        ]
-        return plots.boxes(shown, name=name)
+    def shown(drawn: Drawn) -> list[Trials]:
+        return [each for part in BOTH for each in _of(part, (NONE, own), PERIODS[0])(drawn)]
 
-    words = f"H in both topologies without filter and with {MODE_NAMES[mode]}, tau = {PERIODS[0]}"
-    caption = f"{words} (paper: figure 6)."
-    return ReportFigure(f"topologies_{mode.value}", caption, frozenset({DYNAMIC, FULLY_CONNECTED}), draw)
-
-
-def _of_modes(study: Study, part: Part, modes: Sequence[Filtering]) -> list[Trials]:
-    return [each for mode in modes for each in study.of(part) if each.experiment.filter is mode]
+    return ReportFigure(
+        f"topologies_{own.value}",
+        f"H in both topologies without filter and with {FILTER_NAMES[own]}, tau = {PERIODS[0]}",
+        paper,
+        frozenset(BOTH),
+        lambda drawn: plots.boxes(shown(drawn), name=name),
+        shown,
+        _WHISKERS,
+    )
 
 
-def _series(study: Study, scale: Scale) -> Figure:
-    cell = Cell(FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
-    runs = [_recorded(experiment_of(cell.but(mode=mode), scale)) for mode in (NONE, PLUS)]
-    return plots.series_beside(runs, _TRIAL)
+def _bands(part: Part) -> ReportFigure:
+    def shown(drawn: Drawn) -> list[Trials]:
+        return [drawn.study.trials(cell) for cell in cells(part, percents=PARTLY, filter=PLUS)]
+
+    return ReportFigure(
+        f"{part.value}_bands",
+        f"b_hat of all robots of {PART_NAMES[part]} swarms with ASDF+, tau = {PERIODS[0]}",
+        "",
+        frozenset({part}),
+        lambda drawn: plots.bands(shown(drawn)),
+        shown,
+        "Lines are medians over robots and trials, bands the middle 50 and 90 %. Titles say how many robots "
+        "that began with the right accuracy end more than 0.05 off.",
+    )
 
 
-def _recorded(experiment: Experiment) -> Trials:
-    """The drawn trial once more, with its values over time."""
-    sampling_interval = max(1, experiment.steps // _POINTS)
-    measured = run_trials(experiment, _TRIAL, 1, sampling_interval)
-    (trials,) = experiments_in(table_of(replace(experiment, trials=1), measured, sampling_interval))
-    return trials
+def _paths(drawn: Drawn) -> Figure:
+    return arena_plots.trajectories(_half_flawed(PHYSICAL, drawn.scale), _TRIAL, _MOMENT)
 
 
-def _paths(study: Study, scale: Scale) -> Figure:
-    return arena_plots.trajectories(_half_flawed(PHYSICAL, scale), _TRIAL, min(1000, scale.steps))
-
-
-def _network(study: Study, scale: Scale) -> Figure:
-    return arena_plots.network(_half_flawed(DYNAMIC, scale), _TRIAL, min(1000, scale.steps))
+def _network(drawn: Drawn) -> Figure:
+    return arena_plots.network(_half_flawed(DYNAMIC, drawn.scale), _TRIAL, _MOMENT)
 
 
 def _half_flawed(part: Part, scale: Scale) -> Experiment:
@@ -123,21 +234,49 @@ def _half_flawed(part: Part, scale: Scale) -> Experiment:
     return next(experiment_of(cell, scale) for cell in cells_of(part) if cell.percent == 50)
 
 
-FIGURES = [
-    *(_boxes(part, mode) for part in (FULLY_CONNECTED, DYNAMIC) for mode in (MINUS, PLUS)),
-    _points(FULLY_CONNECTED),
-    _points(DYNAMIC),
-    _topologies(MINUS),
-    _topologies(PLUS),
+FIGURES = (
     ReportFigure(
-        "fully_connected_series",
-        "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %, tau = 1000 "
-        "(paper: figure 7).",
-        frozenset({FULLY_CONNECTED}),
-        _series,
+        "confidence",
+        "Local confidence alpha of an observation against b_hat",
+        "2",
+        frozenset(),
+        lambda drawn: plots.confidence(),
     ),
-    ReportFigure("dynamic_network", "Who hears whom at one moment.", frozenset({DYNAMIC}), _network),
-    _boxes(PHYSICAL, PLUS),
-    _points(PHYSICAL),
-    ReportFigure("physical_paths", "The robots' first paths across the code.", frozenset({PHYSICAL}), _paths),
-]
+    _boxes(DYNAMIC, MINUS, "3a"),
+    _boxes(DYNAMIC, PLUS, "3b"),
+    _boxes(FULLY_CONNECTED, MINUS, ""),
+    _boxes(FULLY_CONNECTED, PLUS, ""),
+    _points(DYNAMIC, "4"),
+    _points(FULLY_CONNECTED, ""),
+    _topologies(MINUS, "5a"),
+    _topologies(PLUS, "5b"),
+    ReportFigure(
+        "series",
+        "A fully connected trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 "
+        "%, "
+        f"tau = {PERIODS[0]}",
+        "6",
+        frozenset({FULLY_CONNECTED}),
+        lambda drawn: plots.series_beside(drawn.series, _TRIAL),
+    ),
+    ReportFigure(
+        "physical_paths",
+        f"Paths of the robots across the code in the first {_MOMENT} steps",
+        "7",
+        frozenset({PHYSICAL}),
+        _paths,
+    ),
+    _physical_scores(),
+    _points(PHYSICAL, "8b"),
+    _strips(FULLY_CONNECTED),
+    _strips(DYNAMIC),
+    _bands(FULLY_CONNECTED),
+    _bands(DYNAMIC),
+    ReportFigure(
+        "dynamic_network",
+        f"Who hears whom at step {_MOMENT}",
+        "",
+        frozenset({DYNAMIC}),
+        _network,
+    ),
+)

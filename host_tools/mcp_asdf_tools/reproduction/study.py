@@ -12,10 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, NamedTuple
 
 from mcp_asdf_tools.experiments import (
     STUDIES,
@@ -25,6 +22,7 @@ from mcp_asdf_tools.experiments import (
     Trials,
     read_experiments,
 )
+from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, summarized
 from mcp_asdf_tools.robots import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
@@ -52,7 +50,7 @@ class Cell:
         true_accuracy: b.
         flawed_accuracy: b_hat of flawed robots at the start.
         percent: P, how many of 100 robots are flawed.
-        mode: Who filters.
+        filter: The robots that filter.
         period: tau in steps.
     """
 
@@ -61,7 +59,7 @@ class Cell:
     true_accuracy: float
     flawed_accuracy: float
     percent: int
-    mode: Filtering = Filtering.NONE
+    filter: Filtering = Filtering.NONE
     period: int = PERIODS[0]
 
     def but(self, **changes: Any) -> Cell:
@@ -72,15 +70,15 @@ class Cell:
     def normal(self) -> Cell:
         """The normal form of the same experiment."""
         changes: dict[str, Any] = {}
-        mode = self.mode
+        chosen = self.filter
         if self.percent == 0:
             changes["flawed_accuracy"] = self.true_accuracy
-            mode = Filtering.NONE if mode is Filtering.ASDF_MINUS else mode
-        elif self.percent == 100 and mode is Filtering.ASDF_MINUS:
-            mode = Filtering.ASDF_PLUS
-        if mode is Filtering.NONE:
+            chosen = Filtering.NONE if chosen is Filtering.ASDF_MINUS else chosen
+        elif self.percent == 100 and chosen is Filtering.ASDF_MINUS:
+            chosen = Filtering.ASDF_PLUS
+        if chosen is Filtering.NONE:
             changes["period"] = PERIODS[0]
-        return replace(self, mode=mode, **changes)
+        return replace(self, filter=chosen, **changes)
 
 
 @cache
@@ -97,7 +95,7 @@ def cells_of(part: Part) -> tuple[Cell, ...]:
             each.fill_ratio,
             each.true_accuracy,
             each.flawed_accuracy,
-            round(100 * each.flawed_robots / each.robots),
+            round(100 * each.flawed / each.robots),
             each.filter,
             each.filter_period,
         )
@@ -106,30 +104,75 @@ def cells_of(part: Part) -> tuple[Cell, ...]:
     return tuple(dict.fromkeys(cell.normal for cell in cells))
 
 
+class Effort(NamedTuple):
+    """How much is run of a part.
+
+    Attributes:
+        trials: Of each experiment.
+        most: Of one whose comparisons are open, after being doubled again and again.
+        seeds: How often the part is run, each time with another seed.
+    """
+
+    trials: int
+    most: int
+    seeds: int
+
+    @property
+    def looks(self) -> int:
+        """How often comparisons are looked at while trials are added."""
+        return 1 + (self.most // self.trials).bit_length() - 1
+
+
+ENOUGH = {
+    Part.FULLY_CONNECTED: Effort(300, 1200, 3),
+    Part.DYNAMIC: Effort(60, 240, 2),
+    Part.PHYSICAL: Effort(300, 1200, 3),
+}
+"""Enough for nearly all comparisons, and to see whether another seed decides alike."""
+
+PAPER_TRIALS = 30
+PAPER_STEPS = 40_000
+
+
 @dataclass(frozen=True)
 class Scale:
     """How much is run of each experiment, and on what.
 
     Attributes:
-        trials: How many.
+        trials: How many; None for as many as decide.
         steps: Of a trial, at most.
-        seed: Of everything random.
+        seed: The first one.
+        seeds: How many; None for as many as ``ENOUGH`` has.
         firmware: Name of the robots' firmware.
         conventions: Of the reference firmware.
     """
 
-    trials: int = 30
-    steps: int = 40_000
+    trials: int | None = None
+    steps: int = PAPER_STEPS
     seed: int = 1
+    seeds: int | None = None
     firmware: str = "native"
     conventions: Convention = Convention.PAPER
 
+    def effort(self, part: Part) -> Effort:
+        """How much is run of a part."""
+        trials, most, seeds = ENOUGH[part]
+        if self.trials is not None:
+            trials = most = self.trials
+        return Effort(trials, most, seeds if self.seeds is None else self.seeds)
 
-QUICK = Scale(trials=10, steps=10_000)
+    @property
+    def allows_verdicts(self) -> bool:
+        """True if trials are as many and as long as the paper's."""
+        return self.steps >= PAPER_STEPS and (self.trials or PAPER_TRIALS) >= PAPER_TRIALS
+
+
+PAPER = Scale(trials=PAPER_TRIALS, seeds=1)
+QUICK = Scale(trials=10, steps=10_000, seeds=1)
 
 
 def experiment_of(cell: Cell, scale: Scale) -> Experiment:
-    """The experiment of a cell. Raises ParameterError for a scale out of range."""
+    """The experiment of a cell, before trials are added. Raises ParameterError for a scale out of range."""
     common = _experiments_of(cell.part)[0]
     return replace(
         common,
@@ -137,9 +180,9 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
         fill_ratio=cell.fill_ratio,
         true_accuracy=cell.true_accuracy,
         flawed_accuracy=cell.flawed_accuracy,
-        filter=cell.mode,
+        filter=cell.filter,
         filter_period=cell.period,
-        trials=scale.trials,
+        trials=scale.effort(cell.part).trials,
         steps=min(common.steps, scale.steps),
         seed=scale.seed,
         firmware=scale.firmware,
@@ -160,7 +203,7 @@ class Measure:
     """
 
     name: str
-    of: Callable[[Trials, Scores], NDArray[np.float64]]
+    of: Callable[[Trials, Scores], Sample]
 
 
 H = Measure("H", lambda trials, scores: scores.h)
@@ -169,21 +212,37 @@ H_E = Measure("h_e", lambda trials, scores: scores.h_e)
 
 
 class Study:
-    """Results of parts of the study, by cell."""
+    """Results of parts of the study with one seed, by cell."""
 
     def __init__(self, trials: Mapping[Cell, Trials]) -> None:
         """``trials`` of cells in their normal form."""
         self._trials = dict(trials)
         self._scores = {cell: each.scores() for cell, each in trials.items()}
+        self._summarized: dict[tuple[Cell, Measure, Summary, int], Summarized] = {}
 
     @property
     def parts(self) -> set[Part]:
         """The parts of which there are results."""
         return {cell.part for cell in self._trials}
 
-    def sample(self, cell: Cell, measure: Measure) -> NDArray[np.float64]:
+    def count(self, cells: Iterable[Cell]) -> int:
+        """How many trials all of these cells have. Raises KeyError if one has not been run."""
+        return min(len(self.trials(cell).numbers) for cell in cells)
+
+    def trials(self, cell: Cell) -> Trials:
+        """The results of a cell. Raises KeyError if it has not been run."""
+        return self._trials[cell.normal]
+
+    def sample(self, cell: Cell, measure: Measure) -> Sample:
         """A value for each trial of a cell. Raises KeyError if it has not been run."""
         return measure.of(self._trials[cell.normal], self._scores[cell.normal])
+
+    def summarized(self, cell: Cell, measure: Measure, summary: Summary, trials: int) -> Summarized:
+        """The summary of a cell's first ``trials``, and of their resamples; kept for the next comparison."""
+        key = (cell.normal, measure, summary, trials)
+        if key not in self._summarized:
+            self._summarized[key] = summarized(self.sample(cell, measure)[:trials], summary)
+        return self._summarized[key]
 
     def of(self, part: Part) -> list[Trials]:
         """All results of a part."""
@@ -194,6 +253,11 @@ def study_of(parts: Iterable[tuple[Part, Sequence[Trials]]], scale: Scale) -> St
     """Results by cell. Raises KeyError if they are not those of all cells at this scale."""
     by_cell: dict[Cell, Trials] = {}
     for part, results in parts:
-        found = {trials.experiment: trials for trials in results}
-        by_cell |= {cell: found[experiment_of(cell, scale)] for cell in cells_of(part)}
+        found = {_once(trials.experiment): trials for trials in results}
+        by_cell |= {cell: found[_once(experiment_of(cell, scale))] for cell in cells_of(part)}
     return Study(by_cell)
+
+
+def _once(experiment: Experiment) -> Experiment:
+    """The experiment but for its number of trials."""
+    return replace(experiment, trials=1)

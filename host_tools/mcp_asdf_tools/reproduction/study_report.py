@@ -1,185 +1,120 @@
-"""Results of the study as a folder: a report in Markdown with pictures, and every comparison made."""
+"""Results of the study as a folder: report as one page and as Markdown, pictures, every comparison."""
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
-from collections import Counter
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mcp_asdf_tools.common import save_figure, software_versions, write_atomically
-from mcp_asdf_tools.experiments import E_MAX
-from mcp_asdf_tools.reproduction.comparisons import Claim
-from mcp_asdf_tools.reproduction.paper_claims import CLAIMS
-from mcp_asdf_tools.reproduction.paper_figures import FIGURES
-from mcp_asdf_tools.reproduction.study import PART_NAMES, Part, Scale, Study, cells_of, experiment_of
-from mcp_asdf_tools.reproduction.verdicts import CONFIDENCE, MARGIN, Comparison, Expectation, Finding, Verdict
-from mcp_asdf_tools.robots import Filtering
+from mcp_asdf_tools.common import UsageError, image_of, write_atomically
+from mcp_asdf_tools.experiments import Trials
+from mcp_asdf_tools.reproduction import report_text as text
+from mcp_asdf_tools.reproduction.decisions import Decided
+from mcp_asdf_tools.reproduction.heat_maps import heat_map
+from mcp_asdf_tools.reproduction.paper_figures import FIGURES, Drawn, ReportFigure
+from mcp_asdf_tools.reproduction.runs import Run
+from mcp_asdf_tools.reproduction.study import Part, Scale
 
-Decided = Sequence[tuple[Claim, Finding]]
-"""Claims and what came out of them."""
+_PAGE = """\
+<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>The paper's study, run again</title>
+<style>
+body {{ font: 15px/1.45 sans-serif; color: #222; max-width: 75rem; margin: 1.5rem auto; padding: 0 1rem }}
+table {{ border-collapse: collapse; margin: .6rem 0 }}
+th, td {{ border: 1px solid #ccc; padding: .2rem .5rem; text-align: left; vertical-align: top }}
+th {{ background: #eef3f7 }}
+h3 {{ margin-top: 2.2rem }}
+img {{ max-width: 100% }}
+</style>
+{body}
+</html>
+"""
 
 
-def decide(study: Study) -> Decided:
-    """Decide every claim whose parts have been run. O(comparisons resamples trials)."""
-    return [(claim, claim.decide(study)) for claim in CLAIMS if claim.needs <= study.parts]
-
-
-def write_report(folder: Path, study: Study, scale: Scale) -> Decided:
-    """Write ``report.md``, its pictures and ``comparisons.csv`` into a folder; returns what was decided.
+def write_report(folder: Path, runs: Sequence[Run], series: Sequence[Trials], scale: Scale) -> None:
+    """Write ``report.html``, which needs no other file, ``report.md`` with its pictures, and
+    ``comparisons.csv``.
 
     Raises UsageError if that cannot be done.
     """
-    decided = decide(study)
-    figures = [each for each in FIGURES if each.needs <= study.parts]
+    first = runs[0]
+    drawn = Drawn(first.study, series, scale)
+    figures = [each for each in FIGURES if each.needs <= first.study.parts]
+    images = dict(_images(first.decided, drawn, figures))
+    for name, image in images.items():
+        _make_folder((folder / name).parent)
+        write_atomically(folder / name, image)
+    content = _markdown(runs, drawn, figures)
+    write_atomically(folder / "report.md", content)
+    write_atomically(folder / "report.html", _page(content, images))
+    write_atomically(folder / "comparisons.csv", comparisons(runs, scale))
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+
+
+def _images(decided: Decided, drawn: Drawn, figures: Sequence[ReportFigure]) -> Iterator[tuple[str, bytes]]:
+    for each in decided:
+        name = f"claims/{each.file}.svg"
+        yield name, image_of(heat_map(each.finding.comparisons), Path(name))
     for figure in figures:
-        save_figure(figure.draw(study, scale), folder / f"{figure.name}.png")
-    write_comparisons(folder / "comparisons.csv", decided)
+        name = f"figures/{figure.name}.png"
+        yield name, image_of(figure.draw(drawn), Path(name))
+
+
+def _markdown(runs: Sequence[Run], drawn: Drawn, figures: Sequence[ReportFigure]) -> str:
+    decided, scale, verdicts = runs[0].decided, drawn.scale, text.verdicts_of(runs)
+    parts = [part for part in Part if part in drawn.study.parts]
+    shown = [
+        f"![{text.plain(figure.title)}](figures/{figure.name}.png)\n\n{figure.caption(drawn)}"
+        for figure in figures
+    ]
     sections = [
-        _introduction(study, scale),
-        "\n\n".join(["## Claims", _RULES, summary_table(decided), claims_table(decided)]),
-        "## Pictures\n\n" + "\n\n".join(f"![]({each.name}.png)\n\n{each.caption}" for each in figures),
+        text.overview(decided, scale),
+        text.introduction(parts, runs, scale),
+        text.claims_tables(decided, verdicts, scale),
+        text.claim_pictures(decided, scale),
+        "## The paper's figures, and others",
+        *shown,
+        text.RULES,
     ]
-    write_atomically(folder / "report.md", "\n\n".join(sections) + "\n")
-    return decided
+    return "\n\n".join(sections) + "\n"
 
 
-_INTRODUCTION = """\
-# The paper's study, run again
+def _page(content: str, images: dict[str, bytes]) -> str:
+    """The report as one page with its pictures in it."""
+    from markdown_it import MarkdownIt  # noqa: PLC0415 (loads slowly)
 
-{trials} trials of each experiment, seed {seed}, {firmware} firmware, conventions of the {conventions};
-{versions}. The results hold all parameters of every trial.
+    body = MarkdownIt("commonmark", {"html": True}).enable("table").render(content)
+    kinds = {".svg": "image/svg+xml", ".png": "image/png"}
 
-| part | experiments | robots | steps | results |
-|---|---|---|---|---|
-{rows}
+    def embedded(found: re.Match[str]) -> str:
+        name = found[1]
+        data = base64.b64encode(images[name]).decode()
+        return f'src="data:{kinds[Path(name).suffix]};base64,{data}"'
 
-{grids}
-
-Scores are relative to K_max, the length of a trial, and e_max = {e_max}."""
-
-_RULES = f"""\
-A comparison is the difference of two medians with its {CONFIDENCE:.0%} bootstrap interval. It is *above*
-if the interval is above 0 and the difference at least {MARGIN:g} points of the score, *the same* if the
-interval is within {MARGIN:g} points of 0, and open where the interval does not decide; some claims have
-other sizes, which `comparisons.csv` states for each. A claim agrees if none of its comparisons fails and
-three quarters hold, or just three quarters hold where the paper speaks of most cases, or one where it speaks
-of some; it disagrees if it is the other way round."""
-
-
-def _introduction(study: Study, scale: Scale) -> str:
-    parts = [part for part in Part if part in study.parts]
-    return _INTRODUCTION.format(
-        trials=scale.trials,
-        seed=scale.seed,
-        firmware=scale.firmware,
-        conventions=scale.conventions.value,
-        versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
-        rows="\n".join(_row_of(part, scale) for part in parts),
-        grids="\n".join(f"- {PART_NAMES[part]}: {_grid_of(part)}" for part in parts),
-        e_max=E_MAX,
-    )
-
-
-def _row_of(part: Part, scale: Scale) -> str:
-    cells = cells_of(part)
-    experiment = experiment_of(cells[0], scale)
-    values = (PART_NAMES[part], len(cells), experiment.robots, experiment.steps, f"`{part.value}.parquet`")
-    return f"| {' | '.join(map(str, values))} |"
-
-
-def _grid_of(part: Part) -> str:
-    axes = {
-        "f": "fill_ratio",
-        "b": "true_accuracy",
-        "b_hat": "flawed_accuracy",
-        "P in %": "percent",
-        "tau": "period",
-    }
-    words = []
-    for name, attribute in axes.items():
-        values = sorted({getattr(cell, attribute) for cell in cells_of(part)})
-        words.append(f"{name} {', '.join(f'{value:g}' for value in values)}")
-    modes = {cell.mode for cell in cells_of(part)}
-    return "; ".join([*words, ", ".join(mode.value for mode in Filtering if mode in modes)])
-
-
-# --- Tables ----------------------------------------------------------------------------------------------
-
-
-def summary_table(decided: Decided) -> str:
-    """How many claims of each part agree."""
-    counts = Counter((claim.part, finding.verdict) for claim, finding in decided)
-    rows = [
-        f"| {_about(part)} | {' | '.join(str(counts[part, verdict]) for verdict in Verdict)} |"
-        for part in (None, *Part)
-        if any(counts[part, verdict] for verdict in Verdict)
-    ]
-    head = f"| about | {' | '.join(verdict.value for verdict in Verdict)} |"
-    return "\n".join([head, "|---" * (1 + len(Verdict)) + "|", *rows])
-
-
-def claims_table(decided: Decided) -> str:
-    """A row for each claim: section, what it is about, what it says, our numbers, the verdict."""
-    rows = []
-    for claim, finding in decided:
-        values = (claim.section, _about(claim.part), claim.text, numbers(finding), finding.verdict.value)
-        rows.append(f"| {' | '.join(values)} |")
-    return "\n".join(["| section | about | claim | our numbers | verdict |", "|---|---|---|---|---|", *rows])
-
-
-def _about(part: Part | None) -> str:
-    return "equations" if part is None else PART_NAMES[part]
-
-
-def numbers(finding: Finding) -> str:
-    """How many comparisons hold, and the most and the least favourable of them."""
-    total, right, wrong = len(finding.comparisons), finding.count(True), finding.count(False)
-    parts = [f"{right} of {total} hold"]
-    parts += [f"{wrong} fail"] * (wrong > 0) + [f"{total - right - wrong} open"] * (total > right + wrong)
-    ranked = sorted(finding.comparisons, key=_favour)
-    worst, best = ranked[0], ranked[-1]
-    extremes = f"best {_interval(best)}, worst {_interval(worst)}" if total > 1 else _interval(best)
-    return f"{', '.join(parts)}; {extremes} ({worst.label})"
-
-
-def plain(decided: Decided) -> list[dict[str, str | None]]:
-    """Claims and verdicts as plain values."""
-    return [
-        {
-            "claim": claim.name,
-            "section": claim.section,
-            "part": claim.part.value if claim.part else None,
-            "verdict": finding.verdict.value,
-            "numbers": numbers(finding),
-        }
-        for claim, finding in decided
-    ]
-
-
-def _favour(comparison: Comparison) -> float:
-    """How far the difference lies on the side where it is expected."""
-    value = comparison.estimate.value
-    if comparison.expectation is Expectation.SAME:
-        return -abs(value)
-    return value if comparison.expectation in (Expectation.ABOVE, Expectation.NOT_BELOW) else -value
-
-
-def _interval(comparison: Comparison) -> str:
-    estimate = comparison.estimate
-    value, low, high = (f"{each:.3g}" for each in (estimate.value, estimate.low, estimate.high))
-    return value if low == high else f"{value} [{low}, {high}]"
+    return _PAGE.format(body=re.sub(r'src="([^"]*)"', embedded, body))
 
 
 _COLUMNS = (
+    "seed",
     "claim",
-    "section",
+    "where",
     "part",
     "verdict",
-    "comparison",
+    "cells",
     "expected",
-    "margin",
+    "size",
     "value",
     "low",
     "high",
@@ -187,18 +122,17 @@ _COLUMNS = (
 )
 
 
-def write_comparisons(path: Path, decided: Decided) -> None:
-    """Write a line for every comparison. Raises UsageError if that cannot be done."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+def comparisons(runs: Sequence[Run], scale: Scale) -> str:
+    """A line for every comparison with every seed, as CSV."""
+    content = io.StringIO()
+    writer = csv.writer(content, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    for claim, finding in decided:
-        head = (claim.name, claim.section, _about(claim.part), finding.verdict.value)
-        for each in finding.comparisons:
-            holds = {True: "yes", False: "no", None: "open"}[each.holds]
-            values = (
-                f"{value:.6g}"
-                for value in (each.margin, each.estimate.value, each.estimate.low, each.estimate.high)
-            )
-            writer.writerow([*head, each.label, each.expectation.value, *values, holds])
-    write_atomically(path, text.getvalue())
+    for run in runs:
+        for decision in run.decided:
+            verdict = decision.finding.verdict.value if scale.allows_verdicts else ""
+            head = (run.seed, decision.claim.name, decision.claim.where, text.about(decision.part), verdict)
+            for each in decision.finding.comparisons:
+                holds = {True: "yes", False: "no", None: "open"}[each.holds]
+                values = (f"{value:.6g}" for value in (each.size, *each.estimate))
+                writer.writerow([*head, each.label, each.expectation.value, *values, holds])
+    return content.getvalue()

@@ -13,6 +13,7 @@ from .events import Event as Event
 from .events import Recorder as Recorder
 from .firmwares import FIRMWARES as FIRMWARES
 from .firmwares import RobotMaker as RobotMaker
+from .firmwares import Words as Words
 from .firmwares import firmware_names as firmware_names
 from .firmwares import load_firmware as load_firmware
 from .lockstep import DRIVER_ID as DRIVER_ID
@@ -33,8 +34,10 @@ from .node_run import state_of as state_of
 from .observations import LineSource as LineSource
 from .observations import ObservationSource as ObservationSource
 from .observations import WorldSource as WorldSource
+from .options import add_estimate_options as add_estimate_options
 from .options import add_robot_options as add_robot_options
 from .options import add_subject_options as add_subject_options
+from .options import format_of as format_of
 from .options import robot_arguments as robot_arguments
 from .options import robot_of as robot_of
 from .options import subject_arguments as subject_arguments
@@ -45,8 +48,12 @@ from .population import Population as Population
 from .population import parameter_names as parameter_names
 from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
+from .reception import Content as Content
 from .reception import Decoder as Decoder
+from .reception import Estimates as Estimates
 from .reception import Reception as Reception
+from .reception import rows_of as rows_of
 from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
+from .rounds import TickedRobot as TickedRobot

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import can
 
-from mcp_asdf.robot import Counters, Observation, Robot, Status, Sums
+from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus import (
     MAX_B_HAT,
     MIN_B_HAT,
@@ -29,7 +29,8 @@ from mcp_asdf_tools.bus import (
     encode_telemetry,
 )
 from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.reception import Decoder, Reception
+from mcp_asdf_tools.robots.firmwares import Words
+from mcp_asdf_tools.robots.reception import Content, Decoder, Estimates, Reception, rows_of
 from mcp_asdf_tools.robots.rounds import TickedRobot
 
 
@@ -43,8 +44,8 @@ class Ticked(Protocol):
     def observe(self, z: Observation | None) -> bool:
         """Begin a tick; returns whether a broadcast is due."""
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Take a neighbour's message."""
+    def receive_all(self, words: Words) -> int:
+        """Take neighbours' messages in order; returns how many were accepted."""
 
     def settle(self) -> None:
         """End the tick."""
@@ -74,7 +75,6 @@ class Participant:
         """Drive this firmware from now on; it has done nothing yet."""
         self.ticks = self.heard = 0
         self._ticked = ticked
-        self._receive_raw = ticked.receive_raw
 
     @property
     def counters(self) -> Counters:
@@ -91,26 +91,29 @@ class Participant:
             self.heard = 0
         return is_due
 
-    def hear(self, frame: can.Message) -> None:
-        """Take any frame of another node. A dead robot hears nothing. O(1)."""
+    def hear(self, *frames: can.Message) -> None:
+        """Take any frames of other nodes, in the order in which they came. A dead robot hears nothing."""
+        contents = [self._decode(frame) for frame in frames]
+        self.receive(Estimates.of(rows_of(contents)))
+        self.count([content for content in contents if not isinstance(content, Message)])
+
+    def receive(self, estimates: Estimates) -> None:
+        """Hand estimates to the firmware. A dead robot receives nothing. O(estimates)."""
         if not self.is_alive:
             return
-        content = self._decode(frame)
-        if isinstance(content, Message):
-            self.receive(content.sender, content.x_hat, content.alpha)
-        else:
-            self.reception.count(content)
-
-    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
-        """Hand an estimate, in the raw integers of ``Message``, to the firmware. O(1)."""
         if self.recorder is not None:
-            self.recorder.receive(sender, x_hat, alpha)
-        self.reception.delivered += 1
-        if self._receive_raw(sender, x_hat, alpha) == Status.OK:
-            self.heard += 1
-            return
-        self.reception.refused += 1
-        self.reception.id_conflicts += sender == self.id
+            self.recorder.receive(estimates.texts)
+        received, accepted = len(estimates), self._ticked.receive_all(estimates.words)
+        self.heard += accepted
+        self.reception.delivered += received
+        if accepted < received:
+            self.reception.refused += received - accepted
+            self.reception.id_conflicts += estimates.words[:, 0].tolist().count(self.id)
+
+    def count(self, contents: Sequence[Content]) -> None:
+        """Count frames that are no estimates. A dead robot counts nothing."""
+        if self.is_alive and contents:
+            self.reception.count(contents)
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
@@ -121,7 +124,7 @@ class Participant:
             self.reception.strays += 1
             self.reception.id_conflicts += content.sender == self.id
         else:
-            self.reception.count(content)
+            self.reception.count([content])
 
     def settle(self) -> None:
         """End the tick."""
@@ -204,15 +207,6 @@ class BusRobot(Participant):
         port, transfer_id = self._ticked.port, self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
         return Message(self.id, port.x_hat_raw, port.alpha_raw, transfer_id)
-
-    def receive_round(self, sums: Sums, messages: Sequence[Message]) -> None:
-        """Hand over the estimates of a round at once: the last before ``settle``, of different neighbours."""
-        if self.recorder is not None:
-            for message in messages:
-                self.recorder.receive(message.sender, message.x_hat, message.alpha)
-        self.reception.delivered += len(messages)
-        self.heard += len(messages)
-        self._ticked.receive_sums(sums, len(messages))
 
     def heartbeat(self, now: float) -> can.Message:
         """The next heartbeat. One is due when the robot starts, and then once per second."""

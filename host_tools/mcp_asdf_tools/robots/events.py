@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import can
 
@@ -28,9 +28,9 @@ class Recorder:
         """The robot began a tick and observed ``z``, if anything."""
         self._parts.append(str(Action.observing(z).value))
 
-    def receive(self, sender: int, x_hat: int, alpha: int) -> None:
-        """The robot took a message of these raw values."""
-        self._parts.append(f"[{sender},{x_hat},{alpha}]")
+    def receive(self, messages: Iterable[str]) -> None:
+        """The robot took messages, each a ``message_text``."""
+        self._parts.extend(messages)
 
     def settle(self) -> None:
         """The robot ended the tick."""
@@ -58,3 +58,8 @@ class Recorder:
         if len(self._parts) > 1:
             self._write(",".join(self._parts) + "]\n")
             self._parts = [self._head]
+
+
+def message_text(sender: int, x_hat: int, alpha: int) -> str:
+    """The event of a message with these raw values."""
+    return f"[{sender},{x_hat},{alpha}]"

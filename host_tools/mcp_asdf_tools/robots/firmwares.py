@@ -6,9 +6,15 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Protocol, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Robot, Status
 from mcp_asdf_tools.common import UsageError, extensions
+
+Words = NDArray[np.uint32]
+"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot from a config, a robot id and an initial assumed accuracy."""
@@ -20,9 +26,9 @@ FIRMWARES = {
 }
 
 
-def firmware_names() -> list[str]:
+def firmware_names() -> extensions.Names:
     """Names of the firmwares that come with the project, then of installed extensions."""
-    return [*FIRMWARES, *extensions.names(extensions.FIRMWARES)]
+    return extensions.Names(FIRMWARES, extensions.FIRMWARES)
 
 
 def load_firmware(name: str) -> RobotMaker:
@@ -54,8 +60,8 @@ class Port(Protocol):
     def alpha_raw(self) -> int:
         """Local confidence to broadcast."""
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Hand over a neighbour's message."""
+    def receive_all(self, words: Words) -> int:
+        """Hand over neighbours' messages in order; returns how many were accepted."""
 
 
 def port_of(robot: Robot) -> Port:
@@ -79,9 +85,12 @@ class RoundingPort:
         """Local confidence to broadcast."""
         return alpha_to_word(self._robot.alpha)
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Hand over a neighbour's message."""
+    def receive_all(self, words: Words) -> int:
+        """Hand over neighbours' messages in order; returns how many were accepted."""
+        return sum(self._accepts(*each) for each in words.tolist())
+
+    def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
         try:
-            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha))
-        except FirmwareError as error:
-            return error.status
+            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha)) is Status.OK
+        except FirmwareError:
+            return False

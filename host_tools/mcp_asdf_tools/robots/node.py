@@ -34,7 +34,7 @@ from mcp_asdf_tools.bus import (
 from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent
 from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.reception import Decoder, Reception
+from mcp_asdf_tools.robots.reception import Decoder, Estimates, Reception, rows_of
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
 ACCEPTANCE_MASK = 0x039F_FF80
@@ -223,7 +223,7 @@ class RobotNode:
 
     def _receive(self, message: Message) -> None:
         self._watch.hear(message)
-        self._bus_robot.receive(message.sender, message.x_hat, message.alpha)
+        self._bus_robot.receive(Estimates.of(rows_of([message])))
 
     def _obey(self, command: Command) -> list[can.Message]:
         if command.target not in (self.settings.id, EVERY_ROBOT):

@@ -120,30 +120,42 @@ def robot_arguments(robot: RobotRecord) -> list[str]:
     return _options(plain.items())
 
 
-def add_subject_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of message formats."""
+def add_estimate_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Declare the options of the estimates' format; returns the group of options."""
     group = parser.add_argument_group("frames")
-    for name, text, default in (
-        ("subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject),
-        ("priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority),
-        ("telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject),
-        ("command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject),
-    ):
-        group.add_argument(
-            f"--{name}", type=int, metavar="N", default=default, help=f"{text} (default {default})"
-        )
+    _add_number(group, "subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject)
+    _add_number(group, "priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority)
+    return group
+
+
+def add_subject_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of all message formats."""
+    group = add_estimate_options(parser)
+    _add_number(group, "telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject)
+    _add_number(group, "command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject)
+
+
+def _add_number(group: argparse._ArgumentGroup, name: str, text: str, default: int) -> None:
+    group.add_argument(
+        f"--{name}", type=int, metavar="N", default=default, help=f"{text} (default {default})"
+    )
+
+
+def format_of(subject: int, priority: int) -> FrameFormat:
+    """A message format. Raises UsageError if it is invalid."""
+    try:
+        return FrameFormat(subject, priority)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def subjects_of(args: argparse.Namespace) -> Subjects:
     """Message formats by the options. Raises UsageError if they are invalid."""
-    try:
-        return Subjects(
-            FrameFormat(args.subject, args.priority),
-            FrameFormat(args.telemetry_subject, _SUBJECTS.telemetry.priority),
-            FrameFormat(args.command_subject, _SUBJECTS.commands.priority),
-        )
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    return Subjects(
+        format_of(args.subject, args.priority),
+        format_of(args.telemetry_subject, _SUBJECTS.telemetry.priority),
+        format_of(args.command_subject, _SUBJECTS.commands.priority),
+    )
 
 
 def subject_arguments(subjects: Subjects) -> list[str]:

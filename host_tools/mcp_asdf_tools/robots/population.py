@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from decimal import Decimal
 from enum import Enum
 from numbers import Integral, Real
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
 from mcp_asdf_tools.common import (
+    Given,
     ParameterError,
     UsageError,
     meaning_of,
     parameter,
+    parameters,
     plain_value,
     special_parameter,
 )
@@ -44,7 +46,7 @@ class Activation(Enum):
     """Without a test."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class Population(WorldSettings):
     """N robots, of which the first ``flawed`` assume a wrong accuracy, and the world around them.
 
@@ -52,26 +54,37 @@ class Population(WorldSettings):
     with a point or a percent sign (``0.3``, ``30%``); a share becomes the nearest count, halves up.
     """
 
-    flawed: int | float | str = special_parameter("30%", "flawed robots: a count (6) or a share (30%, 0.3)")
-    flawed_accuracy: float = parameter(0.55, "b_hat that flawed robots assume at the start", 0, 1)
-    filter: Filtering = parameter(Filtering.ASDF_PLUS, "robots that recalibrate")
-    activation: Activation = parameter(Activation.ADAPTIVE, "recalibrate if the test rejects, or always")
-    comms_period: int = parameter(1, "steps between broadcasts", 1, MAX_PERIOD)
+    flawed: Given[int, float | str] = special_parameter(
+        "flawed robots: a count (6) or a share (30%, 0.3)", default="30%"
+    )
+    flawed_accuracy: float = parameter("b_hat that flawed robots assume at the start", 0, 1, default=0.55)
+    unflawed_accuracy: float = parameter(
+        "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
+    )
+    filter: Given[Filtering, Literal["none", "asdf-minus", "asdf-plus"]] = parameter(
+        "robots that recalibrate", default=Filtering.ASDF_PLUS
+    )
+    activation: Given[Activation, Literal["adaptive", "always"]] = parameter(
+        "recalibrate if the test rejects, or always", default=Activation.ADAPTIVE
+    )
+    comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
     filter_period: int = parameter(
-        DEFAULT_FILTER_PERIOD,
         "nominal filtering period tau in steps, a multiple of comms_period",
         1,
         MAX_PERIOD,
+        default=DEFAULT_FILTER_PERIOD,
     )
-    omega: Decimal = special_parameter(Decimal("0.05"), "type II error probability of the test, up to 0.9")
+    omega: Given[Decimal, float | str] = special_parameter(
+        "type II error probability of the test, up to 0.9", default=Decimal("0.05")
+    )
     memory: int = parameter(
-        DEFAULT_MEMORY,
         "forgetting: halve t and n at this many observations, a multiple of 4",
         MIN_MEMORY,
         2**31,
+        default=DEFAULT_MEMORY,
     )
-    latency: int = parameter(0, "steps that a message takes", 0, 1)
-    firmware: str = parameter("native", "firmware of the robots")
+    latency: int = parameter("steps that a message takes", 0, 1, default=0)
+    firmware: str = parameter("firmware of the robots", default="native")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -104,24 +117,20 @@ class Population(WorldSettings):
             return {"omega": "activation is always, without a test"}
         return {}
 
-    @property
-    def flawed_robots(self) -> int:
-        """How many robots are flawed; they have the first ids."""
-        return int(self.flawed)  # a count since the constructor has run
-
     def is_flawed(self, robot: int) -> bool:
-        """Whether a robot is among the flawed."""
-        return robot < self.flawed_robots
+        """True if a robot is among the flawed."""
+        return robot < self.flawed
 
     def filters(self, robot: int) -> bool:
-        """Whether a robot re-estimates its accuracy."""
+        """True if a robot re-estimates its accuracy."""
         return self.filter is Filtering.ASDF_PLUS or (
             self.filter is Filtering.ASDF_MINUS and self.is_flawed(robot)
         )
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
-        accuracy = self.flawed_accuracy if self.is_flawed(robot) else self.true_accuracy
+        correct = self.unflawed_accuracy or self.true_accuracy
+        accuracy = self.flawed_accuracy if self.is_flawed(robot) else correct
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> TickConfig:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import (
     FrameFormat,
@@ -17,9 +21,16 @@ from mcp_asdf_tools.bus import (
     decode_heartbeat,
     decode_telemetry,
 )
+from mcp_asdf_tools.robots.events import message_text
+from mcp_asdf_tools.robots.firmwares import Words
+
+Mask = NDArray[np.bool_]
 
 Content = Message | Heartbeat | Telemetry | Rejection
 """Content of a frame, or the reason why it has none."""
+
+_MAX_KNOWN = 4096
+"""Frames in a decoder's cache: some ticks of 127 robots, since frames may come late."""
 
 
 class Decoder:
@@ -31,15 +42,18 @@ class Decoder:
 
     def __init__(self, frames: FrameFormat) -> None:
         self.frames = frames
-        self._last: dict[int, tuple[can.Message, Content]] = {}
+        self._known: dict[int, tuple[can.Message, Content]] = {}
 
     def __call__(self, frame: can.Message) -> Content:
         """Decode a frame, which must not change any more."""
-        known = self._last.get(frame.arbitration_id)
-        if known is not None and known[0] is frame:
+        known = self._known.get(id(frame))
+        if known is not None:
             return known[1]
+        if len(self._known) == _MAX_KNOWN:
+            self._known.clear()
         content = self._content(frame)
-        self._last[frame.arbitration_id] = frame, content
+        # With the frame itself, since the id of an object that has gone may be another's.
+        self._known[id(frame)] = frame, content
         return content
 
     def _content(self, frame: can.Message) -> Content:
@@ -79,14 +93,56 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def count(self, content: Heartbeat | Telemetry | Rejection) -> None:
-        """Count a frame that is no estimate."""
-        if isinstance(content, Heartbeat):
-            self.heartbeats += 1
-        elif isinstance(content, Telemetry):
-            self.telemetry += 1
-            self.last_telemetry[content.sender] = content
-        elif content is Rejection.ERROR_FRAME:
-            self.errors += 1
-        else:
-            self.rejected[content] += 1
+    def count(self, contents: Sequence[Content]) -> None:
+        """Count frames that are no estimates."""
+        kinds = Counter(map(type, contents))
+        self.heartbeats += kinds[Heartbeat]
+        if kinds[Telemetry]:
+            telemetry = [each for each in contents if isinstance(each, Telemetry)]
+            self.telemetry += len(telemetry)
+            self.last_telemetry.update((each.sender, each) for each in telemetry)
+        if kinds[Rejection]:
+            reasons = Counter(each for each in contents if isinstance(each, Rejection))
+            self.errors += reasons.pop(Rejection.ERROR_FRAME, 0)
+            self.rejected.update(reasons)
+
+
+class Estimates:
+    """Estimates as a firmware and a recorder take them.
+
+    Attributes:
+        words: Shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``.
+    """
+
+    def __init__(self, words: Words, source: Estimates | None = None, which: Mask | None = None) -> None:
+        self.words = words
+        self._source = source
+        self._which = which
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[int]]) -> Estimates:
+        """Estimates of these senders, x_hat and alpha."""
+        return cls(np.array(rows, np.uint32).reshape(-1, 3))
+
+    def __len__(self) -> int:
+        return len(self.words)
+
+    def __getitem__(self, which: Mask) -> Estimates:
+        """Some of them."""
+        return Estimates(self.words[which], self, which)
+
+    @property
+    def texts(self) -> NDArray[np.object_]:
+        """The same as events, shape (estimates,); made once for all robots that take some of them."""
+        if self._source is not None:
+            return self._source._all_texts[self._which]
+        return self._all_texts
+
+    @cached_property
+    def _all_texts(self) -> NDArray[np.object_]:
+        return np.array([message_text(*row) for row in self.words.tolist()], np.object_)
+
+
+def rows_of(contents: Sequence[Content]) -> list[tuple[int, int, int]]:
+    """Senders, x_hat and alpha of the estimates among ``contents``."""
+    return [(each.sender, each.x_hat, each.alpha) for each in contents if isinstance(each, Message)]

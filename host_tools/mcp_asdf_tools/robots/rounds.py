@@ -9,7 +9,6 @@ drives, on a bus or from a log, is a ``TickedRobot``; for a robot that runs else
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 from mcp_asdf.robot import (
     DEFAULT_FILTER_PERIOD,
@@ -17,10 +16,8 @@ from mcp_asdf.robot import (
     Config,
     Counters,
     Filter,
-    FixedPointRobot,
     Observation,
     Robot,
-    Sums,
 )
 from mcp_asdf.table import Table
 from mcp_asdf_tools.common import UsageError, check_types
@@ -92,14 +89,14 @@ class TickedRobot:
     Attributes:
         robot: The firmware.
         port: The firmware's side of the bus.
-        receive_raw: Hands over a neighbour's message, see ``mcp_asdf.robot.FixedPointRobot``.
+        receive_all: Hands over neighbours' messages, see ``mcp_asdf.robot.FixedPointRobot``.
     """
 
     def __init__(self, robot: Robot, comms_period: int = 1) -> None:
         """Drive a robot that has done nothing yet and broadcasts every ``comms_period`` ticks, 1 or more."""
         self.robot = robot
         self.port = port_of(robot)
-        self.receive_raw = self.port.receive_raw
+        self.receive_all = self.port.receive_all
         self._timer = RoundTimer(comms_period)
         self._ticks = 0
         self._counted = robot.counters
@@ -109,10 +106,6 @@ class TickedRobot:
         if z is not None:
             self.robot.observe(z)
         return self._timer.begin()
-
-    def receive_sums(self, sums: Sums, messages: int) -> None:
-        """Receive the last messages of a round at once. Fails unless the firmware is a FixedPointRobot."""
-        cast(FixedPointRobot, self.robot).receive_sums(sums, messages)
 
     def settle(self) -> None:
         """End the tick, and its round if that is due."""

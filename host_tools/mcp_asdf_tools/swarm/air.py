@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Collection, Sequence
-from itertools import count
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import Protocol
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf_tools.swarm.faults import Faults, SentFrame
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame, Ways
 
 
 class Hearer(Protocol):
     """Robot as seen by a medium."""
 
-    def hear(self, frame: can.Message) -> None:
-        """Take a frame of a neighbour, possibly changed on its way."""
+    def hear(self, *frames: can.Message) -> None:
+        """Take frames of neighbours, possibly changed on their way."""
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Take a frame from outside the swarm."""
@@ -25,8 +28,42 @@ class Hearer(Protocol):
 class InRange(Protocol):
     """World as seen by the air."""
 
-    def neighbours(self, robot: int) -> Collection[int]:
-        """Ids of the robots that ``robot`` hears at present; never itself."""
+    @property
+    def hears(self) -> NDArray[np.bool_]:
+        """True if robot i hears j at present, by id; never itself."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames sent in one tick that arrive in one tick on one kind of ways."""
+
+    sent: Sequence[SentFrame]
+    ways: Ways
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Frames that robots hear in one tick.
+
+    Attributes:
+        in_turn: Those that come in their turn: late ones first, then frames as sent, copies, damaged ones.
+        behind: Those that fall behind these, by rising place.
+    """
+
+    in_turn: Sequence[Batch]
+    behind: Sequence[Batch]
+
+    def of(self, robot: int) -> list[can.Message]:
+        """The frames that ``robot`` hears, in order."""
+        return [
+            *(frame for each in self.in_turn for _, frame in each.ways.to(robot, each.sent)),
+            *self.behind_of(robot),
+        ]
+
+    def behind_of(self, robot: int) -> list[can.Message]:
+        """The frames behind those that come in their turn."""
+        behind = [pair for each in self.behind for pair in each.ways.to(robot, each.sent)]
+        return [frame for _, frame in sorted(behind, key=itemgetter(0))]
 
 
 class Air:
@@ -41,48 +78,30 @@ class Air:
         """Carry frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed."""
         self.in_range = self.arrived = 0
         self._world = world
-        self._is_late = latency > 0
-        self._held: dict[int, Sequence[SentFrame]] = {}
         self._faults = faults
-        self._late: dict[int, list[tuple[int, float, int, can.Message]]] = {}
-        self._order = count()
+        self._is_late = latency > 0
+        self._held: tuple[Sequence[SentFrame], NDArray[np.bool_] | None] = (), None
+        self._due: defaultdict[int, list[Batch]] = defaultdict(list)
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether every frame reaches the robots in range in the tick in which it is sent."""
-        return not self._is_late and not self._faults.faults
+    def arrivals(
+        self, tick: int, sent: Sequence[SentFrame], came: NDArray[np.bool_] | None = None
+    ) -> Arrivals:
+        """The frames that robots hear in this tick, of those ``sent`` in it and late ones.
 
-    def count(self, frames: int) -> None:
-        """Count frames that a robot in range hears, where this object is not asked for arrivals."""
-        self.in_range += frames
-        self.arrived += frames
-
-    def hand_over(self, hearers: Sequence[Hearer], tick: int, sent: Sequence[SentFrame]) -> None:
-        """Let every robot, by id, hear its arrivals of this tick, without a bus. O(robots sent)."""
-        for robot, hearer in enumerate(hearers):
-            for frame in self.arrivals(robot, tick, [each for each in sent if each.sender != robot]):
-                hearer.hear(frame)
-
-    def arrivals(self, receiver: int, tick: int, sent: Sequence[SentFrame]) -> list[can.Message]:
-        """The frames that ``receiver`` hears in this tick, in order, of those ``sent`` in it and late ones.
-
-        Call once per tick. O((sent + late) log late).
+        ``came``, of shape (frames, robots), is false where a bus has not brought a frame to a robot. Call
+        once per tick, and pass no frame twice. O(faults frames robots).
         """
         if self._is_late:
-            sent, self._held[receiver] = self._held.get(receiver, ()), tuple(sent)
-        neighbours = self._world.neighbours(receiver)
-        in_range = [each for each in sent if each.sender in neighbours]
-        heard = self._heard(receiver, tick, in_range) if self._faults.faults else [s.frame for s in in_range]
-        self.in_range += len(in_range)
-        self.arrived += len(heard)
-        return heard
-
-    def _heard(self, receiver: int, tick: int, in_range: Sequence[SentFrame]) -> list[can.Message]:
-        late = self._late.setdefault(receiver, [])
-        for each in in_range:
-            for way in self._faults.deliver(each, receiver):
-                heapq.heappush(late, (tick + way.delay, way.place, next(self._order), way.frame))
-        heard = []
-        while late and late[0][0] <= tick:
-            heard.append(heapq.heappop(late)[-1])
-        return heard
+            (sent, came), self._held = self._held, (sent, came)
+        in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
+        if came is not None:
+            in_range = in_range & came
+        for ways in self._faults.ways(tick, sent, in_range):
+            self._due[tick + ways.delay].append(Batch(sent, ways))
+        due = self._due.pop(tick, [])
+        self.in_range += int(np.count_nonzero(in_range))
+        self.arrived += sum(int(np.count_nonzero(each.ways.reach)) for each in due)
+        return Arrivals(
+            [each for each in due if each.ways.places is None],
+            [each for each in due if each.ways.places is not None],
+        )

@@ -116,7 +116,7 @@ class Connection:
 
 
 def _took(left: dict[Key, int], key: Key) -> bool:
-    """Whether there was one of ``key`` left to be taken off."""
+    """Take one of ``key`` off; False if none is left."""
     number = left.get(key, 0)
     if number == 1:
         del left[key]

@@ -1,28 +1,39 @@
-"""Injectors, one for each kind of fault; ``mcp_asdf_tools.swarm.faults`` puts them to work."""
+"""Faults of nodes and of frames that a node sends; ``mcp_asdf_tools.swarm.faults`` puts them to work.
+
+The faults of frames on their way to a receiver are in ``ways``.
+"""
 
 from __future__ import annotations
 
 import copy
 import hashlib
+import math
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from enum import IntEnum
+from fractions import Fraction
+from functools import cache
 from typing import TypeVar
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE_ID, ONE, FrameFormat, Message, bits_of, decode, encode
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
-from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
+from mcp_asdf_tools.swarm.transmission import SentFrame
 
 Words = tuple[int, ...]
-"""Eight random words of 64 bits: the first decides whether a fault strikes, the others how."""
+"""Eight random words of 64 bits."""
 
-_WORD = 1 << 64
-_KEY = struct.Struct("<IIIBBB")
-_NO_RECEIVER = 255
-"""Receiver in draws that concern the sender alone."""
+Row = NDArray[np.uint64]
+"""One random word for each receiver, shape (receivers,)."""
+
+_MAX_WORD = (1 << 64) - 1
+_KEY = struct.Struct("<IIIBBBB")
+_WORDS = 8
 
 _BUS_ERROR = 0x88
 """Linux's code of a protocol violation and bus error (CAN_ERR_PROT | CAN_ERR_BUSERROR)."""
@@ -30,31 +41,70 @@ _BUS_ERROR = 0x88
 _Subject = TypeVar("_Subject")
 
 
+class _Of(IntEnum):
+    """Subjects of draws."""
+
+    NODE = 0
+    LINKS = 1
+    FRAME = 2
+    COPIES = 3
+    COPY = 4
+    PLACES = 5
+
+
 class Draws:
-    """Random words of one fault; ``number`` distinguishes faults of one kind."""
+    """Random words of one fault; ``number`` distinguishes faults of one kind.
+
+    Where each receiver has a draw of its own, receiver i has word i, however many are asked for.
+
+    Attributes:
+        number: As given.
+    """
 
     def __init__(self, seed: int, kind: FaultKind, number: int) -> None:
-        person = f"{kind.value} {number}".encode()
-        self._hash = hashlib.blake2b(digest_size=64, key=seed.to_bytes(16, "little"), person=person)
+        self.number = number
+        self._hash = hashlib.shake_128(seed.to_bytes(16, "little") + f"{kind.value} {number}".encode())
 
     def of_node(self, node: int, tick: int, number: int = 0) -> Words:
-        """Words of a node in a tick."""
-        return self._words(tick, number, 0, node, _NO_RECEIVER, 0)
+        """Eight words of a node in a tick."""
+        return self._eight(tick, number, 0, node, 0, _Of.NODE, 0)
 
-    def of_link(self, link: tuple[int, int], tick: int) -> Words:
-        """Words of a sender and a receiver in a tick."""
-        return self._words(tick, 0, 0, *link, 0)
+    def of_links(self, sender: int, tick: int, receivers: int) -> Row:
+        """A word of the way to each receiver in a tick."""
+        return self._row(receivers, tick, 0, 0, sender, 0, _Of.LINKS, 0)
 
-    def of_frame(self, sent: SentFrame, receiver: int = _NO_RECEIVER, version: int = 0) -> Words:
-        """Words of a frame, or of one of its copies on the way to a receiver."""
-        return self._words(
-            sent.tick, sent.number, sent.frame.arbitration_id, sent.sender, receiver, version % 256
+    def of_frame(self, sent: SentFrame) -> Words:
+        """Eight words of a frame."""
+        return self._eight(*_frame_key(sent), 0, _Of.FRAME, 0)
+
+    def of_copies(self, sent: SentFrame, version: int, receivers: int) -> Row:
+        """A word of the copy of a frame for each receiver; ``version`` counts copies for the same one."""
+        return self._row(receivers, *_frame_key(sent), version % 256, _Of.COPIES, 0)
+
+    def of_places(self, sent: SentFrame, version: int, receivers: int) -> Row:
+        """One more word of each of these copies."""
+        return self._row(receivers, *_frame_key(sent), version % 256, _Of.PLACES, 0)
+
+    def of_copy(self, sent: SentFrame, version: int, receiver: int) -> int:
+        """Eight more words of one of these copies, as one integer, the first lowest."""
+        return int.from_bytes(
+            self._digest(_WORDS, (*_frame_key(sent), version % 256, _Of.COPY, receiver)), "little"
         )
 
-    def _words(self, *key: int) -> Words:
+    def _eight(self, *key: int) -> Words:
+        return struct.unpack("<8Q", self._digest(_WORDS, key))
+
+    def _row(self, words: int, *key: int) -> Row:
+        return np.frombuffer(self._digest(words, key), "<u8")
+
+    def _digest(self, words: int, key: tuple[int, ...]) -> bytes:
         drawn = self._hash.copy()
         drawn.update(_KEY.pack(*key))
-        return struct.unpack("<8Q", drawn.digest())
+        return drawn.digest(8 * words)
+
+
+def _frame_key(sent: SentFrame) -> tuple[int, int, int, int]:
+    return sent.tick, sent.number, sent.frame.arbitration_id, sent.sender
 
 
 class Injector:
@@ -71,7 +121,7 @@ class Injector:
         self.injected = 0
 
     def _strikes(self, words: Words) -> bool:
-        """Whether the fault strikes by this draw; counts if so."""
+        """Let the fault strike or not by this draw; True if it did, which counts."""
         strikes = _below(words, self.fault.rate)
         self.injected += strikes
         return strikes
@@ -105,7 +155,7 @@ class Spells(Injector):
         self._left: _Course[int] = _Course(fault.start, self._step)
 
     def lasts(self, node: int, tick: int) -> bool:
-        """Whether a spell of the node lasts in this tick. O(ticks since the last call for it)."""
+        """True if a spell of the node lasts in this tick. O(ticks since the last call for it)."""
         return self._left.at(node, tick) > 0
 
     def _step(self, node: int, tick: int, left: int) -> int:
@@ -228,87 +278,6 @@ class _Queue(_InItsTicks):
         return [sent]
 
 
-class OnTheWay(Injector, ABC):
-    """Fault that acts on a frame on its way to one receiver."""
-
-    def act(self, ways: Sequence[Delivery], sent: SentFrame, receiver: int) -> Sequence[Delivery]:
-        """Deliveries that replace ``ways``, those left by earlier faults."""
-        chosen = self.fault.receivers
-        if not self.fault.is_on(sent.tick, sent.sender) or (chosen is not None and receiver not in chosen):
-            return ways
-        return [
-            after for version, way in enumerate(ways) for after in self._act(way, sent, receiver, version)
-        ]
-
-    @abstractmethod
-    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
-        """Deliveries that replace one ``way`` within the schedule, to a receiver that the fault affects."""
-
-
-class _ByDraw(OnTheWay):
-    """Fault that strikes each frame by a draw of its own."""
-
-    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
-        words = self._draws.of_frame(sent, receiver, version)
-        return self._struck(way, words) if self._strikes(words) else (way,)
-
-    @abstractmethod
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        """Deliveries that replace one that is struck."""
-
-
-class _Loss(_ByDraw):
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        return ()
-
-
-class _Burst(OnTheWay):
-    """Gilbert's chain for each sender and receiver: nothing passes in its bad state."""
-
-    def __init__(self, fault: Fault, draws: Draws) -> None:
-        super().__init__(fault, draws)
-        self._is_bad: _Course[tuple[int, int]] = _Course(fault.start, self._step)
-
-    def _act(self, way: Delivery, sent: SentFrame, receiver: int, version: int) -> Sequence[Delivery]:
-        is_bad = self._is_bad.at((sent.sender, receiver), sent.tick)
-        self.injected += is_bad
-        return () if is_bad else (way,)
-
-    def _step(self, link: tuple[int, int], tick: int, is_bad: int) -> int:
-        """Start in the stationary state; then bursts end, and new ones begin to keep their share."""
-        share, length = self.fault.rate, self.fault.length
-        words = self._draws.of_link(link, tick)
-        if tick == self.fault.start:
-            return _below(words, share)
-        if is_bad:
-            return not _below(words, 1 / length)
-        return _below(words, share / (1 - share) / length)
-
-
-class _Delay(_ByDraw):
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        return (replace(way, delay=way.delay + self.fault.ticks),)
-
-
-class _Duplicate(_ByDraw):
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        return way, replace(way, delay=way.delay + self.fault.ticks)
-
-
-class _Reorder(_ByDraw):
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        return (replace(way, place=(words[1] >> 11) * 2.0**-53),)
-
-
-class _Corrupt(_ByDraw):
-    def _struck(self, way: Delivery, words: Words) -> Sequence[Delivery]:
-        frame = copy.copy(way.frame)
-        width = 8 * len(frame.data)
-        flips = _choice(width, min(self.fault.bits, width), words[1:])
-        frame.data = bytearray((int.from_bytes(frame.data, "little") ^ flips).to_bytes(width // 8, "little"))
-        return (replace(way, frame=frame),)
-
-
 AT_SENDERS: dict[FaultKind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
     FaultKind.FREEZE: _Freeze,
     FaultKind.LIAR: _Liar,
@@ -317,26 +286,29 @@ AT_SENDERS: dict[FaultKind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
     FaultKind.QUEUE: _Queue,
 }
 
-ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
-    FaultKind.LOSS: _Loss,
-    FaultKind.BURST: _Burst,
-    FaultKind.DELAY: _Delay,
-    FaultKind.DUPLICATE: _Duplicate,
-    FaultKind.REORDER: _Reorder,
-    FaultKind.CORRUPT: _Corrupt,
-}
+
+@cache
+def _limit(probability: float) -> int:
+    """The number of words below ``probability`` times 2**64: with 1 all of them, with 0 none."""
+    return math.ceil(Fraction(probability) * (_MAX_WORD + 1))
 
 
 def _below(words: Words, probability: float) -> bool:
-    """Whether the draw is below the probability: with 1 always, with 0 never."""
-    return words[0] < probability * _WORD
+    """True if the first word strikes."""
+    return words[0] < _limit(probability)
 
 
-def _choice(width: int, count: int, words: Words) -> int:
-    """``count`` different bits of ``width`` (at most 64), all choices equally likely up to 2**-100."""
-    drawn = sum(word << 64 * place for place, word in enumerate(words))
-    places, chosen = list(range(width)), 0
-    for _ in range(count):
-        drawn, at = divmod(drawn, len(places))
-        chosen |= 1 << places.pop(at)
-    return chosen
+def each_below(words: Row, probability: float) -> NDArray[np.bool_]:
+    """True for each word that strikes."""
+    last = _last_below(probability)
+    if last is None:
+        return np.zeros(words.shape, np.bool_)
+    struck: NDArray[np.bool_] = words <= last
+    return struck
+
+
+@cache
+def _last_below(probability: float) -> np.uint64 | None:
+    """The largest word that strikes; None if none does."""
+    limit = _limit(probability)
+    return np.uint64(limit - 1) if limit else None

@@ -121,7 +121,7 @@ class Fault:
         )
 
     def is_on(self, tick: int, sender: int) -> bool:
-        """Whether the fault may affect ``sender`` in this tick. O(1)."""
+        """True if the fault may affect ``sender`` in this tick. O(1)."""
         is_time = self.start <= tick and (self.stop is None or tick < self.stop)
         return is_time and (self.robots is None or sender in self.robots)
 

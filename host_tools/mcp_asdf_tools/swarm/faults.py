@@ -8,49 +8,47 @@ bus with a real controller. It is used in every tick as follows:
     if not faults.survives(robot, tick):                       # dead: it neither observes nor settles
         ...
     for frame in [*own_frames, *faults.babble(robot.id, tick)]:
-        for sent in faults.leave(frame, robot.id, tick):       # frames that get onto the bus
-            for way in faults.deliver(sent, neighbour):        # deliveries to a neighbour
-                ...                                            # way.frame in tick + way.delay
+        sent += faults.leave(frame, robot.id, tick)            # frames that get onto the bus
+    ways = faults.ways(tick, sent, in_range)                   # what becomes of them at each neighbour
 
 Randomness: whether a fault strikes is decided by a draw that is a function of the seed, the fault, the tick,
 the sender, the receiver and which of the sender's frames in this tick it is, and of nothing else: not of
 what else is on the bus, nor of when frames come. It does not depend on the rate either: a larger rate strikes
-wherever a smaller one does (except for bursts). A draw is BLAKE2b of those numbers, keyed with the seed.
+wherever a smaller one does (except for bursts). A draw is SHAKE-128 of those numbers, the seed before them.
 
 Faults act in the order given, each on the frames left by those before it.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import can
+import numpy as np
 
 from mcp_asdf_tools.bus import FrameFormat
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import BusRobot
 from mcp_asdf_tools.swarm.fault_injectors import (
     AT_SENDERS,
-    ON_THE_WAY,
     AtSender,
     Babbler,
     Draws,
     Injector,
-    OnTheWay,
     Spells,
 )
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
-from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
+from mcp_asdf_tools.swarm.transmission import SentFrame
+from mcp_asdf_tools.swarm.ways import ON_THE_WAY, Mask, OnTheWay, Ways
 
-__all__ = ["Delivery", "Fault", "FaultKind", "Faults", "SentFrame", "parse_fault"]
+__all__ = ["Fault", "FaultKind", "Faults", "SentFrame", "Ways", "parse_fault"]
 
 
 class Faults:
     """Faults at work. Ticks are 0 .. 2**32 - 1, and must not decrease from call to call.
 
-    Every call is O(faults), with crash, busoff and burst O(ticks since the last).
+    Calls for one frame or node are O(faults), with crash, busoff and burst O(ticks since the last).
 
     Attributes:
         faults: The faults, in the order in which they act.
@@ -72,7 +70,7 @@ class Faults:
         self._babblers = [each for each in self._all if isinstance(each, Babbler)]
         self._at_senders = [each for each in self._all if isinstance(each, AtSender)]
         self._on_the_way = [each for each in self._all if isinstance(each, OnTheWay)]
-        self._numbers: dict[int, tuple[int, Counter[int]]] = {}
+        self._numbers: dict[int, tuple[int, dict[int, int]]] = {}
 
     def crash(self, robot: int, tick: int) -> Fault | None:
         """The fault that keeps ``robot`` dead in this tick; None while it lives."""
@@ -89,16 +87,16 @@ class Faults:
         return robot.is_alive
 
     def is_off(self, robot: int, tick: int) -> bool:
-        """Whether the node is off the bus, crashed or bus-off. ``leave`` and ``deliver`` respect it."""
+        """True if the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""
         # All are evaluated, since each counts its ticks.
-        return any([each.lasts(robot, tick) for each in self._spells])
+        return bool(self._spells) and any([each.lasts(robot, tick) for each in self._spells])
 
     def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
         """The frames, stamped ``now`` (seconds), that the node sends besides its own.
 
         Call once per tick, and pass each to ``leave``.
         """
-        if self.is_off(robot, tick):
+        if not self._babblers or self.is_off(robot, tick):
             return []
         identifier = self._frames.identifier(robot)
         return [
@@ -118,14 +116,19 @@ class Faults:
             leaving = [after for sent in leaving for after in each.act(sent)]
         return leaving
 
-    def deliver(self, sent: SentFrame, receiver: int) -> Sequence[Delivery]:
-        """Deliveries of a frame to ``receiver``. Call once for each; error frames reach every node."""
-        if self.is_off(receiver, sent.tick):
-            return ()
-        ways: Sequence[Delivery] = (Delivery(sent.frame),)
-        if not sent.frame.is_error_frame:
-            for each in self._on_the_way:
-                ways = each.act(ways, sent, receiver)
+    def ways(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Ways]:
+        """Ways of the frames that arrive in this tick, if undisturbed, at the receivers in range.
+
+        ``in_range`` has shape (frames, receivers), and receivers are numbered by id. Call once per tick with
+        all frames; error frames reach every node. O(faults frames receivers).
+        """
+        reach = in_range.copy()
+        if self._spells:
+            hearing = np.flatnonzero(in_range.any(axis=0)).tolist()
+            reach[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
+        ways = [Ways(reach)]
+        for each in self._on_the_way:
+            ways = each.act(sent, ways)
         return ways
 
     def figures(self) -> list[dict[str, Any]]:
@@ -146,8 +149,9 @@ class Faults:
 
     def _number(self, frame: can.Message, sender: int, tick: int) -> int:
         """Number of frames with its identifier that the sender has sent before in this tick."""
-        last, counts = self._numbers.get(sender, (-1, Counter()))
+        last, counts = self._numbers.get(sender, (-1, {}))
         if last != tick:
-            self._numbers[sender] = tick, (counts := Counter())
-        counts[frame.arbitration_id] += 1
-        return counts[frame.arbitration_id] - 1
+            self._numbers[sender] = tick, (counts := {})
+        number = counts.get(frame.arbitration_id, 0)
+        counts[frame.arbitration_id] = number + 1
+        return number

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.robots import Clock, FrameTaker
 from mcp_asdf_tools.swarm.air import Air, Hearer
@@ -94,11 +96,13 @@ class SharedBus:
         ]
         self._logs = [] if log_bus is None else [Connection(log_bus, "the log", _FRAME, every=log)]
         self._come: list[list[SentFrame]] = [[] for _ in hearers]
+        self._sent: list[SentFrame] = []
         self._unread: list[SentFrame] = []
 
     def send(self, sent: SentFrame) -> None:
         """Let the sender put a frame on the bus."""
         self._radios[sent.sender].send(sent.frame)
+        self._sent.append(sent)
         self._unread.append(sent)
         if len(self._unread) == _BATCH:
             self._read(sent.tick)
@@ -115,9 +119,10 @@ class SharedBus:
     def carry(self, tick: int) -> None:
         """Let every robot hear those frames that the air lets through."""
         self._read(tick)
+        sent, self._sent = self._sent, []
+        arrivals = self._air.arrivals(tick, *_together(sent, self._come))
         for robot, (hearer, come) in enumerate(zip(self._hearers, self._come, strict=True)):
-            for frame in self._air.arrivals(robot, tick, come):
-                hearer.hear(frame)
+            hearer.hear(*arrivals.of(robot))
             come.clear()
 
     @property
@@ -153,8 +158,10 @@ class RemoteBus:
 
     def carry(self, tick: int) -> None:
         """Pass each robot's local half the frames that the robot hears."""
-        self._air.hand_over(self._hearers, tick, self._sent)
-        self._sent.clear()
+        sent, self._sent = self._sent, []
+        arrivals = self._air.arrivals(tick, sent)
+        for robot, hearer in enumerate(self._hearers):
+            hearer.hear(*arrivals.of(robot))
 
     def __enter__(self) -> RemoteBus:
         return self
@@ -206,13 +213,12 @@ class ChannelPerRobot:
 
     def carry(self, tick: int) -> None:
         """Write on each robot's bus the frames that the air lets through, and let it read them."""
+        come, self._come = self._come, []
+        arrivals = self._air.arrivals(tick, come)
         for robot, hearer in enumerate(self._hearers):
-            others = [each for each in self._come if each.sender != robot]
-            arrivals = self._air.arrivals(robot, tick, others)
-            for start in range(0, len(arrivals), _BATCH):
-                for frame in self._pass_on(robot, arrivals[start : start + _BATCH], tick):
-                    hearer.hear(frame)
-        self._come.clear()
+            frames = arrivals.of(robot)
+            for start in range(0, len(frames), _BATCH):
+                hearer.hear(*self._pass_on(robot, frames[start : start + _BATCH], tick))
 
     def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
         """Put ``frames`` on the robot's bus; returns what it reads there."""
@@ -240,6 +246,20 @@ class ChannelPerRobot:
 
     def __exit__(self, *_: object) -> None:
         self._stack.close()
+
+
+def _together(
+    sent: Sequence[SentFrame], come: Sequence[Sequence[SentFrame]]
+) -> tuple[list[SentFrame], NDArray[np.bool_]]:
+    """Frames of earlier ticks that came at last, then those ``sent``; and whether one came at a robot."""
+    in_time = {id(each) for each in sent}
+    late = {id(each): each for frames in come for each in frames if id(each) not in in_time}
+    frames = [*late.values(), *sent]
+    places = {id(each): place for place, each in enumerate(frames)}
+    came = np.zeros((len(frames), len(come)), np.bool_)
+    for robot, each in enumerate(come):
+        came[[places[id(frame)] for frame in each], robot] = True
+    return frames, came
 
 
 _FRAME = "frame {0.frame.arbitration_id:08X}"

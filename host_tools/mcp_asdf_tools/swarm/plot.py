@@ -79,7 +79,7 @@ def _finish(axes: Axes, label: str, name: str, truth: float, values: NDArray[np.
 
 
 def _are_equal(values: NDArray[np.float64]) -> bool:
-    """Whether there are several robots and their lines are one and the same."""
+    """True if there are several robots and their lines are one and the same."""
     return values.shape[1] > 1 and bool((values == values[:, :1]).all())
 
 
@@ -95,7 +95,7 @@ def _title(run: SwarmRun) -> str:
     settings = run.settings
     deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
     return (
-        f"{settings.robots} robots, {settings.flawed_robots} flawed, {deployment[settings.filter]}, "
+        f"{settings.robots} robots, {settings.flawed} flawed, {deployment[settings.filter]}, "
         rf"$\tau$ = {settings.filter_period}, {_topology(settings)}, seed {settings.seed}"
     )
 

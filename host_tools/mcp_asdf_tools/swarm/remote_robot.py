@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 import can
 
 from mcp_asdf.fixed_point import word_to_alpha
-from mcp_asdf.robot import Counters, Observation, Status
+from mcp_asdf.robot import Counters, Observation
 from mcp_asdf_tools.bus import (
     MAX_NODE_ID,
     ONE,
@@ -32,6 +32,7 @@ from mcp_asdf_tools.robots import (
     RobotRecord,
     RoundTimer,
     Subjects,
+    Words,
 )
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.medium import Wiring
@@ -101,9 +102,9 @@ class RemoteRobot:
         self.n += z is Observation.BLACK
         return self._timer.begin()
 
-    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """The robot hears this by itself."""
-        return Status.OK
+    def receive_all(self, words: Words) -> int:
+        """The robot hears these by itself."""
+        return len(words)
 
     def settle(self) -> None:
         """The robot was commanded to settle."""

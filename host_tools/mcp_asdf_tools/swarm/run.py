@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any
 
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import BIT_RATES, bus_load
 from mcp_asdf_tools.common import software_versions
-from mcp_asdf_tools.robots import LockstepError
+from mcp_asdf_tools.robots import ClockKind, LockstepError
 from mcp_asdf_tools.swarm.connection import SwarmError
+from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.remote_robot import RemoteNode
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
@@ -114,6 +116,36 @@ def run_swarm(swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
     history.add(swarm)
     outcome.results = _results(swarm, history)
     return outcome
+
+
+class Companion:
+    """Hook that keeps the same swarm without the filter in step, so that both can be compared at any time.
+
+    It has no bus, which makes no difference to its robots.
+
+    Attributes:
+        swarm: The swarm without the filter.
+        seconds: Time spent on it.
+    """
+
+    def __init__(self, settings: SwarmSettings) -> None:
+        """Make the other swarm. Raises as ``Swarm``."""
+        self.swarm = Swarm(replace(settings.without_filter(), clock=ClockKind.LOCKSTEP), Wiring())
+        self.seconds = 0.0
+        self._history = History(settings.steps)
+        self._history.add(self.swarm)
+
+    def __call__(self, swarm: Swarm) -> None:
+        """Take a step, as ``swarm`` has."""
+        began = time.monotonic()
+        self.swarm.tick()
+        self._history.sample(self.swarm)
+        self.seconds += time.monotonic() - began
+
+    def results(self) -> dict[str, Any]:
+        """Its results so far, as those of a run."""
+        self._history.add(self.swarm)
+        return _results(self.swarm, self._history)
 
 
 def _results(swarm: Swarm, history: History) -> dict[str, Any]:

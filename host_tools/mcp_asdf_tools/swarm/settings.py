@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import field, replace
+from typing import Any, Literal
 
 from mcp_asdf_tools.bus import TELEMETRY, FrameFormat
-from mcp_asdf_tools.common import ParameterError, as_type, member_of, parameter
+from mcp_asdf_tools.common import Given, ParameterError, as_type, member_of, parameter, parameters
 from mcp_asdf_tools.robots import ClockKind, Filtering, Population, RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 from mcp_asdf_tools.world import MAX_PERIOD, default_of
@@ -15,7 +16,7 @@ MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class SwarmSettings(Population):
     """Parameters of a run; equal settings give equal runs. Raises ParameterError, naming the field.
 
@@ -27,11 +28,13 @@ class SwarmSettings(Population):
     """
 
     telemetry_period: int = parameter(
-        0, "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD
+        "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD, default=0
     )
     frames: FrameFormat = field(default_factory=FrameFormat)
-    faults: tuple[Fault, ...] = ()
-    clock: ClockKind = ClockKind.LOCKSTEP
+    faults: Given[tuple[Fault, ...], Sequence[Fault | str]] = field(default=())  # type: ignore[arg-type]
+    clock: Given[ClockKind, Literal["lockstep", "real-time"]] = field(
+        default=ClockKind.LOCKSTEP  # type: ignore[arg-type]
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

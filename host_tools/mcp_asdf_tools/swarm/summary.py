@@ -3,33 +3,46 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rich.table import Table
+from rich.text import Text
 
 from mcp_asdf_tools.bus import LIMIT
 from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
+Rows = Sequence[tuple[str, str]]
+"""A name and a text each."""
 
-def summary_table(run: SwarmRun, bus: str, seconds: float) -> Table:
-    """Summary of ``run`` on ``bus`` as a table of two columns."""
+
+def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
+    """Summary of ``run``, which took so many seconds on ``bus``."""
     results, settings = run.results, run.settings
-    table = Table(box=None, padding=(0, 1), show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
-    table.add_row("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}")
-    table.add_row("estimate", _estimate(run))
-    for name in ("flawed", "other"):
-        table.add_row(f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
-    table.add_row("filter", f"{tests} tests, {results['updates']} updates")
-    table.add_row("frames", _frames(run, bus))
-    for row in (*_faults(results), *_rejections(results), *_id_conflicts(results), *_clock(results)):
-        table.add_row(*row)
-    table.add_row("bus load", _loads(results))
-    table.add_row("parameters", parameters(run))
+    return [
+        ("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}"),
+        ("estimate", _estimate(run)),
+        *(
+            (f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
+            for name in ("flawed", "other")
+        ),
+        ("filter", f"{tests} tests, {results['updates']} updates"),
+        ("frames", _frames(run, bus)),
+        *(*_faults(results), *_rejections(results), *_id_conflicts(results), *_clock(results)),
+        ("bus load", _loads(results)),
+        ("parameters", parameters(run)),
+    ]
+
+
+def summary_table(rows: Rows) -> Table:
+    """A summary as a table of two columns, the second as wide as there is room."""
+    table = Table(box=None, padding=(0, 1), show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(each) for each in row))
     return table
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import Message, alpha_bits, wire_bits
+from mcp_asdf_tools.bus import Message, alpha_bits
 from mcp_asdf_tools.recording import SidecarWriter
 from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.air import Air
@@ -76,7 +76,7 @@ class Swarm:
         """Medium of the frames, and drivers of remote robots."""
         check_remote(self.settings, wiring)
         if wiring.open_bus is None:
-            return InProcess(self._here, self._air, self.world, self._decode, log), []
+            return InProcess(self._here, self._air, self._decode, log), []
         frames = self.settings.frames
         away = [node for node in self.nodes if isinstance(node, RemoteNode)]
         if not wiring.is_shared:
@@ -174,11 +174,8 @@ class Swarm:
         return self.ticks / self.settings.steps_per_second
 
     def _count(self, sent: list[SentFrame]) -> None:
-        bits = sum(wire_bits(each.frame) for each in sent)
         traffic = self.traffic
-        traffic.on_the_bus += len(sent)
-        traffic.bits += bits
-        traffic.peak_bits = max(traffic.peak_bits, bits)
+        traffic.add([each.frame for each in sent])
         traffic.in_range, traffic.arrived = self._air.in_range, self._air.arrived
         traffic.missed = self._medium.missed
 

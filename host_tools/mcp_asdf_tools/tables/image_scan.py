@@ -132,7 +132,7 @@ def _is_table(words: tuple[int, ...], q: int) -> bool:
 
 
 def _possible(entry: int, m: int) -> bool:
-    """Whether k_m can be this for some omega: it is above 1 and below 1 + 64 / (m - 1)."""
+    """True if k_m can be this for some omega: it is above 1 and below 1 + 64 / (m - 1)."""
     excess = entry - (1 << FRACTION_BITS)
     return excess > 0 and excess * (m - 1) < 64 << FRACTION_BITS
 

@@ -87,7 +87,7 @@ def generate(omega: Decimal, q: int) -> Table:
 
 
 def _is_safe(scaled: Iterable[mpf], margin: mpf) -> bool:
-    """Whether every value is further than ``margin`` from the middle between two integers."""
+    """True if every value is further than ``margin`` from the middle between two integers."""
     return all(abs(value - mp.floor(value) - mpf("0.5")) > margin for value in scaled)
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from mcp_asdf_tools.common import UsageError
 
@@ -78,6 +77,8 @@ def read_picture(path: str) -> ImageFile:
 
     Raises UsageError if it cannot be read.
     """
+    from PIL import Image  # noqa: PLC0415 (loads slowly)
+
     try:
         content = Path(path).read_bytes()
         with Image.open(BytesIO(content)) as image:

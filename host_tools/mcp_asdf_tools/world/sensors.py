@@ -7,7 +7,6 @@ from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.common import UsageError, extensions
 from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
@@ -55,6 +54,8 @@ class DriftingSensors:
 
     def _wiener_paths(self, steps: int) -> NDArray[np.float64]:
         """Standard Wiener processes, 0 in the first step of all, shape (steps, robots)."""
+        from scipy.special import ndtri  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
+
         moves = ndtri(self._moves.uniforms(steps, self._step))
         if self._step == 0:
             moves[0] = 0.0

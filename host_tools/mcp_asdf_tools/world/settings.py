@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from mcp_asdf_tools.common import (
+    Given,
     ParameterError,
     UsageError,
     check_parameters,
     extensions,
     parameter,
+    parameters,
     special_parameter,
 )
 from mcp_asdf_tools.world import floor_images
@@ -75,11 +77,11 @@ class Drift(Enum):
 
     @property
     def is_random(self) -> bool:
-        """Whether trials differ in it."""
+        """True if trials differ in it."""
         return self is Drift.WIENER
 
 
-@dataclass(frozen=True, kw_only=True)
+@parameters
 class WorldSettings:
     """Ground truth around N robots; equal settings give equal worlds.
 
@@ -88,31 +90,43 @@ class WorldSettings:
     ParameterError, naming the field, for a value that is wrong or has no effect.
     """
 
-    robots: int = parameter(20, "number of robots N", 1, MAX_ROBOTS)
-    topology: Topology | str = special_parameter(Topology.FULLY_CONNECTED, "who hears whom")
-    graph: Graph | str = special_parameter("", "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)")
-    fill_ratio: float = parameter(0.55, "f, share of black tiles", 0, 1)
-    true_accuracy: float = parameter(0.95, "b of every sensor, which unflawed robots assume", 0, 1)
-    white_offset: float = parameter(0.0, "true accuracy on white tiles less that on black ones", -1, 1)
-    sensor: str = parameter("", "installed sensor model, in place of the built-in one")
-    drift: Drift = parameter(Drift.NONE, "how the true accuracy changes")
-    drift_rate: float = parameter(0.0, "change of the true accuracy per step", -1, 1)
-    drift_period: int = parameter(1000, "steps between the changes of a stepped drift", 1, MAX_PERIOD)
-    drift_diffusion: float = parameter(0.0, "standard deviation of a Wiener drift per step", 0, 1)
-    lowest_accuracy: float = parameter(0.5, "lower limit of a drifting accuracy", 0, 1)
-    density: float = parameter(1.0, "swarm density D = N pi r^2 / L^2 of a square arena", 1e-6, 1e6)
-    width: float = parameter(0.0, "side of the arena along x in metres, in place of a density", 0, MAX_SIDE)
-    height: float = parameter(0.0, "side of the arena along y in metres", 0, MAX_SIDE)
-    speed: float = parameter(0.1414, "speed limit of a wheel, m/s", 1e-6, 0.814)
-    radio_range: float = parameter(0.7, "distance below which robots hear each other, metres", 1e-3, MAX_SIDE)
-    floor: Floor = parameter(Floor.TILES, "floor that moving robots observe")
-    tile: float = parameter(0.01, "side of a tile, metres", 1e-6, MAX_SIDE)
-    picture: str = parameter("", "image file of floor picture")
-    picture_sha256: str = parameter("", "SHA-256 of that file; filled in if empty, else checked")
-    steps_per_second: int = parameter(10, "steps per second of simulated time", 1, 1_000_000)
-    observation_period: int = parameter(1, "steps between observations", 1, MAX_PERIOD)
-    steps: int = parameter(10_000, "length of a run", 1, MAX_STEPS)
-    seed: int = parameter(1, "seed of everything random", 0, 2**64 - 1)
+    robots: int = parameter("number of robots N", 1, MAX_ROBOTS, default=20)
+    topology: Topology | str = special_parameter("who hears whom", default=Topology.FULLY_CONNECTED)
+    graph: Given[Graph | str, Path] = special_parameter(
+        "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default=""
+    )
+    fill_ratio: float = parameter("f, share of black tiles", 0, 1, default=0.55)
+    true_accuracy: float = parameter("b of every sensor", 0, 1, default=0.95)
+    white_offset: float = parameter(
+        "true accuracy on white tiles less that on black ones", -1, 1, default=0.0
+    )
+    sensor: str = parameter("installed sensor model, in place of the built-in one", default="")
+    drift: Given[Drift, Literal["none", "linear", "stepped", "wiener"]] = parameter(
+        "how the true accuracy changes", default=Drift.NONE
+    )
+    drift_rate: float = parameter("change of the true accuracy per step", -1, 1, default=0.0)
+    drift_period: int = parameter("steps between the changes of a stepped drift", 1, MAX_PERIOD, default=1000)
+    drift_diffusion: float = parameter("standard deviation of a Wiener drift per step", 0, 1, default=0.0)
+    lowest_accuracy: float = parameter("lower limit of a drifting accuracy", 0, 1, default=0.5)
+    density: float = parameter("swarm density D = N pi r^2 / L^2 of a square arena", 1e-6, 1e6, default=1.0)
+    width: float = parameter(
+        "side of the arena along x in metres, in place of a density", 0, MAX_SIDE, default=0.0
+    )
+    height: float = parameter("side of the arena along y in metres", 0, MAX_SIDE, default=0.0)
+    speed: float = parameter("speed limit of a wheel, m/s", 1e-6, 0.814, default=0.1414)
+    radio_range: float = parameter(
+        "distance below which robots hear each other, metres", 1e-3, MAX_SIDE, default=0.7
+    )
+    floor: Given[Floor, Literal["tiles", "code", "picture"]] = parameter(
+        "floor that moving robots observe", default=Floor.TILES
+    )
+    tile: float = parameter("side of a tile, metres", 1e-6, MAX_SIDE, default=0.01)
+    picture: str = parameter("image file of floor picture", default="")
+    picture_sha256: str = parameter("SHA-256 of that file; filled in if empty, else checked", default="")
+    steps_per_second: int = parameter("steps per second of simulated time", 1, 1_000_000, default=10)
+    observation_period: int = parameter("steps between observations", 1, MAX_PERIOD, default=1)
+    steps: int = parameter("length of a run", 1, MAX_STEPS, default=10_000)
+    seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
 
     def __post_init__(self) -> None:
         _set(self, "topology", _topology(self.topology))
@@ -127,7 +141,7 @@ class WorldSettings:
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the robots move."""
+        """True if the robots move."""
         return self.topology is Topology.DYNAMIC
 
     @property

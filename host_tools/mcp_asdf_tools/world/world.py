@@ -39,12 +39,14 @@ class Scene:
         hears: Whether robot i hears robot j, shape (steps, N, N).
         positions: Centres in metres from the middle of the arena, shape (steps, N, 2); None if robots do not
             move.
+        accuracy: True accuracy of each sensor, shape (steps, N); the mean of both colours if they differ.
     """
 
     black: NDArray[np.bool_]
     observes: NDArray[np.bool_]
     hears: NDArray[np.bool_]
     positions: NDArray[np.float64] | None
+    accuracy: NDArray[np.float64]
 
 
 class World:
@@ -69,15 +71,16 @@ class World:
         self._next += steps
         draws = self._draws.words(steps, first) >> np.uint32(1)
         accuracies = self._sensors.advance(steps)
+        accuracy = np.broadcast_to((accuracies[0] + accuracies[1]) / 2, draws.shape)
         observes = (np.arange(first, first + steps) + 1) % settings.observation_period == 0
         if self._arena is None:
             limit, _ = black_probabilities(accuracies, settings.fill_ratio)
             assert self._topology is not None
-            return Scene(draws < limit, observes, self._topology.advance(steps), None)
+            return Scene(draws < limit, observes, self._topology.advance(steps), None, accuracy)
         on_black, on_white = black_probabilities(accuracies, None)
         motion = self._arena.record(steps)
         limits = np.where(motion.black, on_black, on_white)
-        return Scene(draws < limits, observes, motion.adjacency, motion.position)
+        return Scene(draws < limits, observes, motion.adjacency, motion.position, accuracy)
 
     def step(self) -> Sequence[Observation | None]:
         """Take one step; returns the observation of each robot, None where it makes none. O(N^2)."""
@@ -96,7 +99,7 @@ class World:
 
     @property
     def hears(self) -> NDArray[np.bool_]:
-        """Whether robot i hears j in the present step, shape (N, N). Fails before the first."""
+        """True at [i, j] if robot i hears j in the present step, shape (N, N). Fails before the first."""
         assert self._ahead is not None
         heard: NDArray[np.bool_] = self._ahead.hears[self._at]
         return heard
@@ -108,6 +111,13 @@ class World:
             return None
         centres: NDArray[np.float64] = self._ahead.positions[self._at]
         return centres
+
+    @property
+    def accuracy(self) -> NDArray[np.float64]:
+        """True accuracy of each sensor in the present step, shape (N,). Fails before the first."""
+        assert self._ahead is not None
+        accuracy: NDArray[np.float64] = self._ahead.accuracy[self._at]
+        return accuracy
 
 
 def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:

@@ -1,4 +1,4 @@
-"""What the firmware costs on five microcontrollers: instructions, cycles, bytes and stack.
+"""Cost of the firmware on five microcontrollers: instructions, cycles, bytes and stack.
 
     PYTHONPATH=tests python -m benchmarks.cost [--write | --draw FILE | --json]
 
@@ -68,7 +68,7 @@ def _measure(writes: bool, as_json: bool) -> int:
 
 
 def _write(measured: Figures) -> None:
-    """Write what is kept, the pages and the picture: all together, or nothing if it fails or is stopped."""
+    """Write the figures, the pages and the picture: all together, or nothing if it fails or is stopped."""
     with FileSet() as files:
         files.write(figures.KEPT, figures.text_of(measured))
         for path, text in report.filled(measured).items():

@@ -1,4 +1,4 @@
-"""What the firmware may cost at most."""
+"""Upper limits of the firmware's cost."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def stack_of_tick(firmware: Figures) -> int:
 
 
 def grows(points: list[list[int]], slack: float) -> bool:
-    """Whether the most at any t or m is above the most of the first half by more than a share of it.
+    """True if the maximum over all t or m exceeds that of the first half by more than a share of it.
 
     ``points`` are [t or m, least, most] in order.
     """
@@ -101,7 +101,7 @@ def grows(points: list[list[int]], slack: float) -> bool:
 
 AVR = "ATmega328P"
 AVR_SLACK = 0.1
-"""What a call may cost more than in version 0.1.0, as a share."""
+"""Share by which a call may cost more than in version 0.1.0."""
 _CONVERTING = {"encode": "step, m = 10", "decode": "receive"}
 """Calls that took the conversion of a confidence over from another one: both together are compared."""
 AVR_FLASH_BEFORE = {

@@ -15,7 +15,7 @@ from .images import HERE, LEVELS, TARGETS, Target
 from .measurement import SETTINGS, Figures, measure, table_bytes
 
 KEPT = HERE / "figures.json"
-"""What the tables and the picture show."""
+"""Measurements that the tables and the picture show."""
 
 _LIST = re.compile(r"\[[^\[\]{}]*\]")
 """A list without another in it: it goes on one line."""
@@ -48,7 +48,7 @@ def gather() -> Iterator[tuple[int, int, Figures]]:
 
 
 def text_of(figures: Figures) -> str:
-    """What is to be kept, in the order of the targets."""
+    """The figures as they are kept, in the order of the targets."""
     ordered = {
         target.name: {level: figures["targets"][target.name][level] for level in LEVELS} for target in TARGETS
     }

@@ -31,7 +31,7 @@ class Target:
     Attributes:
         name: As the tables show it.
         tools: What the names of its compiler and of its disassembler begin with.
-        flags: What its compiler is told beside the level.
+        flags: Those of its compiler besides the level.
         package: Debian's package with the compiler.
         libraries: Sources and libraries that every image gets.
     """
@@ -103,7 +103,7 @@ class Image:
         return int(symbol["st_value"]) & (~1 if symbol["st_info"]["type"] == "STT_FUNC" else 0x7FFFFF)
 
     def segments(self) -> Iterator[tuple[int, int, bytes]]:
-        """What is loaded: address when it runs, address in flash, bytes."""
+        """Loaded segments: address at run time, address in flash, bytes."""
         with self.path.open("rb") as stream:
             for segment in ELFFile(stream).iter_segments("PT_LOAD"):
                 yield segment["p_vaddr"], segment["p_paddr"], segment.data()
@@ -140,7 +140,7 @@ class Image:
 
     @cached_property
     def frames(self) -> dict[str, int]:
-        """Bytes of stack of every function as the compiler tells: all but those of its own library."""
+        """Bytes of stack of every function as the compiler reports them: all but those of its own library."""
         told: dict[str, int] = {}
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():

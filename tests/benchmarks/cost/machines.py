@@ -33,7 +33,7 @@ _IT = re.compile("it[te]{0,3}")
 _PAINT = 0xA5
 _PAINTED = 1024
 _AVR_DATA = 0xFFFF
-"""What of an AVR variable's address counts: the rest marks it as data."""
+"""Bits of an AVR variable's address; the others mark it as data."""
 _SIZES = {"pointer": 2, "enum": 2, "byte": 1, "word": 4}
 """Bytes of an argument on an AVR; elsewhere each has a register to itself."""
 
@@ -43,7 +43,7 @@ Way = tuple[tuple[int, int], ...]
 
 
 class Cost(NamedTuple):
-    """What a call returned, what it took, the bytes of stack that it touched, and its way (not on an AVR)."""
+    """Result of a call with its instructions, cycles, bytes of stack touched, and path (not on an AVR)."""
 
     value: int
     instructions: int

@@ -17,7 +17,7 @@ from .search import seek
 from .stacks import Stacks
 
 Figures = dict[str, Any]
-"""What is measured, as JSON holds it."""
+"""Measurements as JSON holds them."""
 
 BASELINES = {"double": "-DREAL=double", "float": "-DREAL=float"}
 COMPARED = "-O2"

@@ -297,7 +297,7 @@ def _longest_steps(figures: Figures) -> str:
 
 
 def _on_avr(figures: Figures) -> str:
-    """What plain floats take of what the firmware takes."""
+    """Cost of plain floats as a share of the firmware's."""
     own, plain = (figures["targets"][AVR]["-O2"][kind]["calls"] for kind in ("firmware", "float"))
     kinds = {"step and x": (USUAL, "x"), "receive": ("receive",)}
     shares = {

@@ -19,7 +19,7 @@ NEVER = 2**31
 
 
 def is_quiet_step(name: str) -> bool:
-    """Whether a call is a step in which the filter is not due."""
+    """True if a call is a step in which the filter is not due."""
     return name.startswith("step, m = ")
 
 

@@ -1,4 +1,4 @@
-"""What the measured robots live through: ordinary lives, and situations that are to be expensive."""
+"""Runs of the measured robots: ordinary ones, and situations chosen to be expensive."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Situation:
 
 @dataclass(frozen=True)
 class Tick:
-    """What a robot sees and hears in a tick, and whether its filter is due then."""
+    """Input of a robot in a tick: observation and messages, and whether its filter is due then."""
 
     observation: int
     messages: tuple[Message, ...]
@@ -118,7 +118,7 @@ DEAR = (
     Situation(2145728125, 266560, 266559, 133270, ((0, 2**23, 0x100), (1, 8374204, 0x100)), 1),
     Situation(2149672830, 88, 87, 43, ((0, 4200436, 0x100), (1, 4200365, 0x100), (2, 5114038, 0)), 1),
 )
-"""What long searches found: a memory halved, b_hat beside 1/2 or at a clamp, n beside t/2 or c t."""
+"""Results of long searches: a memory halved, b_hat beside 1/2 or at a clamp, n beside t/2 or c t."""
 
 
 def usual_round(messages: int) -> tuple[Message, ...]:

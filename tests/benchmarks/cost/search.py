@@ -21,7 +21,7 @@ _TWICE = 0.3
 
 @dataclass(frozen=True)
 class Goal:
-    """A call that is to be dear.
+    """A call that is to be expensive.
 
     Attributes:
         call: What it costs in a situation.
@@ -60,13 +60,13 @@ def _goals(robot: Robot) -> Iterator[Goal]:
 
 
 class _Search:
-    """Climbs, of which every other one starts anywhere, the rest near what is known as dear."""
+    """Climbs, of which every other one starts anywhere, the rest near situations known to be expensive."""
 
     def __init__(self, rng: random.Random, patience: int, dear: list[runs.Situation]) -> None:
         self._rng, self._patience, self._dear = rng, patience, dear
 
     def summits(self, goal: Goal, unit: str, starts: int) -> Iterator[runs.Situation]:
-        """Where climbs end; the highest is then known as dear."""
+        """Ends of climbs; the highest is then known to be expensive."""
         near, most = list(self._dear), -1
         for number in range(starts):
             count = self._rng.choice(goal.messages)

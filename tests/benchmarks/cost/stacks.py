@@ -31,7 +31,7 @@ _MOST = 1000
 class Stacks:
     """Bounds of an image's functions.
 
-    The bound of a compiled function is its frame, as the compiler tells it (-fstack-usage), and the largest
+    The bound of a compiled function is its frame, as the compiler reports it (-fstack-usage), and the largest
     bound of what it calls; where it ends with a jump to another function its frame is gone by then. Code of
     the compiler's own library is followed instruction by instruction.
     """

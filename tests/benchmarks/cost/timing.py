@@ -44,7 +44,7 @@ class Timing:
 
 
 def is_conditional(name: str) -> bool:
-    """Whether an instruction of that name is a conditional branch."""
+    """True if an instruction of that name is a conditional branch."""
     return _CONDITIONAL.fullmatch(name) is not None
 
 

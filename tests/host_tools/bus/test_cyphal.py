@@ -34,7 +34,9 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     float_of,
 )
-from support import PATIENCE, ROOT
+from support import PATIENCE, ROOT, draws
+
+pytestmark = pytest.mark.random
 
 pycyphal = pytest.importorskip("pycyphal", reason="pycyphal is not installed (pip install pycyphal)")
 transport = importlib.import_module("pycyphal.transport")
@@ -44,7 +46,7 @@ cyphal_can = importlib.import_module("pycyphal.transport.can")
 
 DEFAULT = FrameFormat()
 LARGEST_BITS = 0x7F7FFFFF
-fixed = settings(derandomize=True, deadline=None, max_examples=200)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(200))
 
 # The specification's types, without their comments: pycyphal does not bring them along.
 REGULATED = {

@@ -36,16 +36,17 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
 )
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.recording.frame_logs import FrameLog
+from mcp_asdf_tools.recording.recording import Recording
 from robots import ALPHA_ONE
-from support import ROOT
+from support import ROOT, draws
+
+pytestmark = pytest.mark.random
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed (pip install cantools)")
 
 DEFAULT = FrameFormat()
 UNITS = {"x_hat": 2.0**-23, "x": 2.0**-23, "b_hat": 2.0**-24}
-fixed = settings(derandomize=True, deadline=None, max_examples=300)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 nodes, transfers, words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
 bytes_, ratios = st.integers(0, 255), st.integers(0, 2**23)
@@ -226,9 +227,10 @@ def decoded_by_the_command_line(lines: str, folder: Path) -> list[str]:
 
 def test_the_command_line_of_cantools_decodes_our_log(tmp_path: Path) -> None:
     sent = (Message(42, 2**22, ALPHA_ONE, 0), Telemetry(42, 3 * 2**21, 2**23, 7, 5))
-    with FileSet() as files, FrameLog(tmp_path / "run.log", files) as target:
+    with Recording(tmp_path / "run.log", None, print) as (write, _):
+        assert write is not None
         for message in sent:
-            target.write(encode(message))
+            write(encode(message))
     assert decoded_by_the_command_line((tmp_path / "run.log").read_text(), tmp_path) == [
         "Estimate(x_hat: 0.5, alpha: 1.0, transfer_id: 0, start_end_toggle: 7)",
         "Telemetry(x: 0.75, b_hat: 0.5, updates: 7, transfer_id: 5, start_end_toggle: 7)",

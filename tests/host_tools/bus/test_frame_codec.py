@@ -32,13 +32,15 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
 )
 from robots import ALPHA_ONE
-from support import ROOT, require, run
+from support import ROOT, draws, require, run
+
+pytestmark = pytest.mark.random
 
 SOURCE = ROOT / "c_ref/src/mcp_asdf_frame.c"
 HEADER = SOURCE.with_suffix(".h").read_text(encoding="utf-8")
 SEED = 20260
 
-fixed = settings(derandomize=True, deadline=None, max_examples=1000)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(1000))
 
 
 def declarations() -> str:
@@ -176,7 +178,7 @@ def mutated(choose: random.Random) -> can.Message:
 
 def test_random_mutations_of_legal_frames(codec: Codec) -> None:
     seen: Counter[str] = Counter()
-    for number in range(20_000):
+    for number in range(draws(20_000)):
         seed = f"{SEED}.{number}"
         try:
             seen.update(agrees(codec, mutated(random.Random(seed))))
@@ -358,7 +360,7 @@ def test_the_acceptance_filter_of_the_page_and_the_header() -> None:
     (mask,) = re.findall(r"mask `0x([0-9A-F]+)`", PAGE)
     assert f"MCP_ASDF_FRAME_MASK UINT32_C(0x{mask})" in HEADER
     choose = random.Random(SEED)
-    for _ in range(5000):
+    for _ in range(draws(5000)):
         identifier = LEGAL[0].arbitration_id ^ choose.choice(
             (1 << choose.randrange(29), choose.randrange(2**29))
         )

@@ -32,13 +32,16 @@ from mcp_asdf_tools.bus.frames import (
     word_of,
 )
 from robots import ALPHA_ONE
+from support import draws
+
+pytestmark = pytest.mark.random
 
 DEFAULT = FrameFormat()
 LARGEST_BITS = 0x7F7FFFFF
 UNIT = Fraction(1, 2**24)
 
 # Fixed examples in every run; a failure prints the one that shows it.
-fixed = settings(derandomize=True, deadline=None, max_examples=300)
+fixed = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 words = st.one_of(
     st.integers(0, 2**32 - 1),
@@ -72,7 +75,7 @@ def value_of(word: int) -> Fraction:
 
 
 def is_normal(word: int) -> bool:
-    """Whether the word has the smallest shift, as the firmware forms it."""
+    """True if the word has the smallest shift, as the firmware forms it."""
     return word & 0xE0 == 0 and (word >> 31 == 1 or word % 256 == 0)
 
 
@@ -326,7 +329,7 @@ def test_every_word_is_a_binary32_number(word: int) -> None:
     assert binary32_of(again) == bits
 
 
-@settings(fixed, max_examples=2000)
+@settings(fixed, max_examples=draws(2000))
 @given(st.one_of(st.integers(0, LARGEST_BITS), st.integers(bits_of(2.0**-26), bits_of(2.0**33))))
 @example(0)
 @example(1)

@@ -9,6 +9,9 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Heartbeat, Message
 from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
+from support import draws
+
+pytestmark = pytest.mark.random
 
 ID = 5
 SEED = 41
@@ -46,9 +49,11 @@ def one_sender(seed: str, messages: int, loss: float, repeats: float, late: int)
 @pytest.mark.parametrize("loss", [0.0, 0.1, 0.5, 0.8, 0.9, 0.95, 0.99])
 @pytest.mark.parametrize(("repeats", "late"), [(0.0, 0), (0.3, 0), (0.3, 3), (0.3, 12)])
 def test_one_sender_on_a_bad_bus_is_no_conflict(loss: float, repeats: float, late: int) -> None:
-    seed = f"{SEED} {loss} {repeats} {late}"
-    arriving = one_sender(seed, 20_000, loss, repeats, late)
-    assert first_noticed(arriving) is None, f"replay: one_sender({seed!r}, 20_000, {loss}, {repeats}, {late})"
+    seed, count = f"{SEED} {loss} {repeats} {late}", draws(20_000)
+    arriving = one_sender(seed, count, loss, repeats, late)
+    assert first_noticed(arriving) is None, (
+        f"replay: one_sender({seed!r}, {count}, {loss}, {repeats}, {late})"
+    )
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.9])

@@ -23,7 +23,9 @@ from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from robots import ALPHA_ONE
-from support import PATIENCE, interruptible
+from support import PATIENCE, draws, interruptible
+
+pytestmark = pytest.mark.random
 
 CHANNEL = "slcan test"
 
@@ -167,7 +169,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
     assert set(text.removeprefix(b"\r").split(b"\r")) == {line_of(FRAMES[0])[:-1], b""}
 
 
-@settings(derandomize=True, max_examples=300, deadline=None)
+@settings(derandomize=True, max_examples=draws(300), deadline=None)
 @given(st.binary(max_size=30) | st.from_regex(rb"[tTrR][0-9A-F]{3,12}\Z"))
 def test_any_line_is_a_frame_or_none(line: bytes) -> None:
     frame = frame_of(line)

@@ -9,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common import files, versions
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from support import interruptible
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -36,15 +38,15 @@ def python(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.Complet
     )
 
 
-def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException) -> None:
-    """Make ``mcp-asdf table`` return ``outcome`` or raise it."""
+def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException | Callable[[], int]) -> None:
+    """Make ``mcp-asdf table`` return ``outcome``, raise it or call it."""
 
     def run(args: argparse.Namespace) -> int:
         if isinstance(outcome, BaseException):
             raise outcome
-        return outcome
+        return outcome() if callable(outcome) else outcome
 
-    command = SimpleNamespace(HELP="", EPILOG="", add_arguments=lambda parser: None, run=run)
+    command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=run)
     monkeypatch.setattr(cli, "_load", lambda name: command)
 
 
@@ -58,7 +60,7 @@ def test_no_arguments_show_the_overview_and_fail(capsys: pytest.CaptureFixture[s
 
 def test_help_is_not_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
-    assert cli._load("table").HELP in capsys.readouterr().out
+    assert cli.COMMANDS["table"] in capsys.readouterr().out
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,7 +70,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_version_of_a_source_tree_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(versions, "PROGRAM", "no-such-distribution")
-    assert versions.own_version() == "not installed"
+    assert versions.software_versions()["mcp-asdf"] == versions.own_version() == "not installed"
 
 
 def test_unknown_command_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,6 +103,69 @@ def test_interrupt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
 
 
+ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@interruptible()
+def test_every_signal_that_asks_to_end_acts_as_ctrl_c(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = []
+
+    def work() -> int:
+        try:
+            os.kill(os.getpid(), number)
+            signal.pause()
+        finally:
+            for second in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
+                os.kill(os.getpid(), second)
+            saved.append("all")
+        return 0
+
+    handlers = [signal.getsignal(each) for each in ENDINGS]
+    fake_command(monkeypatch, work)
+    assert cli.main(["table"]) == ENDINGS[number]
+    assert saved == ["all"]
+    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
+    assert [signal.getsignal(each) for each in ENDINGS] == handlers
+
+
+def test_commands_that_end_by_themselves_tell_the_signal_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> int:
+        with stopping() as is_asked:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert is_asked()
+        return INTERRUPTED
+
+    fake_command(monkeypatch, work)
+    assert cli.main(["table"]) == 143
+
+
+@interruptible()
+def test_a_second_ctrl_c_acts_at_once() -> None:
+    with pytest.raises(KeyboardInterrupt), stopping():
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_what_the_program_was_started_to_ignore_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> int:
+        os.kill(os.getpid(), signal.SIGHUP)
+        with stopping() as is_asked:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not is_asked()
+        return 0
+
+    fake_command(monkeypatch, work)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
+    try:
+        assert cli.main(["table"]) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 @interruptible()
 def test_ctrl_c_within_an_import_waits_for_its_end(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -116,8 +181,6 @@ def test_ctrl_c_within_an_import_waits_for_its_end(
     assert cli.main(["swarm"]) == 130
     assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
     assert done == ["mcp_asdf_tools.cli.swarm"]
-    assert cli.main(["--help"]) == 130
-    assert capsys.readouterr() == ("", "mcp-asdf: interrupted\n")
     assert signal.getsignal(signal.SIGINT) is handler
 
 
@@ -196,14 +259,35 @@ def test_the_streams_are_as_before_afterwards() -> None:
     assert (sys.stdout, sys.stderr) == before
 
 
-def test_a_command_leaves_the_others_libraries_unloaded() -> None:
+SLOW_TO_LOAD = ["can", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
+"""Libraries that each take about as long to load as all that an overview needs, or much longer."""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "loaded"),
+    [
+        ([], []),
+        (["--help"], []),
+        (["--version"], []),
+        (["tabel"], []),
+        (["table", "--help"], ["mpmath"]),
+        (["table", "--check", "tables/t_table_omega05_q30.c"], ["mpmath"]),
+        (["dbc", "--help"], ["can"]),
+        (["node", "--help"], ["can", "mpmath", "numpy", "rich"]),
+        (["radio", "--help"], ["can", "mpmath", "numpy", "rich"]),
+        (["replay", "--help"], ["can", "mpmath", "numpy", "rich"]),
+        (["swarm", "--help"], ["can", "mpmath", "numpy", "rich"]),
+        (["swarm", "--steps", "1", "--quiet"], ["can", "mpmath", "numpy", "rich"]),
+    ],
+)
+def test_a_command_loads_only_the_libraries_that_it_uses(arguments: list[str], loaded: list[str]) -> None:
     script = (
         "import sys; from mcp_asdf_tools.cli.main import main\n"
-        "assert main(['table', '--check', 'tables/t_table_omega05_q30.c']) == 0\n"
-        "print([name for name in ('can', 'matplotlib', 'rich', 'scipy') if name in sys.modules])"
+        f"main({arguments})\n"
+        f"print([name for name in {SLOW_TO_LOAD} if name in sys.modules])"
     )
     result = python("-c", script)
-    assert result.stdout.splitlines()[-1:] == ["[]"], result.stderr
+    assert result.stdout.splitlines()[-1:] == [str(loaded)], result.stderr
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -212,13 +296,12 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     assert "--json" in out
     assert f"\n  mcp-asdf {name} " in out, "no example"
-    assert "\n" not in cli._load(name).HELP
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_example_is_accepted(name: str) -> None:
     command = cli._load(name)
-    parser = cli._parser_for(command, f"mcp-asdf {name}")
+    parser = cli._parser_for(name, command)
     examples = [line for line in command.EPILOG.splitlines() if line.startswith("  mcp-asdf")]
     assert examples
     for line in examples:
@@ -237,10 +320,7 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
 def test_files_of_a_set_appear_together(tmp_path: Path) -> None:
     with files.FileSet() as together:
         together.write(tmp_path / "a", "1")
-        draft = together.begin(tmp_path / "b", ".log.gz")
-        assert draft.parent == tmp_path
-        assert draft.suffixes == [".log", ".gz"]
-        draft.write_text("2")
+        together.write(tmp_path / "b", "2")
         assert not (tmp_path / "a").exists()
     assert {entry.name: entry.read_text() for entry in tmp_path.iterdir()} == {"a": "1", "b": "2"}
 

@@ -75,7 +75,7 @@ from mcp_asdf_tools.crosscheck.random_scenarios import (
     spoilt_table,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, TableChoice, build_table, parse_scenario
-from support import slow
+from support import draws, slow
 
 MIRROR, FIXED_POINT = mcp_asdf.mirror, mcp_asdf.fixed_point
 SOURCES = {
@@ -722,9 +722,10 @@ def test_a_run_stops_after_the_calls_asked_for() -> None:
 
 b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32)
 counts = st.integers(1, 2**31).flatmap(lambda t: st.tuples(st.integers(0, t), st.just(t)))
-oracle = settings(deadline=None, database=None, derandomize=True, max_examples=200)
+oracle = settings(deadline=None, database=None, derandomize=True, max_examples=draws(200))
 
 
+@pytest.mark.random
 @oracle
 @given(counts, b_hats)
 def test_exact_alpha_is_the_papers_formula(count: tuple[int, int], b: Fraction) -> None:
@@ -741,6 +742,7 @@ def test_exact_alpha_is_the_papers_formula(count: tuple[int, int], b: Fraction) 
     assert alpha == min(printed, exact.LARGEST_ALPHA)
 
 
+@pytest.mark.random
 @oracle
 @given(counts, b_hats)
 def test_exact_estimates_maximise_the_likelihood(count: tuple[int, int], b: Fraction) -> None:
@@ -753,6 +755,7 @@ def test_exact_estimates_maximise_the_likelihood(count: tuple[int, int], b: Frac
     assert slope == 0 if 0 < x_hat < 1 else slope <= 0 if x_hat == 0 else slope >= 0
 
 
+@pytest.mark.random
 @oracle
 @given(counts, b_hats)
 def test_exact_re_estimate_inverts_the_estimate(count: tuple[int, int], b: Fraction) -> None:
@@ -818,6 +821,7 @@ def test_limits_are_not_idle() -> None:
         assert Fraction(1, 4) < max(found) <= 1, name
 
 
+@pytest.mark.random
 @oracle
 @given(st.lists(st.one_of(st.just(0.0), st.floats(1e-12, 1e3)), min_size=1, max_size=3000))
 def test_percentiles_are_within_a_bin(errors: list[float]) -> None:
@@ -1024,7 +1028,7 @@ def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, told: st
 
 
 def test_what_watches_leaves_no_trace() -> None:
-    """Neither on robots nor on whoever else watches, such as a debugger."""
+    """Neither for robots nor for other watchers, such as a debugger."""
 
     def other(frame: object, event: str, argument: object) -> None:
         return None

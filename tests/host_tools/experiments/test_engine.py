@@ -277,7 +277,7 @@ def compiler_of_vectors() -> str:
 
 
 def can_run(architecture: str) -> bool:
-    """Whether this processor has the vectors of an architecture."""
+    """True if this processor has the vectors of an architecture."""
     needed = {"x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}.get(architecture, "fpu")
     return f" {needed} " in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " ")
 

@@ -218,7 +218,7 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
 )
 def test_flawed_robots_are_a_count_or_a_share(given: Any, count: int) -> None:
     experiment = Experiment(robots=20, flawed=given)
-    assert experiment.flawed == experiment.flawed_robots == count
+    assert experiment.flawed == count
     assert Experiment.from_parameters(experiment.parameters()) == experiment
 
 

@@ -32,7 +32,7 @@ def cell_of(mode: Filtering, true_accuracy: float, fill_ratio: float) -> fidelit
         for cell in CELLS
         if (cell.experiment.filter, cell.experiment.true_accuracy, cell.experiment.fill_ratio)
         == (mode, true_accuracy, fill_ratio)
-        and cell.experiment.flawed_robots > 0
+        and cell.experiment.flawed > 0
     ]
     return found
 

@@ -17,7 +17,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.arena_plots import BODY_RADIUS, network, trajectories
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import boxes, confidence, scatter, series_beside
+from mcp_asdf_tools.experiments.plots import bands, boxes, confidence, scatter, series_beside, strips
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.simulation import run_trials
@@ -71,7 +71,7 @@ def test_boxes_are_where_and_what_they_should_be(grid: list[Trials]) -> None:
 
 
 def _swarm(trials: Trials) -> tuple[int, float]:
-    return trials.experiment.flawed_robots, trials.experiment.flawed_accuracy
+    return trials.experiment.flawed, trials.experiment.flawed_accuracy
 
 
 def _series(trials: Trials) -> int:
@@ -100,17 +100,52 @@ def test_series_are_named_by_what_varies(grid: list[Trials]) -> None:
     assert [text.get_text() for text in legend.get_texts()] == ["all of them"]
 
 
-def test_points_are_the_trials_and_their_medians(grid: list[Trials]) -> None:
-    figure = scatter(grid, lambda _: LIMITS)
-    found = [axes for axes in figure.axes if axes.get_title().startswith("no filter\n$f = 0.95")]
+def test_strips_have_every_trial(grid: list[Trials]) -> None:
+    axes = panels(strips(grid, lambda _: LIMITS))["$f = 0.95$, $b = 0.95$"]
+    clouds = [np.array(line.get_xydata()) for line in axes.lines if line.get_marker() == "."]
+    own = [trials for trials in grid if trials.experiment.fill_ratio == 0.95]
+    expected = [score(trials.convergence_steps, trials.errors, LIMITS).h for trials in own]
+    assert sorted(cloud[:, 1].tolist() for cloud in clouds) == sorted(each.tolist() for each in expected)
+    for cloud in clouds:
+        assert len(set(cloud[:, 0])) == len(cloud)
+        assert np.ptp(cloud[:, 0]) < 0.86 / 3
+
+
+def test_points_are_the_trials_in_the_papers_colours(grid: list[Trials]) -> None:
+    """Rows are series and f, columns P; underconfident swarms are red or orange, overconfident ones blue."""
+    over = results_of(replace(BASE, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
+    figure = scatter([*grid, over], lambda _: LIMITS)
+    found = panels(figure)
     own = [t for t in grid if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
-    assert len(found[0].lines) == 2 * len(own)
-    for trials, points, middle in zip(own, found[0].lines[::2], found[0].lines[1::2], strict=True):
-        scores = score(trials.convergence_steps, trials.errors, LIMITS)
-        assert np.array_equal(np.array(points.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
-        assert np.array_equal(
-            np.array(middle.get_xydata())[0], [np.median(scores.h_k), np.median(scores.h_e)]
-        )
+    for share, count in ((0, 1), (2, 2), (4, 1)):
+        axes = found[f"no filter\n$f = 0.95$, $P$ = {share / 4:.0%}"]
+        expected = [t for t in own if t.experiment.flawed == share]
+        assert len(axes.lines) == len(expected) == count
+        for trials, line in zip(expected, axes.lines, strict=True):
+            scores = score(trials.convergence_steps, trials.errors, LIMITS)
+            assert np.array_equal(np.array(line.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
+    colours = [line.get_color() for line in found["no filter\n$f = 0.55$, $P$ = 50%"].lines]
+    assert colours == ["#d55e00", "#e69f00", "#56b4e9"]
+    (legend,) = figure.legends
+    assert any(text.get_text().startswith("overconfident, $b$ = 0.55") for text in legend.get_texts())
+
+
+def test_bands_hold_all_robots_of_all_trials(grid: list[Trials]) -> None:
+    (trials,) = [
+        t for t in grid if _swarm(t) == (2, 0.55) and _series(t) == 1 and t.experiment.fill_ratio == 0.55
+    ]
+    (axes,) = bands([trials]).axes
+    flawed, unflawed, truth = axes.lines
+    assert np.array_equal(flawed.get_xdata(), [100, 200, 300])
+    assert np.array_equal(flawed.get_ydata(), np.median(trials.b_hat[..., :2], axis=(0, 2)))
+    assert np.array_equal(unflawed.get_ydata(), np.median(trials.b_hat[..., 2:], axis=(0, 2)))
+    assert set(np.asarray(truth.get_ydata())) == {0.95}
+    lows = [np.asarray(band.get_paths()[0].vertices)[:, 1].min() for band in axes.collections]
+    assert lows[0] == np.percentile(trials.b_hat[..., :2], 5, axis=(0, 2)).min()
+    off = np.mean(abs(trials.b_hat[:, -1, 2:] - 0.95) > 0.05)
+    assert axes.get_title().endswith(f"{off:.0%} of unflawed robots end off")
+    with pytest.raises(UsageError, match="there is no filter step"):
+        bands([results_of(replace(BASE, filter_period=1000))])
 
 
 def test_what_does_not_fit_a_picture_is_refused(grid: list[Trials]) -> None:
@@ -219,6 +254,13 @@ def test_the_command_draws(kind: str, suffix: str, tmp_path: Path) -> None:
         (["x.png"], "boxes needs results"),
         (["r.parquet", "x.png", "--kind", "alpha"], "needs no results"),
         (["two.parquet", "x.png", "--kind", "network"], "there are 2 experiments; network shows one"),
+        (["two.parquet", "x.png", "--kind", "curve", "--x", "omega"], "the results differ in seed too"),
+        (["r.parquet", "x.png", "--kind", "curve"], "--x is ''; choose a parameter, such as fill_ratio"),
+        (["r.parquet", "x.png", "--kind", "curve", "--x", "tau", "--hue", "tao"], "--hue is 'tao'; choose"),
+        (
+            ["r.parquet", "x.png", "--kind", "curve", "--x", "tau", "--y", "h"],
+            "--y is 'h'; choose one of H, h_K",
+        ),
     ],
 )
 def test_bad_usage_is_told(

@@ -146,7 +146,7 @@ def test_the_comparison_notices_another_experiment(change: dict[str, float | str
         for each in fidelity.read_cells()
         if (
             each.experiment.filter.value,
-            each.experiment.flawed_robots,
+            each.experiment.flawed,
             each.experiment.fill_ratio,
             each.experiment.filter_period,
         )

@@ -24,7 +24,7 @@ from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.simulation import Job
 from mcp_asdf_tools.experiments.sweep import Store, identity, jobs_of, run_sweep
 from mcp_asdf_tools.robots.population import Filtering
-from support import PATIENCE, ROOT, interruptible
+from support import PATIENCE, ROOT, interruptible, slow
 
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=mode, steps=300, filter_period=100, trials=40)
@@ -322,14 +322,17 @@ def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
-def test_ctrl_c_keeps_what_is_finished(slow_sweep: subprocess.Popen[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, *slow([signal.SIGINT])])
+def test_a_signal_keeps_what_is_finished(
+    number: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
+) -> None:
     parts = tmp_path / "slow.parquet.parts"
     deadline = time.monotonic() + PATIENCE
     while len(list(parts.glob("*.parquet"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.killpg(slow_sweep.pid, signal.SIGINT)
+    os.killpg(slow_sweep.pid, number)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
-    assert slow_sweep.returncode == 130
+    assert slow_sweep.returncode == 128 + number
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     done = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
@@ -349,6 +352,21 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
     assert slow_sweep.returncode == 130
     assert "Traceback" not in errors
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_sweep_that_is_killed(slow_sweep: subprocess.Popen[str]) -> None:
+    children = Path(f"/proc/{slow_sweep.pid}/task/{slow_sweep.pid}/children")
+    if not children.exists():
+        pytest.skip("the kernel does not list the children of a process")
+    deadline = time.monotonic() + PATIENCE
+    while len(workers := list(filter(is_worker, children.read_text().split()))) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    slow_sweep.kill()
+    while any(map(is_worker, workers)) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not any(map(is_worker, workers))
 
 
 def test_workers_start_from_another_thread_too(tmp_path: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 from collections.abc import Callable
 from decimal import Decimal
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +16,12 @@ from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet
-from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter, sidecar_path
-from mcp_asdf_tools.robots.events import Recorder
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.robots.events import Recorder, message_text
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
+from sidecars import sidecar_in
 from wire import record
 
 RECORDS = (
@@ -42,7 +39,7 @@ def read(path: Path) -> tuple[SidecarHeader, list[Any]]:
 
 
 def test_the_header_comes_back(tmp_path: Path) -> None:
-    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files):
+    with sidecar_in(tmp_path / "x", HEADER):
         pass
     assert read(tmp_path / "x") == (HEADER, [])
 
@@ -56,7 +53,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         sender = draw.randrange(128)
         calls: list[tuple[Callable[[], None], Any]] = [
             (lambda: recorder.observe(z), 2 if z is None else int(z)),
-            (lambda: recorder.receive(sender, *values), [sender, *values]),
+            (lambda: recorder.receive([message_text(sender, *values)]), [sender, *values]),
             (recorder.settle, 3),
             (recorder.silent, "silent"),
             (lambda: recorder.falsified(values[0], values[1]), values),
@@ -67,7 +64,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         told[robot].append(event)
 
     frame = can.Message(arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5"))
-    with FileSet() as files, SidecarWriter(tmp_path / "x", HEADER, files) as writer:
+    with sidecar_in(tmp_path / "x", HEADER) as writer:
         for _ in range(3000):
             robot = draw.choice(list(told))
             tell(robot, writer.robots[robot])
@@ -95,34 +92,12 @@ def test_frames_are_written_as_candump_does(frame: can.Message, text: str) -> No
     assert frame_as_text(frame) == text
 
 
-def test_it_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = sidecar_path(tmp_path / "run.log")
-    assert path.name == "run.log.events"
-    path.write_text("of yesterday")
-    with (
-        pytest.raises(ZeroDivisionError),
-        FileSet() as files,
-        SidecarWriter(path, HEADER, files) as writer,
-    ):
-        writer.robots[0].settle()
-        raise ZeroDivisionError
-    assert path.read_text() == "of yesterday"
-    with FileSet() as files, SidecarWriter(path, HEADER, files) as writer:
-        writer.robots[0].observe(Observation.BLACK)  # not settled yet, and not lost
-        assert path.read_text() == "of yesterday"
-    assert read(path)[1] == [(0, [1])]
-    assert os.listdir(tmp_path) == [path.name]
-
-
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"cannot write .*no/such: its folder does not exist"):
-        SidecarWriter(tmp_path / "no/such", HEADER, FileSet())
+def test_what_cannot_be_written() -> None:
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        SidecarWriter(tmp_path / "x", SidecarHeader([record(1), record(1)], 1, FrameFormat()), FileSet())
+        SidecarWriter(SidecarHeader([record(1), record(1)], 1, FrameFormat()), print)
     own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         config_as_plain(TickConfig(own))
-    assert list(tmp_path.iterdir()) == []
 
 
 def spoiled(**changes: Any) -> str:
@@ -188,11 +163,3 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="is no text"):
         SidecarReader(tmp_path / "x")
-
-
-def test_an_installed_package_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def absent(name: str) -> str:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
-    assert software_versions()["mcp-asdf"] == "not installed"

@@ -80,7 +80,7 @@ def test_the_rules_one_by_one() -> None:
         (command(0, 6, settle), ""),  # for another
         (command(0, 5, settle), "t"),
         (command(0, 5, settle), ""),  # repeated
-        (command(7, EVERY_ROBOT, observe), "e"),  # any tick will do
+        (command(7, EVERY_ROBOT, observe), "e"),  # any tick is accepted
         (command(7, EVERY_ROBOT, settle), "t"),
         (command(7, 5, Action.OBSERVE_NONE), ""),  # the number may come again
         (command(7, 5, settle), "t"),
@@ -335,7 +335,7 @@ def test_a_command_that_is_lost_once_is_said_again() -> None:
 
 
 def contents(frames: list[can.Message]) -> list[tuple[int, bytes]]:
-    """Apart from their order, which says who was told twice."""
+    """Apart from their order, which shows the robots that got a command twice."""
     return sorted((frame.arbitration_id, bytes(frame.data)) for frame in frames)
 
 
@@ -354,7 +354,7 @@ def test_a_command_that_is_lost_twice_ends_the_run(action: str, what: str) -> No
 
 @still()
 def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
-    """The robot has settled: told again, it must not do so twice."""
+    """The robot has settled: a repeated command must not make it settle twice."""
     wire = Lossy(*map(node, (1, 2, 3)), loses=lambda order, times: False, mute=8)
     with pytest.raises(LockstepError, match="robot 1, 2, 3 did not settle within"):
         play(wire)

@@ -34,9 +34,9 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all
 from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
@@ -45,6 +45,7 @@ from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 from node_thread import join, meanwhile, node_in_a_thread
 from robots import ALPHA_ONE
+from sidecars import sidecar_in
 from support import PATIENCE, interruptible
 from wire import node, record
 
@@ -293,7 +294,7 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
     log: list[can.Message] = []
     bus = Scripted(fails=lambda number: 5 <= number <= 20)
     header = SidecarHeader([record(5)], None, FrameFormat())
-    with FileSet() as files, SidecarWriter(tmp_path / "events", header, files) as writer:
+    with sidecar_in(tmp_path / "events", header) as writer:
         source = lines(tmp_path, "10" * 20)
         robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=2000), writer.robots[5])
         run = NodeRun(robot, BusLink(bus, endures=True, log=log.append))
@@ -399,13 +400,13 @@ def test_another_node_with_this_id_is_reported_and_no_trouble_for_a_replay(
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("ticks", "code"), [("", 0), ("--steps 100000", 130)])
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
+@pytest.mark.parametrize(("ticks", "is_early"), [("", False), ("--steps 100000", True)])
 @interruptible()
 def test_signals_end_it_with_all_saved(
-    number: signal.Signals, ticks: str, code: int, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    number: signal.Signals, ticks: str, is_early: bool, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    log, handlers = tmp_path / "run.log", [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    log, handlers = tmp_path / "run.log", [signal.getsignal(each) for each in ENDING_SIGNALS]
 
     def end_it() -> None:
         with join() as bus:
@@ -416,11 +417,11 @@ def test_signals_end_it_with_all_saved(
     with meanwhile(end_it):
         assert (
             main(["node", *shlex.split(f"--id 3 --steps-per-second 50 {ticks} --json --log"), str(log)])
-            == code
+            == (128 + number) * is_early
         )
     assert report_of(capsys)["results"]["ending"] == "stopped"
     assert main(["replay", str(log)]) == 0
-    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert [signal.getsignal(each) for each in ENDING_SIGNALS] == handlers
 
 
 def test_it_ends_with_its_standard_input_if_asked_to(

@@ -7,6 +7,7 @@ from dataclasses import astuple, replace
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
@@ -147,6 +148,10 @@ class Counting(MirrorRobot):
             setattr(self.s, name, value)
 
 
+def receive(ticked: TickedRobot, sender: int, x_hat: int, alpha: int) -> None:
+    ticked.receive_all(np.array([[sender, x_hat, alpha]], np.uint32))
+
+
 def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
     ticked = TickedRobot(Counting(accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533))
     before = ticked.counters
@@ -154,7 +159,7 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
     for _ in range(1000):
         ticked.observe(Observation.BLACK)
         for sender in (6, 6, 6, 7, 5):
-            ticked.port.receive_raw(sender, 0, ALPHA_ONE)
+            receive(ticked, sender, 0, ALPHA_ONE)
         ticked.settle()
     assert ticked.robot.counters.accepted == (65_000 + 2000) % 2**16
     assert ticked.counters == replace(before, accepted=67_000, repeated=67_533, rejected=1001)
@@ -165,7 +170,7 @@ def test_counters_go_on_in_a_long_round_of_many_messages() -> None:
     for _ in range(300):
         ticked.observe(None)
         for _ in range(1000):
-            ticked.port.receive_raw(5, 0, ALPHA_ONE)
+            receive(ticked, 5, 0, ALPHA_ONE)
         ticked.settle()
     assert ticked.counters == Counters(rejected=300_000)
 
@@ -173,7 +178,7 @@ def test_counters_go_on_in_a_long_round_of_many_messages() -> None:
 def test_counters_are_complete_between_rounds() -> None:
     ticked = TickedRobot(Counting(), comms_period=10)
     ticked.observe(None)
-    ticked.port.receive_raw(6, 0, ALPHA_ONE)
+    receive(ticked, 6, 0, ALPHA_ONE)
     assert astuple(ticked.counters) == (1, 0, 0, 0, 0)
     ticked.settle()
     assert astuple(ticked.counters) == (1, 0, 0, 0, 0)

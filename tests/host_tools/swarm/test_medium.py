@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import can
+import numpy as np
 import pytest
 from can.interfaces import virtual
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.swarm import connection
@@ -17,10 +19,7 @@ class Everyone:
     """Robots that all hear each other."""
 
     def __init__(self, robots: int) -> None:
-        self._ids = set(range(robots))
-
-    def neighbours(self, robot: int) -> set[int]:
-        return self._ids - {robot}
+        self.hears = ~np.eye(robots, dtype=np.bool_)
 
 
 def estimate(sender: int, tick: int, x_hat: int = 0) -> SentFrame:
@@ -33,33 +32,34 @@ def faults_of(*texts: str) -> Faults:
 
 def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
     """Against a list of all that is under way, sorted anew in every tick."""
-    texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1")
+    texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1", "corrupt=0.1")
     air, twin = Air(Everyone(6), faults_of(*texts), latency=0), faults_of(*texts)
     under_way: list[tuple[int, float, int, bytes]] = []
     arrived = 0
     for tick in range(200):
         sent = [estimate(sender, tick) for sender in range(1, 6)]
-        for each in sent:
-            for way in twin.deliver(each, 0):
-                content = bytes(way.frame.data) + bytes([each.sender])
-                under_way.append((tick + way.delay, way.place, len(under_way), content))
+        for ways in twin.ways(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0)):
+            for number in ways.reach[:, 0].nonzero()[0].tolist():
+                place = 0.0 if ways.places is None else ways.places[number, 0]
+                frame = ways.damaged.get((number, 0), sent[number].frame)
+                content = bytes(frame.data) + bytes([sent[number].sender])
+                under_way.append((tick + ways.delay, place, len(under_way), content))
         due = sorted(way for way in under_way if way[0] == tick)
-        heard = air.arrivals(0, tick, sent)
+        heard = air.arrivals(tick, sent).of(0)
         assert [bytes(f.data) + bytes([f.arbitration_id & 127]) for f in heard] == [way[-1] for way in due]
         arrived += len(due)
-    assert (air.in_range, air.arrived) == (1000, arrived)
+    assert air.in_range == 200 * 5 * 5
     in_order_sent = sorted(under_way, key=lambda way: (way[0], way[2]))
     assert sorted(under_way) != in_order_sent, "nothing was reordered"
 
 
 def test_robots_hear_their_neighbours_only() -> None:
     class Line:
-        def neighbours(self, robot: int) -> set[int]:
-            return {robot - 1, robot + 1}
+        hears = np.eye(5, k=1, dtype=np.bool_) | np.eye(5, k=-1, dtype=np.bool_)
 
     for faults in ((), ("loss=0",)):
         air = Air(Line(), faults_of(*faults), latency=0)
-        heard = air.arrivals(2, 0, [estimate(sender, 0) for sender in (0, 1, 3, 4)])
+        heard = air.arrivals(0, [estimate(sender, 0) for sender in (0, 1, 3, 4)]).of(2)
         assert [frame.arbitration_id & 127 for frame in heard] == [1, 3]
 
 
@@ -67,14 +67,15 @@ def test_late_frames_reach_the_robots_in_range_when_they_arrive() -> None:
     class Moving:
         near = True
 
-        def neighbours(self, robot: int) -> set[int]:
-            return {1} if self.near else {2}
+        @property
+        def hears(self) -> NDArray[np.bool_]:
+            return np.array([[False, self.near, not self.near], [False] * 3, [False] * 3])
 
     world = Moving()
     air = Air(world, faults_of(), latency=1)
     heard = []
     for tick, world.near in enumerate((True, False, False, True)):
-        frames = air.arrivals(0, tick, [estimate(sender, tick) for sender in (1, 2)])
+        frames = air.arrivals(tick, [estimate(sender, tick) for sender in (1, 2)]).of(0)
         heard.append([(frame.arbitration_id & 127, frame.data[3]) for frame in frames])
     assert [[sender for sender, _ in each] for each in heard] == [[], [2], [2], [1]]
     assert air.in_range == air.arrived == 3

@@ -58,12 +58,29 @@ def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> Non
         assert images == native.run(experiment, 0, 1).images()
 
 
+LOSS = "--fault loss=0.2,receivers=0-2 --fault burst=0.2,length=3"
+LATE = "--fault delay=0.2,ticks=2 --fault duplicate=0.2 --fault reorder=0.3 --fault corrupt=0.1,bits=2"
+AT_SENDERS = "--fault liar=0.1 --fault freeze=0.1 --fault collide=0.2,id=3"
+IN_QUEUES = "--fault error=0.1 --fault queue,frames=1"
+OFF = "--fault crash=0.02,ticks=5 --fault crash=0.01,rejoin=restored --fault busoff=0.02,ticks=4"
+
+
 @pytest.mark.parametrize(
-    "options", ["", "--topology dynamic", "--fault loss=0.2 --fault crash=0.01", "--latency 1"]
+    "options",
+    [
+        "",
+        "--topology dynamic",
+        "--latency 1",
+        LOSS,
+        f"--latency 1 {OFF}",
+        f"--comms-period 3 {LATE} --fault babble=0.1,frames=3",
+        f"{LATE} {AT_SENDERS} {IN_QUEUES}",
+        f"--topology dynamic --firmware mirror {LATE} {AT_SENDERS} {IN_QUEUES} {OFF} {LOSS}",
+    ],
 )
 def test_a_run_without_a_bus_has_the_files_of_a_run_over_one(options: str, tmp_path: Path) -> None:
     """Time stamps that the user asks for make the tool use python-can's virtual bus."""
-    common = f"swarm --robots 6 --steps 120 --filter-period 20 --telemetry-period 7 --quiet {options}".split()
+    common = f"swarm --robots 6 --steps 120 --filter-period 21 --telemetry-period 7 --quiet {options}".split()
     over_a_bus = ["--bus-kwargs", "preserve_timestamps=True"]
     for name, more in (("without", []), ("with", over_a_bus)):
         assert main([*common, *more, "--log", str(tmp_path / f"{name}.log")]) == 0

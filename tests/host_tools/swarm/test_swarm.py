@@ -43,19 +43,21 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli import swarm as command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots import record as robot_record
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, RoundingPort, load_firmware
 from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.reception import Estimates
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.connection import SwarmError
-from mcp_asdf_tools.swarm.live_table import LiveTable
-from mcp_asdf_tools.swarm.live_table import picture as picture_of
+from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.plot import draw
 from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, SwarmHook, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import parameters, summary_table
+from mcp_asdf_tools.swarm.summary import parameters, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.watch import Watch
 from mcp_asdf_tools.tables.thresholds import generate
 from support import interruptible, slow
 
@@ -236,7 +238,7 @@ def test_flawed_robots_recalibrate() -> None:
     [(20, 0.3, 6), (10, 0.25, 3), (10, 0.24, 2), (7, 1.0, 7), (7, 0.0, 0), (1, 0.5, 1)],
 )
 def test_how_many_are_flawed(robots: int, flawed: float, count: int) -> None:
-    assert SwarmSettings(robots=robots, flawed=flawed).flawed_robots == count
+    assert SwarmSettings(robots=robots, flawed=flawed).flawed == count
 
 
 @pytest.mark.parametrize("accuracy", [0.0, 1.0])
@@ -311,7 +313,7 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
     assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
     robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
     assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
-    port.receive_raw(3, ONE // 4, 0xA0000002)
+    assert port.receive_all(Estimates.of([(3, ONE // 4, 0xA0000002)]).words) == 1
     assert robot.told == (3, 0.25, 2.5)
 
 
@@ -398,7 +400,7 @@ def test_a_second_node_with_a_robots_id_is_reported(returns_own: bool) -> None:
         assert swarm.traffic.id_conflicts == {2: 4}
         run = run_swarm(swarm)
     text = io.StringIO()
-    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(summary(run, "virtual", 1.0)))
     assert "another node sent 4 messages as robot 2" in text.getvalue()
 
 
@@ -434,10 +436,8 @@ def test_the_picture_shows_robots_of_other_processes() -> None:
         other.send(encode_telemetry(Telemetry(77, ONE // 4, 3 << 22, 12, 0)), timeout=1)
         swarm.tick()
         text = io.StringIO()
-        Console(file=text, width=200).print(picture_of(swarm))
-    rows = [line.split() for line in text.getvalue().splitlines()]
-    assert [row for row in rows if row and row[0] == "other"] == [["other", "77", "0.7500", "0.2500", "12"]]
-    assert len([row for row in rows if row and row[0].rstrip("*").isdigit()]) == 5
+        Console(file=text, width=100, height=30).print(SwarmPicture(swarm, Watch(), None, 1.0))
+    assert "other robot 77: b_hat 0.7500, x 0.2500, 12 updates" in text.getvalue()
 
 
 def test_estimates_do_not_use_the_subject_of_telemetry() -> None:
@@ -518,11 +518,16 @@ def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
     assert results["updates"] == sum(node.robot.counters.updates for node in outcome.nodes)
 
 
-def test_a_summary_names_the_seed_and_no_live_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_summary_names_the_seed_and_what_is_piped_has_fields(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line each, however long, so that cut and grep find what they look for."""
     assert swarm_command(*SMALL, "--seed", "42") == 0
-    shown = capsys.readouterr().out
-    assert "--seed 42" in " ".join(shown.split())
-    assert "heard" not in shown  # a heading of the live table
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
+    assert rows[-1][0] == "parameters"
+    assert "--seed 42" in rows[-1][1]
+    names = [name for name, *_ in rows]
+    assert names[-7:-1] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    assert set(names[:-8]) <= {"step", "robot"}
+    assert [row[1] for row in rows if row[0] == "step"][-1] == "30"
 
 
 def test_quiet_prints_one_line_with_the_seed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -530,24 +535,6 @@ def test_quiet_prints_one_line_with_the_seed(capsys: pytest.CaptureFixture[str])
     shown = capsys.readouterr().out
     assert shown.startswith("seed 42: ")
     assert shown.count("\n") == 1
-
-
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_the_live_table_is_for_terminals(is_terminal: bool) -> None:
-    screen = io.StringIO()
-    console = Console(file=screen, force_terminal=is_terminal, width=120, color_system=None)
-    with LiveTable(console) as table:
-        outcome, _ = record(small(), [table])
-    if not is_terminal:
-        assert screen.getvalue() == ""
-        return
-    last = screen.getvalue().split("tick 60 of 60")[-1]
-    rows = [line.split() for line in last.splitlines()[3:8]]
-    for row, node in zip(rows, outcome.nodes, strict=True):
-        assert row[0] == f"{node.id}*" if outcome.settings.is_flawed(node.id) else f"{node.id}"
-        assert row[1] == "60"
-        assert row[3:5] == [f"{node.robot.b_hat:.4f}", f"{node.robot.x_hat:.4f}"]
-        assert row[7:] == ["4", str(node.robot.counters.updates), "0"]
 
 
 BAD = {
@@ -664,9 +651,12 @@ def test_wall_clock_time_stamps_can_be_had(tmp_path: Path) -> None:
 # Ends
 
 
-def press_ctrl_c(swarm: Swarm) -> None:
-    if swarm.ticks == 7:
-        os.kill(os.getpid(), signal.SIGINT)
+def sending(number: signal.Signals) -> Callable[[Swarm], None]:
+    def hook(swarm: Swarm) -> None:
+        if swarm.ticks == 7:
+            os.kill(os.getpid(), number)
+
+    return hook
 
 
 def raise_interrupt(swarm: Swarm) -> None:
@@ -674,18 +664,28 @@ def raise_interrupt(swarm: Swarm) -> None:
         raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("interrupt", [press_ctrl_c, raise_interrupt])
+@pytest.mark.parametrize(
+    ("interrupt", "code"),
+    [
+        (sending(signal.SIGINT), 130),
+        (sending(signal.SIGTERM), 143),
+        (sending(signal.SIGHUP), 129),
+        (raise_interrupt, 130),
+    ],
+    ids=["ctrl-c", "kill", "hang-up", "hook"],
+)
 @interruptible()
-def test_ctrl_c_saves_what_is_done(
+def test_a_signal_saves_what_is_done(
     interrupt: Callable[[Swarm], None],
+    code: int,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(LiveTable, "__call__", lambda self, swarm: interrupt(swarm))
+    monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt(swarm))
     handler = signal.getsignal(signal.SIGINT)
     log, plot = tmp_path / "run.log", tmp_path / "run.png"
-    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == 130
+    assert swarm_command(*SMALL, "--json", "--log", str(log), "--plot", str(plot)) == code
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
@@ -721,16 +721,18 @@ def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
 
 
-def test_a_crash_leaves_no_half_of_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def crash(self: LiveTable, swarm: Swarm) -> None:
+def test_a_crash_leaves_what_was_and_a_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def crash(self: LiveView, swarm: Swarm) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(LiveTable, "__call__", crash)
+    monkeypatch.setattr(LiveView, "__call__", crash)
     (tmp_path / "run.log").write_text("the log of yesterday")
     with suppress(ZeroDivisionError):
         swarm_command(*SMALL, "--log", str(tmp_path / "run.log"), "--plot", str(tmp_path / "run.png"))
-    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
+    names = {"run.log", "run.log.part", "run.log.events.part"}
+    assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "run.log").read_text() == "the log of yesterday"
+    assert len(list(read_log(tmp_path / "run.log.part"))) == 4 * 2
 
 
 @pytest.mark.parametrize(
@@ -752,7 +754,11 @@ def test_what_cannot_be_written_is_told_before_the_first_tick(
 
 @pytest.mark.parametrize(
     ("lost", "kept"),
-    [("run.log", set()), ("run.log.events", set()), ("run.log.json", {"run.log", "run.log.events"})],
+    [
+        ("run.log", {"run.log.part", "run.log.events.part", "run.log.json"}),
+        ("run.log.events", {"run.log.part", "run.log.events.part", "run.log.json"}),
+        ("run.log.json", {"run.log", "run.log.events"}),
+    ],
 )
 def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     lost: str,
@@ -761,10 +767,10 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    def obstruct(self: LiveTable, swarm: Swarm) -> None:
+    def obstruct(self: LiveView, swarm: Swarm) -> None:
         (tmp_path / lost).mkdir(exist_ok=True)
 
-    monkeypatch.setattr(LiveTable, "__call__", obstruct)
+    monkeypatch.setattr(LiveView, "__call__", obstruct)
     assert swarm_command(*SMALL, "--quiet", "--log", f"{tmp_path}/run.log") == 2
     out, err = capsys.readouterr()
     assert out.startswith("seed 1: 4 robots, 30 steps")
@@ -774,21 +780,27 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".txt", ".log.gz"])
 @pytest.mark.parametrize("bytes_left", [0, 3000, 9000, 20_000])
-def test_a_full_disk_is_told_and_leaves_nothing(suffix: str, bytes_left: int, tmp_path: Path) -> None:
+def test_a_full_disk_costs_the_log_but_not_the_run(suffix: str, bytes_left: int, tmp_path: Path) -> None:
     """Full at once, during the run, or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    options = ("--steps", "100", "--quiet", "--log", str(tmp_path / f"run{suffix}"))
-    errors = io.StringIO()  # pytest captures in files, which are limited, too
-    with redirect_stdout(errors), redirect_stderr(errors):
+    log, part = tmp_path / f"run{suffix}", tmp_path / f"run{suffix}.part"
+    options = ("--steps", "100", "--quiet", "--log", str(log))
+    said = io.StringIO()  # pytest captures in files, which are limited, too
+    with redirect_stdout(said), redirect_stderr(said):
         resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, before[1]))
         try:
             code = swarm_command(*SMALL, *options)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert code == 2
-    assert f"error: cannot write {tmp_path}/run{suffix}" in errors.getvalue()
-    assert "File too large" in errors.getvalue()
-    assert list(tmp_path.iterdir()) == []
+    told = f"mcp-asdf swarm: the log {log} is not complete: File too large; what there is is in {part}\n"
+    assert said.getvalue().count(told) == 1
+    assert "seed 1: 4 robots, 100 steps" in said.getvalue()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names - {f"{log.name}.json"} == {part.name, f"{log.name}.events.part"}
+    assert (f"error: cannot write {log}.json" in said.getvalue()) == (f"{log.name}.json" not in names)
+    if suffix != ".txt" and bytes_left == 20_000:
+        assert main(["replay", str(part)]) == 0
 
 
 @pytest.mark.parametrize("output", ["--quiet", "--json"])

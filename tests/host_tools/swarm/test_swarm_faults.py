@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from can.interfaces import virtual
 from hypothesis import given
@@ -24,19 +25,19 @@ from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.common.files import FileSet
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
 from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.faults import parse_fault
 from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
 from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import load_warning, summary_table
+from mcp_asdf_tools.swarm.summary import load_warning, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.arenas import make_arena
 from multicast import multicast
+from sidecars import sidecar_in
 from support import slow
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
@@ -298,7 +299,7 @@ def test_an_id_conflict_is_reported_and_the_first_message_counts() -> None:
     # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
     assert figures(run)["refused"] == 60 + 3 * 60
     text = io.StringIO()
-    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(summary(run, "virtual", 1.0)))
     assert "another node sent 60 messages as robot 2" in text.getvalue()
 
 
@@ -324,7 +325,7 @@ def test_what_each_robot_rejected_is_in_the_summary() -> None:
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     text = io.StringIO()
-    Console(file=text, width=200).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=200).print(summary_table(summary(run, "virtual", 1.0)))
     lines = text.getvalue().splitlines()
     row = next(line for line in lines if line.startswith(" robot 3"))
     for reason, count in rows[3]["rejected"].items():
@@ -402,6 +403,17 @@ def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
     assert (results["spread_x"] == 0) == (rate == 0)
 
 
+@pytest.mark.parametrize("fault", ["crash=0.1,ticks=3", "busoff=0.1,ticks=3"])
+def test_with_latency_a_node_is_off_when_the_frame_comes(fault: str) -> None:
+    settings = make(f"{fault},robots=1", robots=3, topology="dynamic", density=9.0, latency=1)
+    for medium in ("no bus", "one bus", "a bus for each"):
+        run, _ = record(settings, medium)
+        spells = run.results["faults"][0]["injected"]
+        assert spells > 0
+        # Lost is what others said a step before each step of a spell.
+        assert run.nodes[1].reception.delivered == 2 * (settings.steps - 1 - spells)
+
+
 # Who is in range
 
 
@@ -448,7 +460,7 @@ def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
     text = io.StringIO()
-    Console(file=text, width=250).print(summary_table(run, "virtual", 1.0))
+    Console(file=text, width=250).print(summary_table(summary(run, "virtual", 1.0)))
     assert re.search(r"ticks began .* ms late on average.*drift", text.getvalue())
 
 
@@ -526,8 +538,7 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
     path = tmp_path / "run.events"
     header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.parameters())
     with (
-        FileSet() as files,
-        SidecarWriter(path, header, files) as sidecar,
+        sidecar_in(path, header) as sidecar,
         Swarm(settings, Wiring(one_bus), sidecar=sidecar) as swarm,
     ):
         run = run_swarm(swarm)
@@ -543,7 +554,7 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
         elif isinstance(event, int):
             robots[robot].observe((Observation.WHITE, Observation.BLACK, None)[event])
         elif isinstance(event, list) and len(event) == 3:
-            robots[robot].port.receive_raw(*event)
+            robots[robot].receive_all(np.array([event], np.uint32))
     assert [robot.robot.state() for robot in robots.values()] == states(run)
 
 
@@ -568,8 +579,7 @@ def test_a_replay_finds_every_fault_that_the_sidecar_tells(
     header = SidecarHeader(settings.records(), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
-        FileSet() as files,
-        SidecarWriter(path, header, files) as sidecar,
+        sidecar_in(path, header) as sidecar,
         Swarm(settings, Wiring(one_bus), frames.append, sidecar) as swarm,
     ):
         run_swarm(swarm)

@@ -45,7 +45,7 @@ from mcp_asdf_tools.tables.thresholds import (
     parse_omega,
     worst_threshold_error,
 )
-from support import slow
+from support import draws, slow
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = [("0.05", 127), ("0.1", 127), ("0.15", 127), ("0.2", 127), ("0.25", 127), ("0.05", 30)]
@@ -111,7 +111,7 @@ def gauss(t: Decimal) -> Decimal:
 
 
 def is_rounded(entry: int, m: int, omega: Decimal, probability: Callable[[Decimal], Decimal]) -> bool:
-    """Whether ``entry`` is k_m in units of 2**-26 to nearest; ``probability`` is that of (-t, t)."""
+    """True if ``entry`` is k_m in units of 2**-26 to nearest; ``probability`` is that of (-t, t)."""
 
     def side(halves: int) -> Decimal:
         k = Decimal(halves) / 2**27
@@ -217,7 +217,7 @@ def table_omega(table: Table) -> Decimal:
 def test_a_value_beside_a_tie_is_computed_to_more_digits(
     monkeypatch: pytest.MonkeyPatch, sign: str, up: int
 ) -> None:
-    """40 digits put the value on the wrong side of the tie, 80 still too close, 160 tell."""
+    """40 digits put the value on the wrong side of the tie, 80 still too close, 160 decide."""
     table = generate(Decimal("0.05"), 3)
     opposite = "" if sign else "-"
     offsets = {40: f"{opposite}1e-25", 80: f"{opposite}1e-62", 160: f"{sign}1e-70"}
@@ -854,16 +854,17 @@ def test_uf2_is_not_searched(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "is in UF2" in capsys.readouterr().err
 
 
+@pytest.mark.random
 def test_a_damaged_elf_never_ends_in_a_traceback(tmp_path: Path) -> None:
     """Cut anywhere it holds no sound table; with headers overwritten it may, but reading it ends cleanly."""
     whole = compile_c(ROOT / "tables" / "t_table_omega05_q30.c", tmp_path / "table.o")
     path = tmp_path / "damaged.elf"
     source = random.Random(6)
-    for length in source.sample(range(4, len(whole)), 150):
+    for length in source.sample(range(4, len(whole)), draws(150)):
         path.write_bytes(whole[:length])
         assert run_table("--verify", path) in (1, 2), f"cut to {length}"
     headers = [*range(4, 64), *range(len(whole) - 64 * 12, len(whole))]
-    for _ in range(1000):
+    for _ in range(draws(1000)):
         damaged = bytearray(whole)
         for place in source.sample(headers, 3):
             damaged[place] = source.choice([0xFF, source.randrange(256)])

@@ -32,7 +32,7 @@ SHORT = Experiment(
 )
 LATE = replace(SHORT, latency=1)
 PAIR = replace(SHORT, robots=2, flawed=1, width=2.0, height=1.5, density=1.0, radio_range=10.0)
-"""Two robots that hear each other in every step: nobody stands between them."""
+"""Two robots that hear each other in every step: no other robot stands between them."""
 
 
 # --- Settings --------------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def test_a_trial_does_not_depend_on_the_others() -> None:
 
 
 def test_an_arena_without_room_says_so() -> None:
-    """A corridor that is hardly wider than a robot: its area would do, but nobody can pass."""
+    """A corridor that is hardly wider than a robot: its area is enough, but no robot can pass."""
     corridor = replace(SHORT, robots=128, flawed=0, width=20.0, height=0.25, density=1.0, steps=1)
     with pytest.raises(UsageError, match="found no room"):
         run_trials(corridor, 0, 1)

@@ -74,7 +74,7 @@ class EngineResults:
 
 
 def can_run(experiment: Experiment) -> bool:
-    """Whether the engine has all that an experiment asks for; other trials run message by message."""
+    """True if the engine has all that an experiment asks for; other trials run message by message."""
     if experiment.firmware != "native":
         return False
     if experiment.topology is Topology.DYNAMIC:

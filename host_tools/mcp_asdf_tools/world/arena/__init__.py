@@ -201,6 +201,14 @@ class Arena:
             raise UsageError(f"({x}, {y}) is outside the arena, whose middle is (0, 0)")
         return bool(_arena.lib.mcp_asdf_arena_is_black(self._arena, x, y))
 
+    def pixels(self, columns: int, rows: int) -> NDArray[np.bool_]:
+        """The floor as a picture: True where it is black, the first row in the north. O(pixels)."""
+        is_black, arena = _arena.lib.mcp_asdf_arena_is_black, self._arena
+        across = (np.arange(columns) + 0.5) / columns - 0.5
+        down = 0.5 - (np.arange(rows) + 0.5) / rows
+        xs, ys = (self.settings.width * across).tolist(), (self.settings.height * down).tolist()
+        return np.array([[is_black(arena, x, y) for x in xs] for y in ys], np.bool_)
+
     def step(self, ticks: int = 1) -> None:
         """Let time pass. Raises UsageError if ``ticks`` is not in 0 .. MAX_TICKS. O(ticks robots)."""
         self._run(ticks, {})

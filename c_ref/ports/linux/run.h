@@ -1,0 +1,42 @@
+/* A run of the program: its robots, their bus, their observations. */
+#ifndef MCP_ASDF_LINUX_RUN_H
+#define MCP_ASDF_LINUX_RUN_H
+
+#include "bus.h"
+#include "conflicts.h"
+#include "options.h"
+#include "source.h"
+#include "ticker.h"
+
+#include <signal.h>
+
+#define MOST_ROBOTS (MCP_ASDF_MAX_ID + 1)
+
+typedef struct run run_t;
+
+/*   seen   ticks whose end note_progress() has seen */
+typedef struct {
+    run_t *run;
+    node_settings_t settings;
+    node_t node;
+    uint32_t seen;
+} member_t;
+
+struct run {
+    options_t options;
+    member_t members[MOST_ROBOTS]; /* those of options.robots, by rising id */
+    bus_t bus;
+    source_t source;
+    conflicts_t conflicts;
+    ticker_t clock, reopening;
+    sigset_t when_waiting; /* signals blocked then */
+    const char *ended;     /* why, or NULL */
+    int save_error;        /* the last one, as an errno */
+    int status;
+};
+
+/* Make the robots and join the bus, as run->options have it. Ends the program with EXIT_USAGE and a message
+ * that names the value and the fix if something is wrong. */
+void run_set_up(run_t *run);
+
+#endif

@@ -1,0 +1,27 @@
+"""Recordings that commands make: one line if something goes wrong with them, and the exit code for that."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from mcp_asdf_tools.bus import BusChoice
+from mcp_asdf_tools.recording import NoRecording, Recording, SidecarHeader, recording_to
+
+_FAILED, _NOT_WRITTEN = 1, 2
+
+
+def recording_for(
+    command: str, path: Path | None, header: SidecarHeader | None, choice: BusChoice
+) -> Recording | NoRecording:
+    """The recording of a command on a bus; what goes wrong is on standard error at once."""
+
+    def warn(text: str) -> None:
+        print(f"mcp-asdf {command}: {text}", file=sys.stderr)
+
+    return recording_to(path, header, warn, choice.channel or choice.interface)
+
+
+def exit_code(recording: Recording | NoRecording, code: int) -> int:
+    """The exit code of a command that would end with ``code`` if its recording were complete."""
+    return code if recording.failure is None or code == _FAILED else _NOT_WRITTEN

@@ -1,0 +1,195 @@
+"""``mcp-asdf view``: see a run in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import can
+
+from mcp_asdf_tools.bus import FrameFormat, interfaces
+from mcp_asdf_tools.common import UsageError, check_target, stopping, write_atomically
+from mcp_asdf_tools.robots import Decoder
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments import Trials
+    from mcp_asdf_tools.view import Film
+
+EPILOG = """\
+examples:
+  mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
+  mcp-asdf view grid.parquet --where filter=none --trial 3
+  mcp-asdf view run.log                             # a log of swarm or node, with run.log.events beside it
+  mcp-asdf view run.log --export run.html           # one file that needs nothing else
+  mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
+  mcp-asdf swarm --view                             # a swarm as it runs
+The page is for browsers of this computer alone; Ctrl-C ends it. A recording need not hold positions and
+floor: they follow from its seed and parameters. A server needs the extra: pip install 'mcp-asdf[view]'.
+exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
+
+_NAP = 0.2
+_RESULTS = (".parquet", ".pq")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, nargs="?", help="results (.parquet) or a log; without one, a bus"
+    )
+    recording = parser.add_argument_group("recordings")
+    recording.add_argument(
+        "--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)"
+    )
+    recording.add_argument(
+        "--where",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="choose the experiment with this parameter; repeatable",
+    )
+    recording.add_argument(
+        "--events", metavar="FILE", type=Path, help="what happened to the robots (default: LOG.events)"
+    )
+    recording.add_argument("--export", metavar="FILE", type=Path, help="write the page as one file: .html")
+    truth = parser.add_argument_group("truth of a bus, drawn if known")
+    truth.add_argument("--fill-ratio", metavar="F", type=float, help="f, share of black tiles")
+    truth.add_argument("--true-accuracy", metavar="B", type=float, help="b of every sensor")
+    add_server_options(parser)
+    parser.add_argument(
+        "--subject", type=int, default=FrameFormat().subject, help="of estimates (default %(default)s)"
+    )
+    interfaces.add_arguments(parser)
+
+
+def add_server_options(parser: argparse._ActionsContainer) -> None:
+    """Options of everything that serves a page."""
+    parser.add_argument(
+        "--port", type=int, default=0, help="TCP port of the page (default: any that is free)"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the recording or the bus, or write the page."""
+    if args.file is None:
+        return _watch(args)
+    if args.export is not None and args.export.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"cannot export to {args.export.name}: choose a name that ends in .html")
+    if args.export is not None:
+        check_target(args.export)
+    film = _film_of(args)
+    return _serve(args, film) if args.export is None else _export(args, film)
+
+
+def _film_of(args: argparse.Namespace) -> Film:
+    from mcp_asdf_tools.view import film_of_log, film_of_trial  # noqa: PLC0415 (loads slowly)
+
+    if args.file.suffix.lower() in _RESULTS:
+        return film_of_trial(_chosen(args), args.trial)
+    if args.trial or args.where:
+        raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
+    if not args.file.exists():
+        raise UsageError(f"there is no log {args.file}; give one that swarm --log or node --log wrote")
+    return film_of_log(args.file, args.events)
+
+
+def _chosen(args: argparse.Namespace) -> Trials:
+    """The experiment that the options choose. Raises UsageError unless it is one."""
+    from mcp_asdf_tools.experiments import experiments_in, read_table  # noqa: PLC0415 (loads slowly)
+
+    found = experiments_in(read_table(args.file))
+    for condition in args.where:
+        name, _, value = condition.partition("=")
+        if found and name not in found[0].experiment.parameters():
+            raise UsageError(f"--where {condition!r} names no parameter; write it as filter=none")
+        found = [each for each in found if str(each.experiment.parameters()[name]) == value]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise UsageError(f"no experiment of {args.file} has {' and '.join(args.where)}")
+    choices = _differing(found)
+    raise UsageError(f"{len(found)} experiments of {args.file} match; choose one with --where {choices}")
+
+
+def _differing(found: list[Trials]) -> str:
+    """The parameters in which experiments differ, with their values."""
+    parameters = [each.experiment.parameters() for each in found]
+    values = {name: sorted({str(each[name]) for each in parameters}) for name in parameters[0]}
+    return ", ".join(f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)
+
+
+def _export(args: argparse.Namespace, film: Film) -> int:
+    from mcp_asdf_tools.view import page  # noqa: PLC0415 (loads slowly)
+
+    content = page(film).encode()
+    write_atomically(args.export, content)
+    report = {"export": str(args.export), "bytes": len(content), "samples": len(film.samples.ticks)}
+    print(json.dumps(report) if args.json else args.export)
+    return 0
+
+
+def _serve(args: argparse.Namespace, film: Film) -> int:
+    """Serve a film until Ctrl-C."""
+    from mcp_asdf_tools.view import LiveFilm, serving  # noqa: PLC0415 (loads slowly)
+
+    with stopping() as should_stop, serving(LiveFilm.of(film), args.port) as url:
+        announce(args, url)
+        wait(should_stop)
+    return 0
+
+
+def announce(args: argparse.Namespace, url: str) -> None:
+    """Print the address of the page, and open it where there is a screen."""
+    if args.json:
+        print(json.dumps({"url": url}), flush=True)
+    else:
+        print(f"the page is at {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+    displays = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))
+    has_screen = sys.platform in ("darwin", "win32") or any(displays)
+    if has_screen and sys.stderr.isatty() and not args.no_browser:
+        webbrowser.open(url)
+
+
+def wait(should_stop: Callable[[], bool]) -> None:
+    """Return when asked to stop."""
+    while not should_stop():
+        time.sleep(_NAP)
+
+
+def _watch(args: argparse.Namespace) -> int:
+    """Show a bus as it goes."""
+    from mcp_asdf_tools.view import BusFilm, serving  # noqa: PLC0415 (loads slowly)
+
+    choice = interfaces.choose_bus(args)
+    if choice.interface == interfaces.DEFAULT_INTERFACE:
+        raise UsageError(
+            "give a recording, or with --interface the bus of robots elsewhere: the bus "
+            f"{choice} is inside this process, where nothing else is (mcp-asdf swarm --view shows a swarm)"
+        )
+    for option in ("export", "where", "trial", "events"):
+        if getattr(args, option):
+            raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
+    try:
+        decoder = Decoder(FrameFormat(args.subject))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    try:
+        with choice.open() as bus, stopping() as should_stop:
+            watch = BusFilm(bus, decoder, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
+            with serving(watch.film, args.port) as url:
+                announce(args, url)
+                watch.record(should_stop)
+    except can.CanError as error:
+        print(f"mcp-asdf view: the bus failed: {error}", file=sys.stderr)
+        return 1
+    if not watch.has_telemetry:
+        hint = "no robot sent telemetry, which has x and b_hat: see --telemetry-period of swarm and node"
+        print(f"mcp-asdf view: {hint}", file=sys.stderr)
+    return 0

@@ -1,0 +1,168 @@
+"""A score or measure over any parameter that was varied, as curves with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common import COLOURS, UsageError, clean, empty_figure
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
+
+LETTERS = {
+    "f": "fill_ratio",
+    "b": "true_accuracy",
+    "b_hat": "flawed_accuracy",
+    "P": "flawed",
+    "N": "robots",
+    "D": "density",
+    "tau": "filter_period",
+}
+"""The paper's letters of parameters."""
+
+_LABELS = {
+    "fill_ratio": "fill ratio $f$",
+    "true_accuracy": "true accuracy $b$",
+    "flawed_accuracy": r"flawed assumed accuracy $\hat{b}$",
+    "flawed": "flawed robots $P$",
+    "robots": "robots $N$",
+    "density": "swarm density $D$",
+    "filter_period": r"filtering period $\tau$, steps",
+    "omega": r"type II error probability $\omega$",
+}
+
+MEASURES: dict[str, Callable[[Trials, LimitsOf], NDArray[np.float64]]] = {
+    "H": lambda trials, limits: trials.scores(limits).h,
+    "h_K": lambda trials, limits: trials.scores(limits).h_k,
+    "h_e": lambda trials, limits: trials.scores(limits).h_e,
+    "K": lambda trials, limits: trials.convergence_steps.mean(axis=1),
+    "e": lambda trials, limits: trials.errors.mean(axis=1),
+}
+"""A value for each trial; K and e are means over the robots."""
+
+_PANELS = ("fill_ratio", "true_accuracy")
+_WIDE = 30
+"""Ratio of an axis' ends from which it is logarithmic."""
+_MOST_PANELS = 16
+_CONFIDENCE = 0.95
+
+
+def curve(
+    experiments: Sequence[Trials], x: str, hue: str = "", y: str = "H", limits: LimitsOf = paper_limits
+) -> Figure:
+    """The median of ``y`` over the parameter ``x`` with its 95 % interval: a curve for each value of the
+    parameter ``hue``, a panel for each f and b.
+
+    Parameters have their names or the paper's letters; P is a share. Raises UsageError for unknown ones, and
+    if the experiments differ in any other.
+    """
+    x, hue = (LETTERS.get(name, name) for name in (x, hue))
+    _check(experiments, x, hue, y)
+    panels = sorted({_panel(trials, x, hue) for trials in experiments})
+    if len(panels) > _MOST_PANELS:
+        raise UsageError(
+            f"{len(panels)} values of f and b do not fit a picture; choose at most {_MOST_PANELS}"
+        )
+    hues = sorted({value_of(trials.experiment, hue) for trials in experiments}) if hue else [None]
+    if len(hues) > len(COLOURS):
+        raise UsageError(f"{len(hues)} values of {hue} do not fit a picture; choose at most {len(COLOURS)}")
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    figure = empty_figure(1.0 + 4.0 * columns, 1.0 + 3.0 * rows)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        own = [trials for trials in experiments if _panel(trials, x, hue) == panel]
+        for colour, chosen in zip(COLOURS, hues, strict=False):
+            shown = [each for each in own if hue == "" or value_of(each.experiment, hue) == chosen]
+            points = {value_of(each.experiment, x): MEASURES[y](each, limits) for each in shown}
+            _draw(axes, points, colour, f"{_label(hue)} = {_word(hue, chosen)}" if hue else "")
+        axes.set_title(", ".join(f"${LETTER_OF[name]} = {value:g}$" for name, value in panel), fontsize=10)
+        clean(axes)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    _scale(grid.flat[0], x, [value_of(trials.experiment, x) for trials in experiments])
+    figure.supxlabel(_label(x), fontsize=10)
+    figure.supylabel(f"${y}$", fontsize=10)
+    if hue:
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+LETTER_OF = {name: letter for letter, name in LETTERS.items()}
+
+Panel = tuple[tuple[str, float], ...]
+
+
+def _panel(trials: Trials, x: str, hue: str) -> Panel:
+    return tuple((name, getattr(trials.experiment, name)) for name in _PANELS if name not in (x, hue))
+
+
+def value_of(experiment: Experiment, name: str) -> Any:
+    """A parameter's value for an axis: P as a share, words for choices."""
+    if name == "flawed":
+        return experiment.flawed / experiment.robots
+    return experiment.parameters()[name]
+
+
+def _check(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None:
+    known = experiments[0].experiment.parameters()
+    for option, name in (("--x", x), ("--hue", hue)):
+        if name not in known and (option, name) != ("--hue", ""):
+            raise UsageError(f"{option} is {name!r}; choose a parameter, such as {', '.join(_LABELS)}")
+    if y not in MEASURES:
+        raise UsageError(f"--y is {y!r}; choose one of {', '.join(MEASURES)}")
+    meant = {x, hue, *_PANELS, "trials"} | ({"flawed"} if "robots" in (x, hue) else set())
+    others = [
+        name
+        for name in known
+        if name not in meant and len({value_of(trials.experiment, name) for trials in experiments}) > 1
+    ]
+    if others:
+        message = f"the results differ in {', '.join(others)} too"
+        raise UsageError(
+            f"{message}; draw those of a file in which they do not, or name one with --x or --hue"
+        )
+
+
+def _draw(axes: Axes, points: dict[Any, NDArray[np.float64]], colour: str, label: str) -> None:
+    values = sorted(points)
+    summaries = np.array([median_interval(points[value]) for value in values]).reshape(-1, 3).T
+    places = values if all(isinstance(value, int | float) for value in values) else [str(v) for v in values]
+    axes.fill_between(places, summaries[1], summaries[2], color=colour, alpha=0.2, linewidth=0)
+    axes.plot(places, summaries[0], "o-", color=colour, markersize=3.5, linewidth=1.4, label=label)
+
+
+def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The median and its 95 % interval from order statistics, exact for any distribution; of fewer than six
+    trials, their extremes."""
+    from scipy.stats import binom  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+
+    ordered = np.sort(sample)
+    beyond = max(1, int(binom.ppf((1 - _CONFIDENCE) / 2, len(sample), 0.5)))
+    return float(np.median(sample)), float(ordered[beyond - 1]), float(ordered[-beyond])
+
+
+def _label(name: str) -> str:
+    return _LABELS.get(name, name.replace("_", " "))
+
+
+def _word(name: str, value: Any) -> str:
+    if name == "flawed":
+        return f"{value:.0%}"
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _scale(axes: Axes, x: str, values: Sequence[Any]) -> None:
+    """Logarithmic if the values are far apart, percent for P."""
+    numbers = [value for value in values if isinstance(value, int | float)]
+    if numbers and min(numbers) > 0 and max(numbers) / min(numbers) >= _WIDE:
+        axes.set_xscale("log")
+    if x == "flawed":
+        axes.xaxis.set_major_formatter(lambda value, place: f"{value:.0%}")

@@ -1,0 +1,94 @@
+"""Phases of a verification, in their order: each adds one thing, so that the first difference tells which.
+
+The first ones are made for the purpose, round by round; the last ones let faults strike among emulated
+neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mcp_asdf_tools.radio import filter_phases as filtering
+from mcp_asdf_tools.radio import protocol_phases as protocol
+from mcp_asdf_tools.radio.coverage import filters, is_adaptive, is_halved, is_in_reach
+from mcp_asdf_tools.radio.stage import Stage
+from mcp_asdf_tools.robots import TickConfig
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Ticks with one purpose.
+
+    Attributes:
+        name: Name in reports.
+        play: The phase if it is made for its purpose; None if it takes place among emulated neighbours.
+        fault: Faults among these in the texts of ``parse_fault``, separated by spaces, with {me} for the
+            controller's id, {them} for all neighbours and {one} for one of them.
+        applies: Whether it has a meaning for a controller with this configuration.
+        tests: Tests of the filter that it waits for.
+    """
+
+    name: str
+    play: Callable[[Stage], None] | None = None
+    fault: str = ""
+    applies: Callable[[TickConfig], bool] = lambda config: True
+    tests: int = 0
+
+
+def _tests(config: TickConfig) -> bool:
+    return is_adaptive(config) and is_in_reach(config)
+
+
+def _re_estimates(config: TickConfig) -> bool:
+    return filters(config) and is_in_reach(config)
+
+
+PHASES: tuple[Phase, ...] = (
+    Phase("alone", protocol.alone),
+    Phase("messages and silence", protocol.messages_and_silence),
+    Phase("lost commands", protocol.lost_settles),
+    Phase("stray commands", protocol.stray),
+    Phase("heartbeats", protocol.heartbeats),
+    Phase("every sender", protocol.every_sender),
+    Phase("alike ids", protocol.alike_ids),
+    Phase("growing rounds", protocol.growing_rounds),
+    Phase("between ticks", protocol.between_ticks),
+    Phase("extreme messages", protocol.extremes),
+    Phase("same sender", protocol.same_sender),
+    Phase("its own id", protocol.own_id),
+    Phase("invalid frames", protocol.invalid),
+    Phase("no filter", filtering.quiet, applies=lambda config: not filters(config)),
+    Phase("no information", filtering.no_information, applies=_re_estimates, tests=1),
+    Phase("rounds without a test", filtering.no_test, applies=_re_estimates, tests=1),
+    *(
+        Phase(f"threshold of {m} messages", play, applies=_tests, tests=2)
+        for m, play in filtering.THRESHOLDS.items()
+    ),
+    Phase("own estimate", filtering.own_estimate, applies=_tests, tests=1),
+    Phase("re-estimates", filtering.updates, applies=_re_estimates, tests=2),
+    Phase("halvings", filtering.halvings, applies=is_halved),
+    Phase("long run", filtering.long_run, applies=lambda config: not is_halved(config)),
+    Phase("among neighbours"),
+    Phase("loss", fault="loss=0.5,receivers={me}"),
+    Phase("burst loss", fault="burst=0.5,length=5,receivers={me}"),
+    Phase("delay", fault="delay=0.5,ticks=3,receivers={me}"),
+    Phase("repeated messages", fault="duplicate=0.7,ticks=0,receivers={me}"),
+    Phase("reordered messages", fault="reorder=1,receivers={me}"),
+    Phase("corrupted bits", fault="corrupt=0.5,bits=3,receivers={me}"),
+    # In random order, so that a controller that is deaf after a flood misses something.
+    Phase("flood", fault="babble=1,frames=10,robots={them} reorder=1,receivers={me}"),
+    Phase("crash and rejoin", fault="crash=0.2,ticks=5,robots={them}"),
+    Phase("frozen neighbours", fault="freeze=0.8,robots={them}"),
+    Phase("liar", fault="liar=1,x=1,alpha=1e38,robots={one}"),
+    Phase("node-id conflict", fault="collide=0.5,id={me},robots={them}"),
+    Phase("bus-off", fault="busoff=0.2,ticks=5,robots={them}"),
+    Phase("full send queues", fault="queue=0.5,frames=0,robots={them}"),
+)
+
+
+def among_neighbours(stage: Stage) -> None:
+    """A tick in which emulated neighbours hear the controller, and it hears them."""
+    stage.observe(stage.neighbours.begin())
+    stage.send(stage.neighbours.finish(stage.said_in_tick()))
+    stage.settle()

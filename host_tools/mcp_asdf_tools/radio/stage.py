@@ -1,0 +1,247 @@
+"""Controller and model side by side on one bus: what a phase can let happen to both.
+
+The controller is driven in lockstep by command frames; the model is given the very frames that go over the
+bus. Whenever a tick is settled, all frames that the two have sent since are compared.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import can
+
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus import TRANSFER_IDS, Message, encode
+from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
+from mcp_asdf_tools.radio.coverage import FULL_ROUND, has_quiet_rounds, is_adaptive
+from mcp_asdf_tools.radio.crafted_rounds import Content, Situation
+from mcp_asdf_tools.radio.model import Model
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
+from mcp_asdf_tools.radio.strangers import Strangers
+from mcp_asdf_tools.robots import Lockstep, LockstepSettings, Recorder, send_all
+
+SEND_TIMEOUT = 2.0
+BURST = 16
+"""Ticks of which only the last is settled, where many pass in a row: so many commands must a controller be
+able to take at the bus's own speed."""
+_AFTERMATH = 0.1
+"""Seconds to listen after the last answer."""
+
+
+class Differs(Exception):  # noqa: N818 (an outcome, no error)
+    """The controller differs from the model."""
+
+    def __init__(self, symptom: Symptom) -> None:
+        super().__init__(symptom.text)
+        self.symptom = symptom
+
+
+@dataclass
+class ControllerBench:
+    """Test bench of a controller.
+
+    Attributes:
+        bus: Connection to the controller.
+        ticks: Ticks of a phase among emulated neighbours.
+        timeout: Seconds that the controller has to answer.
+        wait: Seconds to wait for the heartbeat with which it starts; None to begin at once.
+        recorder: Takes the controller's events; None if they are not recorded.
+        log: Takes all frames, sent and heard.
+        progress: Called after each settled tick with the number of ticks done.
+        should_stop: Checked before each tick.
+    """
+
+    bus: can.BusABC
+    ticks: int
+    timeout: float
+    wait: float | None = None
+    recorder: Recorder | None = None
+    log: Callable[[can.Message], None] = lambda frame: None
+    progress: Callable[[int], None] = lambda ticks: None
+    should_stop: Callable[[], bool] = lambda: False
+
+
+class Stage:
+    """A controller that has just started, and its model.
+
+    Attributes:
+        settings: The surroundings.
+        bench: The test bench.
+        model: The model.
+        neighbours: Emulated robots around the controller, for phases that want them.
+        draw: Random numbers, the same in every run with this seed.
+        doing: What is done at present, in words.
+        place: Number of the last tick that was settled or is to be.
+        frames: Frames sent to the controller besides commands.
+        strangers: Nodes that have no part in this.
+        comparison: The frames compared so far.
+    """
+
+    def __init__(self, settings: RadioSettings, bench: ControllerBench) -> None:
+        self.settings = settings
+        self.bench = bench
+        self.model = Model(settings, bench.recorder)
+        self.neighbours = Neighbourhood(settings)
+        self.draw = random.Random(settings.swarm.seed)
+        self.doing = ""
+        self.place = self.frames = 0
+        self.strangers = Strangers(settings.controller.id, settings.subjects)
+        (greeting,) = self.model.start()
+        self.comparison = Comparison(settings.subjects, greeting, self.model.coverage.equal)
+        self._id = settings.controller.id
+        subjects = settings.subjects
+        self.lockstep = Lockstep(bench.bus, LockstepSettings(subjects), bench.timeout, watch=self._note)
+        self._said: list[can.Message] = []
+        self._expected: list[can.Message] = []
+        self._numbers: Counter[int] = Counter()
+
+    # --- The controller's situation ---
+
+    @property
+    def others(self) -> list[int]:
+        """Ids that messages can have: 0 to 126, the last our own, without the controller's."""
+        return [robot for robot in range(FULL_ROUND + 1) if robot != self._id]
+
+    @property
+    def situation(self) -> Situation:
+        """The controller's state, for which rounds are crafted."""
+        s, config = self.model.firmware.s, self.settings.controller.config
+        return Situation(s.t, s.n, s.x_hat, config.table if is_adaptive(config) else None)
+
+    # --- One tick ---
+
+    def observe(self, z: Observation | None) -> None:
+        """Begin a tick, and hear the broadcast if it is due."""
+        if self.bench.should_stop():
+            raise KeyboardInterrupt
+        broadcasts, begin = self.model.sent.estimates, time.perf_counter()
+        self.place = self.lockstep.tick
+        self.lockstep.observe({self._id: z})
+        if self.model.sent.estimates != broadcasts:
+            self.lockstep.estimates({self._id})
+            self.model.coverage.latency.note(time.perf_counter() - begin)
+
+    def send(self, frames: Sequence[can.Message]) -> None:
+        """Let the controller and the model hear frames, in order."""
+        send_all(self.bench.bus, frames, SEND_TIMEOUT)
+        for frame in frames:
+            self._note(frame)
+        self.frames += len(frames)
+
+    def settle(self) -> None:
+        """End the tick, and compare. Raises Differs."""
+        begin = time.perf_counter()
+        self.lockstep.settle({self._id})
+        self.model.coverage.latency.note(time.perf_counter() - begin)
+        self.compare()
+        self.bench.progress(self.lockstep.tick)
+
+    def leave_open(self) -> None:
+        """End the tick as if its settle were lost; the controller may complain about it from now on."""
+        self.lockstep.leave_open()
+        self.comparison.may_advise = True
+
+    def tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
+        """A whole tick, in which these frames come."""
+        self.observe(z)
+        self.send(frames)
+        self.settle()
+
+    # --- Many ticks ---
+
+    def skip(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
+        """Let ticks pass quickly: in bursts of which only the last tick is settled."""
+        while ticks > 0:
+            burst = min(ticks, BURST)
+            for _ in range(burst - 1):
+                self.lockstep.observe({self._id: observe()})
+                self.leave_open()
+            self.tick(observe())
+            ticks -= burst
+
+    def round(self, *contents: Content, senders: Sequence[int] | None = None) -> None:
+        """A whole round with these messages, of random neighbours unless ``senders`` are given."""
+        chosen = self.draw.sample(self.others, len(contents)) if senders is None else senders
+        self.round_of(self.messages(dict(zip(chosen, contents, strict=True))))
+
+    def round_of(self, frames: Sequence[can.Message]) -> None:
+        """A whole round in which these frames come, in its first tick and in its last."""
+        period = self.settings.controller.config.comms_period
+        self.skip(-self.model.ticks % period)
+        half = len(frames) // 2
+        if period > 1:
+            self.tick(None, frames[:half])
+            self.skip(period - 2)
+        self.tick(None, frames if period == 1 else frames[half:])
+
+    def messages(self, contents: dict[int, Content] | Iterable[tuple[int, Content]]) -> list[can.Message]:
+        """Frames of estimates by their senders, numbered as each sender does."""
+        pairs = contents.items() if isinstance(contents, dict) else contents
+        return [self._message(sender, *content) for sender, content in pairs]
+
+    def _message(self, sender: int, x_hat: int, alpha: int) -> can.Message:
+        self._numbers[sender] += 1
+        message = Message(sender, x_hat, alpha, (self._numbers[sender] - 1) % TRANSFER_IDS)
+        return encode(message, self.settings.subjects.estimates)
+
+    # --- The filter's rounds ---
+
+    def to_test(self, observe: Callable[[], Observation | None] = lambda: None, before: int = 0) -> None:
+        """Let ticks pass until the round of the next test begins, or ``before`` rounds earlier."""
+        config = self.settings.controller.config
+        round_begins = config.filter_period - (1 + before) * config.comms_period
+        self.skip((round_begins - self.model.ticks) % config.filter_period, observe)
+
+    def avoid_test(self) -> None:
+        """Let a round without messages pass if the next is one with a test, unless all are."""
+        config = self.settings.controller.config
+        if has_quiet_rounds(config) and (self.model.ticks + config.comms_period) % config.filter_period == 0:
+            self.round()
+
+    # --- Comparing ---
+
+    def begin(self) -> None:
+        """Wait for the controller if that is asked for. Raises LockstepError if it does not come."""
+        if self.bench.wait is not None:
+            self.lockstep.wait_until_up({self._id}, self.bench.wait)
+
+    def compare(self) -> None:
+        """Compare all frames since the last comparison. Raises Differs."""
+        symptom = self.symptom()
+        if symptom is not None:
+            raise Differs(symptom)
+
+    def symptom(self) -> Symptom | None:
+        """The first difference among the frames since the last comparison."""
+        said, expected = self._said, self._expected
+        self._said, self._expected = [], []
+        return self.comparison.check(said, expected)
+
+    def listen_on(self) -> None:
+        """Check that nothing comes after the last answer. Raises Differs."""
+        end = time.monotonic() + _AFTERMATH
+        while (frame := self.bench.bus.recv(max(0.0, end - time.monotonic()))) is not None:
+            if frame.is_rx:
+                self._note(frame)
+            if time.monotonic() > end:
+                break
+        self.compare()
+
+    def said_in_tick(self) -> list[can.Message]:
+        """The controller's frames since the last comparison."""
+        return list(self._said)
+
+    def _note(self, frame: can.Message) -> None:
+        """Take a frame on the bus, in either direction; the model hears those sent to the controller."""
+        if not frame.is_rx:
+            frame.timestamp = time.time()
+            self._expected += self.model.hear(frame)
+        self.bench.log(frame)
+        if frame.is_rx and is_from(frame, self._id):
+            self._said.append(frame)
+        elif frame.is_rx:
+            self.strangers.take(frame)

@@ -1,0 +1,142 @@
+"""Recording of a run: its log and its sidecar on their way to disk."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+import can
+
+from mcp_asdf_tools.common import GrowingFiles, UsageError
+from mcp_asdf_tools.recording.frame_logs import FrameLog, check_format
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidecar_path
+
+LogOutputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
+"""Takers of frames and of events, None where there is no log."""
+
+Warn = Callable[[str], object]
+"""Called with a line for the user."""
+
+_PERIOD = 1.0
+"""Seconds after which frames and events are on disk."""
+
+_MOST_WAITING = 4096
+"""Frames and events that may wait for that."""
+
+
+def recording_to(
+    path: Path | None, header: SidecarHeader | None, warn: Warn, channel: str
+) -> Recording | NoRecording:
+    """The recording ``path``, if there is one, else one that takes nothing; as ``Recording``."""
+    return NoRecording() if path is None else Recording(path, header, warn, channel)
+
+
+class NoRecording:
+    """Recording that takes nothing."""
+
+    failure: str | None = None
+
+    def __enter__(self) -> LogOutputs:
+        return None, None
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class Recording:
+    """Log of a run and, with a header, its sidecar; a context manager that yields their takers.
+
+    Both grow as ``NAME.part``, are on disk once a second, and take their names together on a regular end.
+    After any other end they stay parts. A full disk ends the recording, but not the run.
+
+    Attributes:
+        failure: Why the recording is not complete; None while nothing is wrong with it.
+    """
+
+    def __init__(self, path: Path, header: SidecarHeader | None, warn: Warn, channel: str = "vcan0") -> None:
+        """Begin the log ``path``. ``warn`` gets a line, once, if the recording fails.
+
+        ``channel`` is that of frames that do not name theirs.
+        Raises UsageError if its format or place is unusable.
+        """
+        self.failure: str | None = None
+        check_format(path)
+        self._path = path
+        self._warn = warn
+        self._is_empty = True
+        self._waiting = 0
+        self._flush_at = time.monotonic() + _PERIOD
+        self._events = None if header is None else SidecarWriter(header, self._write_events)
+        self._files = GrowingFiles([path] if header is None else [path, sidecar_path(path)])
+        self._log = FrameLog(path, self._files.files[0], channel)
+        self._others = self._files.files[1:]
+        for file in self._others:
+            file.write(header.line().encode() if header is not None else b"")
+
+    def __enter__(self) -> LogOutputs:
+        return self._write_frame, self._events
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None and self._is_empty:
+            self._close()
+            self._files.discard()
+            return
+        if self._events is not None:
+            self._events.finish()
+        self._attempt(self._close)
+        if kind is None:
+            self._attempt(lambda: self._files.keep(obsolete=[sidecar_path(self._path)]))
+        else:
+            self._fail("the run did not end regularly")
+
+    def _write_frame(self, frame: can.Message) -> None:
+        self._flush_if_due()
+        self._attempt(lambda: self._log.write(frame))
+
+    def _write_events(self, line: str) -> None:
+        self._flush_if_due()
+        self._attempt(lambda: self._others[0].write(line.encode()))
+
+    def _flush_if_due(self) -> None:
+        """Write to disk what came before: the events that follow from the last frame are among it."""
+        self._is_empty = False
+        self._waiting += 1
+        if self._waiting > _MOST_WAITING or time.monotonic() >= self._flush_at:
+            self._waiting = 0
+            self._flush_at = time.monotonic() + _PERIOD
+            self._attempt(self._flush)
+
+    def _flush(self) -> None:
+        """Write to disk, the log last: so the sidecar explains what it holds, but for ticks that are open."""
+        for file in self._others:
+            file.flush()
+        self._log.flush()
+
+    def _close(self) -> None:
+        for file in self._others:
+            file.close()
+        self._log.close()
+
+    def _attempt(self, work: Callable[[], object]) -> None:
+        """Do ``work`` unless the recording has failed; what goes wrong fails it."""
+        if self.failure is not None:
+            return
+        try:
+            work()
+        except (OSError, UsageError) as error:
+            self._fail(error.strerror or str(error) if isinstance(error, OSError) else str(error))
+
+    def _fail(self, reason: str) -> None:
+        if self.failure is None:
+            self.failure = reason
+            self._warn(
+                f"the log {self._path} is not complete: {reason}; what there is is in {self._files.parts[0]}"
+            )
+            for close in (*(file.close for file in self._others), self._log.close):
+                with suppress(OSError):
+                    close()

@@ -1,0 +1,122 @@
+"""Bootstrap of medians and quartiles over trials.
+
+All samples of one length are drawn alike: trial i of all cells saw the same world, so that what it has in
+common cancels in a difference.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Sample = NDArray[np.float64]
+"""A value for each trial."""
+
+Summary = tuple[tuple[float, int], ...]
+"""A number that stands for a sample: a sum of quantiles, each with its weight."""
+
+MEDIAN: Summary = ((0.5, 1),)
+SPREAD: Summary = ((0.75, 1), (0.25, -1))
+"""The interquartile range."""
+BEST_OF_30: Summary = ((0.5 ** (1 / 30), 1),)
+"""The score that the best of 30 trials, as many as the paper has, reaches or misses equally often."""
+
+RESAMPLES = 20_000
+"""Enough for the corrected interval of the claim with most comparisons, whose tail is one in 8000."""
+
+_SEED = 1
+_ROWS = 4000
+"""Drawn at a time, to stay in a processor's cache."""
+
+
+class Estimate(NamedTuple):
+    """A number and the bounds of its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __neg__(self) -> Estimate:
+        return Estimate(-self.value, -self.high, -self.low)
+
+
+class Summarized(NamedTuple):
+    """A summary of a sample, and of each of its resamples."""
+
+    value: float
+    again: NDArray[np.float32]
+
+
+def exactly(value: float) -> Estimate:
+    """A number that is not subject to chance."""
+    return Estimate(value, value, value)
+
+
+def interval(value: float, again: NDArray[Any], confidence: float) -> Estimate:
+    """The percentile interval of resampled values."""
+    if np.ptp(again) == 0:
+        return exactly(value)
+    low, high = np.quantile(again, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Estimate(value, float(low), float(high))
+
+
+def summarized(sample: Sample, summary: Summary) -> Summarized:
+    """The summary of a sample of at most 65 535 trials. O(resamples trials)."""
+    ordered = np.sort(sample)
+    value = float(_quantiles(ordered, np.arange(len(sample)), summary))
+    if ordered[0] == ordered[-1]:
+        return Summarized(value, np.full(RESAMPLES, value, np.float32))
+    ranks = np.empty(len(sample), np.uint16)
+    ranks[np.argsort(sample, kind="stable")] = np.arange(len(sample))
+    places = sorted({place for q, _ in summary for place in _places(len(sample), q)[:2]})
+    again = np.empty(RESAMPLES, np.float32)
+    drawn = _drawn(len(sample), RESAMPLES)
+    for start in range(0, RESAMPLES, _ROWS):
+        rows = ranks[drawn[start : start + _ROWS]]
+        rows.partition(places, axis=1)
+        again[start : start + _ROWS] = _quantiles(ordered, rows, summary)
+    return Summarized(value, again)
+
+
+@lru_cache(maxsize=4)
+def _drawn(trials: int, resamples: int) -> NDArray[np.uint16]:
+    """Indices of trials, shape (resamples, trials)."""
+    return np.random.default_rng(_SEED).integers(trials, size=(resamples, trials), dtype=np.uint16)
+
+
+def _places(trials: int, quantile: float) -> tuple[int, int, float]:
+    """The two ranks between which a quantile lies, and how far it is towards the second."""
+    place = quantile * (trials - 1)
+    return int(place), min(int(place) + 1, trials - 1), place % 1
+
+
+def _quantiles(ordered: Sample, ranks: NDArray[Any], summary: Summary) -> Any:
+    """The weighted quantiles of samples given as ranks, which are in their places along the last axis."""
+    total = 0.0
+    for quantile, weight in summary:
+        low, high, share = _places(len(ordered), quantile)
+        total = total + weight * ((1 - share) * ordered[ranks[..., low]] + share * ordered[ranks[..., high]])
+    return total
+
+
+def rank_correlation(first: Sample, second: Sample, confidence: float) -> Estimate:
+    """Spearman's coefficient; 0 where a sample does not vary. O(resamples trials log trials)."""
+    drawn = _drawn(len(first), RESAMPLES)
+    again = np.concatenate(
+        [_spearman(*(each[rows] for each in (first, second))) for rows in np.array_split(drawn, 50)]
+    )
+    (value,) = _spearman(first[np.newaxis], second[np.newaxis])
+    return interval(float(value), again, confidence)
+
+
+def _spearman(*samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.stats import rankdata  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+
+    ranks = [rankdata(sample, axis=-1) for sample in samples]
+    x, y = (rank - rank.mean(axis=-1, keepdims=True) for rank in ranks)
+    scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+    result: NDArray[np.float64] = (x * y).sum(axis=-1) / np.where(scale == 0, 1, scale)
+    return result

@@ -1,0 +1,208 @@
+// Charts of all robots over time. Long films are thinned to the extremes of each column of the screen.
+
+import { colour } from "view/colours";
+
+const COLUMNS = 480;
+const PANELS = [
+  { name: "b_hat", label: "b_hat: how far each robot trusts its sensor", truth: "b", symbol: "b" },
+  { name: "x_hat", label: "x_hat: what each sees by itself", truth: "fillRatio", symbol: "f" },
+  { name: "x", label: "x: what each believes after hearing its neighbours", truth: "fillRatio", symbol: "f" },
+];
+
+/** Smallest and largest value of each column, as data for uPlot: ticks, a row per robot, then the truth. */
+function thinned(film, name, truth) {
+  const columns = Math.min(COLUMNS, film.length);
+  const ticks = new Float64Array(2 * columns);
+  const series = film.stage.robots.map(() => new Array(2 * columns));
+  const truths = new Array(2 * columns);
+  for (let column = 0; column < columns; column++) {
+    const first = Math.floor((column * film.length) / columns);
+    const end = Math.max(first + 1, Math.floor(((column + 1) * film.length) / columns));
+    ticks[2 * column] = film.ticks[first];
+    ticks[2 * column + 1] = film.ticks[end - 1] + (end - first === 1 ? 1e-6 : 0);
+    truths[2 * column] = truths[2 * column + 1] = truthOf(film, truth, first);
+    series.forEach((values, robot) => {
+      const [low, high, lowFirst] = extremes(film, name, robot, first, end);
+      values[2 * column] = lowFirst ? low : high;
+      values[2 * column + 1] = lowFirst ? high : low;
+    });
+  }
+  return [ticks, ...series, truths];
+}
+
+function truthOf(film, truth, sample) {
+  return truth === "b" ? known(film.value("b", 0, sample)) : film.stage.fillRatio;
+}
+
+function known(value) {
+  return Number.isNaN(value) ? null : value;
+}
+
+/** Lowest and highest value of some samples, and whether the lowest came first; null for unknown ones. */
+function extremes(film, name, robot, first, end) {
+  let [low, high, lowAt, highAt] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY, 0, 0];
+  for (let sample = first; sample < end; sample++) {
+    const value = film.value(name, robot, sample);
+    if (value < low) [low, lowAt] = [value, sample];
+    if (value > high) [high, highAt] = [value, sample];
+  }
+  return low > high ? [null, null, true] : [low, high, lowAt <= highAt];
+}
+
+/** Room for all but the first moments, when estimates still jump between 0 and 1. */
+function limits([, ...series]) {
+  let [low, high] = [1, 0];
+  for (const values of series) {
+    for (let i = Math.floor(values.length / 25); i < values.length; i++) {
+      if (values[i] === null) continue;
+      low = Math.min(low, values[i]);
+      high = Math.max(high, values[i]);
+    }
+  }
+  if (low > high) return [0, 1];
+  const margin = Math.max(0.06 * (high - low), 0.01);
+  return [low - margin, high + margin];
+}
+
+export class Charts {
+  constructor(parent, onScrub) {
+    this.parent = parent;
+    this.onScrub = onScrub;
+    this.plots = [];
+    new ResizeObserver(() => this.#fit()).observe(parent);
+  }
+
+  show(film) {
+    this.film = film;
+    this.drawn = -1;
+    this.#build();
+  }
+
+  /** All charts anew, in the colours of the present theme. */
+  #build() {
+    for (const { plot } of this.plots) plot.destroy();
+    this.parent.replaceChildren();
+    this.plots = PANELS.map((panel, index) => this.#panel(panel, index === PANELS.length - 1));
+    this.#fit();
+    this.update();
+  }
+
+  repaint() {
+    if (!this.film) return;
+    this.drawn = -1;
+    this.#build();
+  }
+
+  #panel(panel, isLast) {
+    const box = document.createElement("div");
+    box.className = "chart";
+    const label = document.createElement("p");
+    label.textContent = panel.label;
+    const truth = document.createElement("span");
+    label.append(truth);
+    box.append(label);
+    this.parent.append(box);
+    const nothing = [[0], ...this.film.stage.robots.map(() => [null]), [null]];
+    const plot = new uPlot(this.#options(panel, isLast), nothing, box);
+    const now = document.createElement("div");
+    now.className = "now";
+    plot.over.append(now);
+    this.#letScrub(plot);
+    return { plot, panel, now, truth };
+  }
+
+  #options(panel, isLast) {
+    const { film } = this;
+    const axis = {
+      stroke: colour("soft"),
+      grid: { stroke: colour("line"), width: 1 },
+      ticks: { show: false },
+    };
+    const flawed = new Set(film.stage.flawed);
+    const isStepped = panel.name === "b_hat";
+    return {
+      width: 300,
+      height: 120,
+      padding: [22, 26, 0, 0],
+      legend: { show: false },
+      cursor: { show: false },
+      scales: { x: { time: false }, y: { range: (plot) => limits(plot.data ?? []) } },
+      axes: [
+        { ...axis, size: isLast ? 26 : 6, values: isLast ? undefined : () => [] },
+        { ...axis, size: 46, space: 24 },
+      ],
+      series: [
+        {},
+        ...film.stage.robots.map((_, robot) => ({
+          stroke: () => this.#stroke(robot, flawed.has(robot)),
+          width: 1.2,
+          points: { show: false },
+          paths: isStepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
+        })),
+        { stroke: colour("truth"), width: 1.5, dash: [6, 4], points: { show: false } },
+      ],
+    };
+  }
+
+  #stroke(robot, isFlawed) {
+    const usual = colour(isFlawed ? "wrong" : "right");
+    if (this.chosen === null || this.chosen === undefined) return `${usual}b0`;
+    return robot === this.chosen ? colour("focus") : `${usual}40`;
+  }
+
+  /** Dragging along a chart moves the time. */
+  #letScrub(plot) {
+    const { over } = plot;
+    const scrub = (event) => {
+      const { left } = over.getBoundingClientRect();
+      this.onScrub(plot.posToVal(event.clientX - left, "x"));
+    };
+    over.addEventListener("pointerdown", (event) => {
+      over.setPointerCapture(event.pointerId);
+      scrub(event);
+    });
+    over.addEventListener("pointermove", (event) => {
+      if (over.hasPointerCapture(event.pointerId)) scrub(event);
+    });
+  }
+
+  #fit() {
+    const height = this.parent.clientHeight - 6;
+    const width = this.parent.clientWidth - 12;
+    if (height <= 0 || width <= 0) return;
+    const inner = Math.floor((height - 20) / PANELS.length);
+    this.parent.style.gridTemplateRows = `${inner}px ${inner}px ${inner + 20}px`;
+    this.plots.forEach(({ plot }, index) => {
+      plot.setSize({ width, height: inner + (index === PANELS.length - 1 ? 20 : 0) });
+    });
+  }
+
+  /** The robot whose lines stand out, or null. */
+  follow(robot) {
+    this.chosen = robot;
+    for (const { plot } of this.plots) {
+      plot.series.forEach((series, index) => {
+        series.width = index === (robot ?? -2) + 1 ? 2.5 : index > this.film.robots ? 1.5 : 1.2;
+      });
+      plot.redraw(false);
+    }
+  }
+
+  /** Takes samples that have come since. O(samples). */
+  update() {
+    if (!this.film || this.film.length === this.drawn || this.film.length === 0) return;
+    this.drawn = this.film.length;
+    for (const { plot, panel, truth } of this.plots) {
+      plot.setData(thinned(this.film, panel.name, panel.truth));
+      const value = truthOf(this.film, panel.truth, this.film.length - 1);
+      truth.textContent = value === null ? "" : `${panel.symbol} = ${+value.toFixed(3)}`;
+    }
+  }
+
+  /** Moves the line that marks the present. */
+  mark(tick) {
+    for (const { plot, now } of this.plots) {
+      now.style.transform = `translateX(${plot.valToPos(tick, "x")}px)`;
+    }
+  }
+}

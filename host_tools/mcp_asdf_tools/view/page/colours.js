@@ -1,0 +1,44 @@
+// Colours, read from the style so that light and dark are in one place.
+
+let cache = new Map();
+
+/** A colour of the style by its name. */
+export function colour(name) {
+  let value = cache.get(name);
+  if (value === undefined) {
+    value = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+    cache.set(name, value);
+  }
+  return value;
+}
+
+/** Takes another theme, or the next one; returns its name. */
+export function setTheme(name) {
+  const root = document.documentElement;
+  root.dataset.theme = name ?? (root.dataset.theme === "dark" ? "light" : "dark");
+  cache = new Map();
+  return root.dataset.theme;
+}
+
+function channels(hex) {
+  return [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16));
+}
+
+const MIDDLE = [169, 169, 169];
+const MOST = 0.4;
+
+/** Colour of a robot that is wrong by |b_hat - b|: blue, over grey, to orange from 0.4 on; grey if unknown. */
+export function colourOfError(error) {
+  const step = Number.isNaN(error) ? 32 : Math.round(64 * Math.min(error / MOST, 1));
+  const key = `error ${step}`;
+  let value = cache.get(key);
+  if (value === undefined) {
+    const share = step / 64;
+    const [from, to] =
+      share < 0.5 ? [channels(colour("right")), MIDDLE] : [MIDDLE, channels(colour("wrong"))];
+    const way = share < 0.5 ? 2 * share : 2 * share - 1;
+    value = `rgb(${from.map((each, i) => Math.round(each + way * (to[i] - each))).join(",")})`;
+    cache.set(key, value);
+  }
+  return value;
+}

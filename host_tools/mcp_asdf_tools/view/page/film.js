@@ -1,0 +1,128 @@
+// The film of a run: what stays the same, and samples of every robot in typed arrays that grow.
+
+const SCALE = 65534;
+const UNKNOWN = 65535;
+
+/** Bytes of deflated base64 text. */
+async function inflated(text) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** A typed array with room for more. */
+function grown(array, length) {
+  if (array.length >= length) return array;
+  const larger = new array.constructor(Math.max(length, 2 * array.length));
+  larger.set(array);
+  return larger;
+}
+
+export class Film {
+  constructor(stage) {
+    this.stage = stage;
+    this.robots = stage.robots.length;
+    this.moves = stage.sides !== null;
+    this.length = 0;
+    this.ticks = new Uint32Array(0);
+    this.columns = {};
+    for (const name of [...stage.quantities, ...(this.moves ? ["px", "py"] : [])]) {
+      this.columns[name] = new Uint16Array(0);
+    }
+    this.linkBytes = Math.ceil(this.robots ** 2 / 8);
+    this.links = new Uint8Array(0);
+  }
+
+  /** An empty film on a stage as view/wire.py writes it. */
+  static async on(stage) {
+    const { floor } = stage;
+    if (floor === null) return new Film(stage);
+    const bits = new Uint8Array(await inflated(floor.bits));
+    return new Film({ ...stage, floor: { ...floor, bits } });
+  }
+
+  /** Takes a block of samples, laid out as view/wire.py writes it. */
+  async append({ count, data }) {
+    const buffer = await inflated(data);
+    const total = this.length + count;
+    this.ticks = grown(this.ticks, total);
+    this.ticks.set(new Uint32Array(buffer, 0, count), this.length);
+    let offset = 4 * count;
+    for (const name of Object.keys(this.columns)) {
+      const differences = new Uint16Array(buffer, offset, count * this.robots);
+      this.columns[name] = grown(this.columns[name], total * this.robots);
+      this.#sum(differences, count, this.columns[name]);
+      offset += 2 * count * this.robots;
+    }
+    this.links = grown(this.links, total * this.linkBytes);
+    this.links.set(new Uint8Array(buffer, offset), this.length * this.linkBytes);
+    this.length = total;
+  }
+
+  /** Differences along each robot's series become values, the robots of a sample beside each other. */
+  #sum(differences, count, column) {
+    for (let robot = 0; robot < this.robots; robot++) {
+      let value = 0;
+      for (let i = 0; i < count; i++) {
+        value = (value + differences[robot * count + i]) & 0xffff;
+        column[(this.length + i) * this.robots + robot] = value;
+      }
+    }
+  }
+
+  /** A quantity of a robot in a sample; NaN if unknown. */
+  value(name, robot, sample) {
+    const raw = this.columns[name][sample * this.robots + robot];
+    return raw === UNKNOWN ? Number.NaN : raw / SCALE;
+  }
+
+  /** Centre of a robot in metres from the middle of the arena. */
+  position(robot, sample) {
+    const at = sample * this.robots + robot;
+    const [width, height] = this.stage.sides;
+    const { px, py } = this.columns;
+    return [(px[at] / SCALE - 0.5) * width, (py[at] / SCALE - 0.5) * height];
+  }
+
+  hears(receiver, sender, sample) {
+    const bit = receiver * this.robots + sender;
+    return (this.links[sample * this.linkBytes + (bit >> 3)] >> (bit & 7)) & 1;
+  }
+
+  get lastTick() {
+    return this.length ? this.ticks[this.length - 1] : 0;
+  }
+
+  /** The last sample that is not later than a tick; 0 if all are. O(log samples). */
+  sampleAt(tick) {
+    let [low, high] = [0, this.length];
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (this.ticks[middle] <= tick) low = middle;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /** How wrong a robot is about its sensor, |b_hat - b|; NaN if unknown. */
+  wrongness(robot, sample) {
+    return Math.abs(this.value("b_hat", robot, sample) - this.value("b", robot, sample));
+  }
+
+  /** Robot ids that changed their b_hat by more than rounding, with the samples after which they had. */
+  events(from, list) {
+    const column = this.columns.b_hat;
+    const least = 0.002 * SCALE;
+    for (let i = Math.max(from, 1); i < this.length; i++) {
+      for (let robot = 0; robot < this.robots; robot++) {
+        const at = i * this.robots + robot;
+        const [before, after] = [column[at - this.robots], column[at]];
+        if (before === UNKNOWN || after === UNKNOWN) continue;
+        if (Math.abs(after - before) > least) {
+          list.push({ tick: this.ticks[i], sample: i, robot, before: before / SCALE, after: after / SCALE });
+        }
+      }
+    }
+    return list;
+  }
+}

@@ -1,0 +1,142 @@
+"""Server of the page, for browsers of this computer alone."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import closing, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from mcp_asdf_tools.bus import HOST
+from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.view.film import LiveFilm
+from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.wire import samples_as_plain, stage_as_plain
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.types import ASGIApp, Receive, Scope, Send
+
+_SECONDS_BETWEEN_BLOCKS = 0.1
+_ENDING_SECONDS = 2.0
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+@contextmanager
+def serving(film: LiveFilm, port: int = 0) -> Iterator[str]:
+    """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. Port 0 is any free one.
+
+    Raises UsageError if the port is taken or the packages of the extra ``view`` are missing.
+    """
+    try:
+        import uvicorn  # noqa: PLC0415 (an extra)
+    except ImportError as error:
+        raise _missing(error) from error
+    with closing(_listen(port)) as listener:
+        port = listener.getsockname()[1]
+        application = _application(film, port)
+        config = uvicorn.Config(
+            application, log_level="critical", lifespan="off", timeout_graceful_shutdown=1
+        )
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        try:
+            yield f"http://{HOST}:{port}/"
+        finally:
+            film.end()
+            server.should_exit = True
+            thread.join(_ENDING_SECONDS)
+
+
+def _missing(error: ImportError) -> UsageError:
+    return UsageError(
+        f"the page needs the package {error.name}: pip install 'mcp-asdf[view]'; mcp-asdf view --export "
+        "writes one that needs no server"
+    )
+
+
+def _listen(port: int) -> socket.socket:
+    if not 0 <= port <= 65535:
+        raise UsageError(f"--port is {port}; choose 1 to 65535, or 0 for any free one")
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((HOST, port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise UsageError(
+            f"cannot serve the page at {HOST}:{port}: {error.strerror}; choose another --port"
+        ) from error
+    return listener
+
+
+def _application(film: LiveFilm, port: int) -> Starlette:
+    try:
+        from starlette.applications import Starlette  # noqa: PLC0415 (an extra)
+        from starlette.middleware import Middleware  # noqa: PLC0415
+        from starlette.requests import Request  # noqa: PLC0415
+        from starlette.responses import HTMLResponse, StreamingResponse  # noqa: PLC0415
+        from starlette.routing import Route  # noqa: PLC0415
+    except ImportError as error:
+        raise _missing(error) from error
+
+    async def show(request: Request) -> HTMLResponse:
+        return HTMLResponse(page(), headers=_HEADERS)
+
+    async def stream(request: Request) -> StreamingResponse:
+        return StreamingResponse(_events(film), media_type="text/event-stream", headers=_HEADERS)
+
+    routes = [Route("/", show), Route("/events", stream)]
+    return Starlette(routes=routes, middleware=[Middleware(OwnPagesOnly, port=port)])
+
+
+class OwnPagesOnly:
+    """Refuses what another site asks for, also one whose name was made to lead here (DNS rebinding)."""
+
+    def __init__(self, app: ASGIApp, port: int) -> None:
+        self._app = app
+        self._hosts = {f"{name}:{port}".encode() for name in (HOST, "localhost")}
+        self._origins = {b"http://" + host for host in self._hosts}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or answer 403."""
+        from starlette.responses import PlainTextResponse  # noqa: PLC0415 (an extra)
+
+        headers = dict(scope.get("headers", []))
+        is_own = (
+            headers.get(b"host") in self._hosts
+            and headers.get(b"origin", next(iter(self._origins))) in self._origins
+            and headers.get(b"sec-fetch-site", b"none") in (b"none", b"same-origin")
+        )
+        answer: Any = self._app if is_own else PlainTextResponse("this page is for this computer alone", 403)
+        await answer(scope, receive, send)
+
+
+async def _events(film: LiveFilm) -> AsyncIterator[str]:
+    """Server-sent events: a ``stage``, again after each generation, its ``block``s, at last ``end``."""
+    generation, index, has_begun, has_ended = 0, 0, False, False
+    while not has_ended:
+        has_ended = film.has_ended  # read before the samples, so that none is left behind
+        before, (generation, stage, samples) = generation, film.since(generation, index)
+        if not has_begun or generation != before:
+            yield _event("stage", stage_as_plain(stage))
+            has_begun, index = True, 0
+        if samples is not None:
+            index += len(samples.ticks)
+            yield _event("block", await asyncio.to_thread(samples_as_plain, samples, stage))
+        await asyncio.sleep(0 if has_ended else _SECONDS_BETWEEN_BLOCKS)
+    yield _event("end", None)
+
+
+def _event(name: str, content: Any) -> str:
+    return f"event: {name}\ndata: {json.dumps(content)}\n\n"

@@ -1,0 +1,57 @@
+"""A real browser for tests of the page."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from support import PATIENCE
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+CHROMIUM = ("chromium", "chromium-headless-shell")
+
+
+@contextmanager
+def browser_page(width: int = 1280, height: int = 800) -> Iterator[Page]:
+    """An empty page of Debian's Chromium; fails at its end if a script of the page failed.
+
+    Skips the test where the browser or playwright is not installed.
+    """
+    path = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if path is None:
+        pytest.skip(f"no browser is installed: apt-get install {CHROMIUM[-1]}")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make setup")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        try:
+            page = browser.new_page(viewport={"width": width, "height": height})
+            errors: list[str] = []
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            page.on(
+                "console", lambda message: errors.append(message.text) if message.type == "error" else None
+            )
+            yield page
+            assert errors == []
+        finally:
+            browser.close()
+
+
+def until(page: Page, condition: str) -> Any:
+    """Wait until a JavaScript expression is true; returns its value.
+
+    Asked from here: the page's own rules forbid scripts that another one makes.
+    """
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        value = page.evaluate(condition)
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"the page never came to {condition}")

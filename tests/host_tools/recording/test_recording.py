@@ -1,0 +1,314 @@
+"""A recording is on disk once a second, survives a kill, and never stops a run."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import can
+import pytest
+
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording import recording as module
+from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.recording import NoRecording, Recording, recording_to
+from mcp_asdf_tools.recording.replay import verify
+from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, sidecar_of
+from robots import ALPHA_ONE
+from support import PATIENCE, ROOT
+from wire import record
+
+HEADER = SidecarHeader((record(5),), None, FrameFormat())
+FORMATS = [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".asc.gz", ".csv.gz"]
+
+
+def frame(number: int) -> can.Message:
+    frame = encode(Message(5, number, ALPHA_ONE, number % 32), FrameFormat())
+    frame.timestamp = 1e9 + number
+    return frame
+
+
+def contents(frames: list[can.Message]) -> list[bytes]:
+    return [bytes(frame.data) for frame in frames]
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Time of recordings, which only calls of this move."""
+    now = 0.0
+
+    def advance(seconds: float) -> None:
+        nonlocal now
+        now += seconds
+
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now))
+    return advance
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_what_is_on_disk_after_a_second_is_read(
+    suffix: str, clock: Callable[[float], None], tmp_path: Path
+) -> None:
+    """As after kill -9: the copy is what another process finds at that moment."""
+    log, lost = tmp_path / f"run{suffix}", tmp_path / f"lost{suffix}.part"
+    with Recording(log, None, print) as (write, _):
+        assert write is not None
+        for number in range(100):
+            write(frame(number))
+        clock(1.0)
+        write(frame(100))
+        part = tmp_path / f"run{suffix}.part"
+        lost.write_bytes(part.read_bytes())
+        assert not log.exists()
+    assert contents(list(read_log(lost))) == [bytes(frame(number).data) for number in range(100)]
+    assert contents(list(read_log(log))) == [bytes(frame(number).data) for number in range(101)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [lost.name, log.name]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_part_is_read_up_to_any_cut(suffix: str, tmp_path: Path) -> None:
+    """No cut gives a frame that was not written, and none loses frames long before it."""
+    log, part = tmp_path / f"run{suffix}", tmp_path / f"cut{suffix}.part"
+    with Recording(log, None, print) as (write, _):
+        assert write is not None
+        for number in range(50):
+            write(frame(number))
+    whole, written = log.read_bytes(), [bytes(frame(number).data) for number in range(50)]
+    found = []
+    for size in [*range(0, len(whole) - 60, 97), *range(len(whole) - 60, len(whole))]:
+        part.write_bytes(whole[:size])
+        try:
+            read = contents(list(read_log(part)))
+        except UsageError as error:
+            assert "holds no frame" in str(error)
+            read = []
+        assert read == written[: len(read)], f"cut after {size} bytes"
+        found.append(len(read))
+    assert found == sorted(found)
+    assert found[-1] >= 48 or suffix == ".blf"  # zlib passes the end of a container on late
+
+
+def test_any_name_of_a_channel_can_be_read_back(tmp_path: Path) -> None:
+    log, names = tmp_path / "run.log", ["can0", "bus 1", " x", "x ", "", None, "COM3: fast", "a\tb", 3]
+    with Recording(log, None, print, "my bus") as (write, _):
+        assert write is not None
+        for name in names:
+            each = frame(1)
+            each.channel = name
+            write(each)
+            assert each.channel == name
+    read = [each.channel for each in read_log(log)]
+    assert read == ["can0", "bus_1", "x", "x", "my_bus", "my_bus", "COM3:_fast", "a_b", "can3"]
+
+
+def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
+    log, said = tmp_path / "run.log", list[str]()
+    log.write_text("of yesterday")
+    with pytest.raises(ZeroDivisionError), Recording(log, HEADER, said.append) as (write, events):
+        assert write is not None
+        assert events is not None
+        write(frame(1))
+        events.robots[5].observe(Observation.BLACK)  # not settled yet, and not lost
+        raise ZeroDivisionError
+    part = tmp_path / "run.log.part"
+    assert said == [
+        f"the log {log} is not complete: the run did not end regularly; what there is is in {part}"
+    ]
+    assert log.read_text() == "of yesterday"
+    assert len(list(read_log(part))) == 1
+    assert sidecar_of(part) == tmp_path / "run.log.events.part"
+    with SidecarReader(sidecar_of(part)) as sidecar:
+        assert list(sidecar.lines()) == [(5, [1])]
+
+
+def test_a_run_that_recorded_nothing_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), Recording(tmp_path / "run.log", HEADER, print):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_of_an_earlier_run_are_kept(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    for number in range(3):
+        with pytest.raises(ZeroDivisionError), Recording(log, HEADER, lambda text: None) as (write, _):
+            assert write is not None
+            write(frame(number))
+            raise ZeroDivisionError
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {f"run{n}.log{kind}.part" for n in ("", "-1", "-2") for kind in ("", ".events")}
+    for number, name in enumerate(("run-1", "run-2", "run")):
+        part = tmp_path / f"{name}.log.part"
+        assert contents(list(read_log(part))) == [bytes(frame(number).data)]
+        assert sidecar_of(part).exists()
+
+
+def test_two_programs_do_not_write_one_log(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    with Recording(log, HEADER, print) as (write, _):
+        assert write is not None
+        write(frame(1))
+        with pytest.raises(
+            UsageError, match=r"another program is writing .*run\.log\.part; choose another name"
+        ):
+            Recording(log, None, print)
+    assert len(list(read_log(log))) == 1
+
+
+@pytest.mark.parametrize("calls", range(6))
+def test_a_kill_between_the_renames_splits_nothing(
+    calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After any number of renames and removals a log under its own name belongs with its sidecar."""
+    log, events = tmp_path / "run.log", tmp_path / "run.log.events"
+    log.write_text("old")
+    events.write_text("old")
+
+    class Killed(BaseException):
+        pass
+
+    def dying(call: Callable[..., Any]) -> Callable[..., Any]:
+        def guarded(*args: Any, **more: Any) -> Any:
+            nonlocal calls
+            calls -= 1
+            if calls < 0:
+                raise Killed
+            return call(*args, **more)
+
+        return guarded
+
+    try:
+        with Recording(log, HEADER, print) as (write, _):
+            assert write is not None
+            write(frame(1))
+            monkeypatch.setattr(os, "replace", dying(os.replace))
+            monkeypatch.setattr(Path, "unlink", dying(Path.unlink))
+    except Killed:
+        pass
+    monkeypatch.undo()
+    if log.exists():
+        assert (log.read_text() == "old") == (events.exists() and events.read_text() == "old")
+    found = log if log.exists() and log.read_text() != "old" else tmp_path / "run.log.part"
+    assert len(list(read_log(found))) == 1
+    with SidecarReader(sidecar_of(found)) as sidecar:
+        assert sidecar.header == HEADER
+    with Recording(log, HEADER, print) as (write, _):  # the next run keeps what that one left
+        assert write is not None
+        write(frame(2))
+    kept = tmp_path / "run-1.log.part"
+    assert kept.exists() == (found != log)
+    if kept.exists():
+        assert len(list(read_log(kept))) == 1
+        with SidecarReader(sidecar_of(kept)) as sidecar:
+            assert sidecar.header == HEADER
+
+
+def test_a_log_without_sidecar_leaves_no_other_runs_sidecar(tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    with Recording(log, HEADER, print) as (write, _):
+        assert write is not None
+        write(frame(1))
+    with Recording(log, None, print) as (write, _):
+        assert write is not None
+        write(frame(2))
+    assert [path.name for path in tmp_path.iterdir()] == ["run.log"]
+
+
+def test_what_cannot_be_recorded_is_told_beforehand(tmp_path: Path) -> None:
+    for name, words in (
+        ("run.db", "SQLite writer drops the frames"),
+        ("run.xyz", "choose .log, .asc, .blf"),
+        ("run.mf4", "choose .log, .asc, .blf"),
+        ("run.blf.gz", "not .blf"),
+        ("no/run.log", "its folder does not exist"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            Recording(tmp_path / name, HEADER, print)
+    assert list(tmp_path.iterdir()) == []
+    assert isinstance(recording_to(None, HEADER, print, "can0"), NoRecording)
+
+
+def test_a_missing_log_whose_run_was_cut_off_is_found(tmp_path: Path) -> None:
+    (tmp_path / "run.log.part").write_text("")
+    with pytest.raises(
+        UsageError, match=r"No such file.*its run was cut off: .*run\.log\.part has what there is"
+    ):
+        list(read_log(tmp_path / "run.log"))
+
+
+# A full disk
+
+
+@contextmanager
+def disk_with_room_for(size: int) -> Iterator[None]:
+    """Let no file become larger, which fails like a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize(
+    ("options", "room", "steps"),
+    [
+        ("swarm --robots 5 --steps 1000", 20_000, 1000),
+        ("node --id 3 --steps 200 --steps-per-second 500", 8000, 200),
+    ],
+    ids=["swarm", "node"],
+)
+def test_a_full_disk_ends_the_log_but_not_the_run(
+    options: str, room: int, steps: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    with disk_with_room_for(room):
+        assert main([*shlex.split(options), "--json", "--log", str(log)]) == 2
+    said = capsys.readouterr()
+    command = options.partition(" ")[0]
+    assert said.err == (
+        f"mcp-asdf {command}: the log {log} is not complete: File too large; what there is is in {log}.part\n"
+    )
+    assert json.loads(said.out)["results"]["steps"] == steps
+    assert json.loads(Path(f"{log}.json").read_text()) == json.loads(said.out)
+    assert main(["replay", f"{log}.part"]) == 0
+
+
+# The whole way
+
+
+def test_a_run_that_is_killed_is_replayed_up_to_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "swarm", "--robots", "5", "--log", str(log)]
+    part = tmp_path / "run.log.part"
+    faults = ["--fault", "liar=0.1", "--fault", "collide=0.1,id=2,robots=1", "--fault", "crash=0.01"]
+    with subprocess.Popen([*command, *faults, "--steps", "1000000", "--quiet"], cwd=ROOT) as running:
+        deadline = time.monotonic() + PATIENCE
+        while not (part.exists() and part.stat().st_size):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        running.send_signal(signal.SIGKILL)
+    assert not log.exists()
+    assert main(["replay", str(part), "--json"]) == 0
+    captured = capsys.readouterr()
+    report = json.loads(captured.out)
+    assert report["incomplete"]
+    assert report["verdict"]["reproduced"] > 100
+    assert "is incomplete: its run was cut off" in captured.err
+    with SidecarReader(sidecar_of(part)) as sidecar:
+        assert verify(read_log(part), sidecar).plain() == report["verdict"]
