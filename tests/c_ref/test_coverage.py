@@ -13,9 +13,6 @@ UNREACHED = {
     ("divide_24", "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0", "effect of condition 1"): (
         "a constant of each variant, so no run can change it; both its values are compiled and tested"
     ),
-    ("prepare", "address", "false"): (
-        "the index of a reciprocal is above 64 in damaged memory only, which test_damaged.c tries at random"
-    ),
 }
 """Conditions that cannot be reached: function, text and value; and the reason."""
 

@@ -102,7 +102,8 @@ static void any_command_line(input_t *in)
     }
     options_read(&options, count, arguments);
     const node_settings_t *const node = &options.node;
-    MUST(options.interface != NULL && node->id <= MCP_ASDF_MAX_ID);
+    MUST(options.interface != NULL && options.robots >= 1);
+    MUST(node->id + options.robots - 1 <= MCP_ASDF_MAX_ID);
     MUST(node->comms_period > 0 && node->filter_period % node->comms_period == 0);
     MUST(node->ticks_per_second >= 1 && node->ticks_per_second <= 1000);
     MUST(node->memory % 4 == 0 && node->memory >= MCP_ASDF_MEMORY_MIN && node->memory <= MCP_ASDF_MEMORY_MAX);

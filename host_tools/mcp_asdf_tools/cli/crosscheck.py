@@ -44,7 +44,7 @@ state, output or status ends the run with the shortest scenario that shows it an
 exit code: 0 all is well, 1 a check failed, 2 bad usage, 128 + signal if
 interrupted (what was done is reported)"""
 
-STEPS, SEED = 50_000, 1
+STEPS, SEED = 25_000, 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -146,6 +146,7 @@ class _Author:
             (_LAST, own << 24 | source.choice([0, 1, 2, 3, 128, 255]) << 16),
             (_LAST, source.choice([own ^ 1, 127, 128, 255]) << 24),
             (_B_HAT, source.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, _b_hat(source)])),
+            (_T, setup.memory - source.randrange(2), _LAST, own << 24 | _UPDATED),
             (source.randint(_B_HAT, _LAST), source.choice([0, 1, 1 << source.randrange(32), _BITS_32])),
         )
         if source.random() < 0.1:
@@ -201,22 +202,37 @@ class _Author:
         self._filter_at(own, x_hats)
 
     def _hesitate(self) -> None:
-        """Run the filter on a round whose mean is about as far from 1/2 as an informative one."""
+        """Run the filter on a mean that is as far from 1/2 as an informative one, or hardly at all."""
         source = self._source
+        if source.random() < 0.3:
+            self._halve()
+            return
         distance = _X_BAR_INFORMATIVE + source.randint(-1, 1)
         x_hat = HALF + source.choice([-distance, distance])
         x_hats = [x_hat + source.randrange(2) for _ in range(source.choice([1, 2, 2, 10]))]
         self._filter_at(source.choice([0, ONE]), x_hats)
 
+    def _halve(self) -> None:
+        """Run the filter on a mean of 1/2 and a few units of 2^-32, which rounding makes 1/2 to the bit."""
+        source = self._source
+        heavy, light = (HALF, 0xFF << 8), (HALF + source.choice([-1, 1]), source.randint(0, 4) << 8)
+        self._prepare_filter(source.choice([0, ONE]))
+        self._call("add", 2, *astuple(_sums_of([heavy, light])))
+        self._call("settle")
+
     def _filter_at(self, own: int, x_hats: list[int]) -> None:
         """Run the filter on a round of these estimates and the own one."""
+        self._prepare_filter(own)
+        self._deliver(x_hats)
+        self._call("settle")
+
+    def _prepare_filter(self, own: int) -> None:
+        """A round of which the filter is due at the end, and an own x_hat."""
         source, setup = self._source, self._setup
         t = max(_observations(source, setup.memory), 1)
         words = [_T, t, _N, _blacks(source, t, self._b_hat), _X_HAT, own, _ALPHA, _ALPHA_ONE]
         self._call("settle")
         self._call("restore", *words, _LAST, setup.robot_id << 24 | _UPDATED, _FILTER_LEFT, 1)
-        self._deliver(x_hats)
-        self._call("settle")
 
     def _deliver(self, x_hats: list[int]) -> None:
         """One message for each, or all at once."""
