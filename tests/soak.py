@@ -279,7 +279,7 @@ def random_settings(draw: random.Random, steps: int) -> SwarmSettings:
         memory=draw.choice([64, 2**31]),
         seed=draw.randrange(2**32),
         telemetry_period=draw.choice([0, 7]),
-        faults=tuple(random_faults(draw, robots)),  # type: ignore[arg-type]
+        faults=tuple(random_faults(draw, robots)),
         **draw.choice(_TOPOLOGIES),
     )
 

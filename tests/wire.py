@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
+from typing import Any
 
 import can
 import pytest
 
-from mcp_asdf.robot import Filter
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -92,12 +92,13 @@ class Wire(can.BusABC):
         """Nothing to close."""
 
 
-def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotRecord:
+def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotRecord:
     """Initial state of a robot; by default it filters every 10 ticks."""
-    settings = TickConfig(TABLE, **({"filter_period": 10} | config))  # type: ignore[arg-type]
+    usual: dict[str, Any] = {"table": TABLE, "filter_period": 10}
+    settings = TickConfig(**(usual | config))
     return RobotRecord(robot, firmware, b_hat, settings)
 
 
-def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: int | Filter) -> RobotNode:
+def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
     """A node in lockstep with a heartbeat every 10 ticks."""
     return RobotNode(record(robot, firmware, b_hat, **config).make(), NodeSettings(robot))

@@ -39,7 +39,7 @@ Member = dict[str, int]
 
 
 def members(folder: Path, flips: int, *flags: str) -> dict[str, Member]:
-    """What came of so many flips of each bit, by member."""
+    """Outcomes of so many flips of each bit, by member."""
     program = folder / "bit_flips"
     run("gcc", "-std=c99", "-O2", f"-I{CORE.parent}", *flags, HERE / "bit_flips.c", TABLE, "-o", program)
     lines = (line.split() for line in run(program, str(flips)).splitlines())
@@ -91,7 +91,7 @@ def seals(folder: Path) -> dict[str, int]:
 
 
 def sealed(found: dict[str, Member], cycles: dict[str, int]) -> str:
-    """What sealing would see, and what it costs, for the page."""
+    """Flips that sealing would detect, and its cost, for the page."""
     every = total(found.values())
     unseen, wrong = (100 * every[name] / every["at_rest"] for name in ("at_rest_unseen", "at_rest_wrong"))
     return (

@@ -13,11 +13,11 @@ from support import require
 BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 40 + 24)
 """Of all members but the pointer: senders, id, updated, counters, accuracy, five words and two rounds."""
 COUNTED = {"t", "n", "filter_left"}
-"""What may change the robot's counted data, and b_hat with it, without anything else that shows it."""
+"""Members whose change may alter the robot's counted data, and b_hat with it, and show nowhere else."""
 
 
 def check(found: dict[str, Member], flips: int) -> None:
-    """What holds of any number of flips."""
+    """Properties of any number of flips."""
     every = total(found.values())
     assert every["flips"] == flips * BITS
     assert (every["crash"], every["hang"]) == (0, 0)

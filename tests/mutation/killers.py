@@ -1,4 +1,4 @@
-"""What a mutant of the firmware has to get past: the C tests, under the choices of every target."""
+"""Tests that a mutant of the firmware has to get past: the C tests, under the choices of every target."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Compiler:
     name: str
 
     def passes(self, folder: Path, test: str, variant: Variant) -> bool:
-        """Whether the test of this name passes with the sources in the folder."""
+        """True if the test of this name passes with the sources in the folder."""
         flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE"]
         flags += [flag.replace("MCP_ASDF", "TEST") for flag in variant.flags() if "MCP_ASDF" in flag]
         sources = [TESTS / f"test_{test}.c", *_linked(folder, test)]
@@ -71,7 +71,7 @@ def _flags(variant: Variant) -> list[str]:
 
 
 def _linked(folder: Path, test: str) -> list[Path]:
-    """What a black-box test is linked with; a white-box test contains the firmware."""
+    """Objects that a black-box test is linked with; a white-box test contains the firmware."""
     if test not in BLACK_BOX:
         return []
     if test == "frame":
@@ -83,7 +83,7 @@ def _linked(folder: Path, test: str) -> list[Path]:
 
 
 def _limited(*command: str | Path, seconds: int = 60) -> bool:
-    """Whether the command succeeds before its time is over."""
+    """True if the command succeeds before its time is over."""
     done = subprocess.run(
         ("sh", "-c", f'ulimit -c 0; ulimit -t {seconds}; exec "$@"', "sh", *command),
         capture_output=True,
@@ -154,7 +154,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
 
 
 def same_code(mutant: Mutant, folder: Path) -> bool:
-    """Whether an optimiser makes the same machine code of the mutant, for each of its variants: then it is no
+    """True if an optimiser makes the same machine code of the mutant, for each of its variants: then it is no
     mistake."""
     source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
     return all(

@@ -687,7 +687,9 @@ def test_a_board_whose_program_has_gone_can_be_left(
 PAGE = ROOT / "docs/firmware_in_the_loop.md"
 
 
-def test_the_commands_of_the_page_work(tmp_path: Path) -> None:
+@pytest.mark.parametrize("verdict", [False, *slow([True])])
+def test_the_commands_of_the_page_work(verdict: bool, tmp_path: Path) -> None:
+    """The verdict takes minutes on a busy machine."""
     require_target("cortex-m3")
     require("ninja", "ninja-build")
     for name in ("c_ref", "tables"):
@@ -695,8 +697,9 @@ def test_the_commands_of_the_page_work(tmp_path: Path) -> None:
     (block,) = re.findall(
         r"^```sh\n(cmake .*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    shown = [run("sh", "-c", command, cwd=tmp_path) for command in block.splitlines()]
-    assert "PASSED: " in shown[2]
+    commands = [command for command in block.splitlines() if verdict or "--verify" not in command]
+    shown = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
+    assert verdict == ("PASSED: 38 of 38 phases passed" in shown[2])
     assert re.search(r"\b500 +broadcasts reproduced bit for bit", shown[-1])
 
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -120,14 +121,14 @@ def test_robots_of_one_process_hear_each_other_as_robots_of_several_do(
     start: Start, bus: UnixBus, comms_period: int
 ) -> None:
     """One process of robots 1, 2, 3, one of 4 and 5: the same bits as Python nodes that all hear all."""
-    options = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps", 61)
-    options = (*options, "--activation", "always", "--b-hat", 0.7)
+    periods = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps", 61)
+    options = (*periods, "--activation", "always", "--b-hat", 0.7)
     ranges = {"1-3": range(1, 4), "4-5": range(4, 6)}
     nodes, peers = [], []
     for ids in ranges:
         nodes.append(start(ids, *options))
         peers.append(bus.accept())
-    config = {"filter_period": 12, "comms_period": comms_period, "filter": Filter.ALWAYS}
+    config: dict[str, Any] = {"filter_period": 12, "comms_period": comms_period, "filter": Filter.ALWAYS}
     twins = {robot: twin(robot, 0.7, **config) for robot in range(1, 6)}
     for each in twins.values():
         each.start()

@@ -17,6 +17,7 @@ from .frames import TRANSFER_IDS as TRANSFER_IDS
 from .frames import Action as Action
 from .frames import Command as Command
 from .frames import FrameFormat as FrameFormat
+from .frames import Health as Health
 from .frames import Heartbeat as Heartbeat
 from .frames import Message as Message
 from .frames import Rejection as Rejection

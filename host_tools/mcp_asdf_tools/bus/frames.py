@@ -13,6 +13,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 import can
 
@@ -415,6 +416,7 @@ def _what_is_special(frame: can.Message) -> Rejection:
     return next((reason for found, reason in findings if found), Rejection.SUBJECT)
 
 
+@cache
 def _identifier(priority: int, subject: int, node_id: int) -> int:
     _check("sender", node_id, MAX_NODE_ID)
     return priority << 26 | 3 << 21 | subject << 8 | node_id

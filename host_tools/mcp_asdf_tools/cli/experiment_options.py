@@ -107,10 +107,16 @@ def show(experiments: Sequence[Trials], limits: LimitsOf, title: str) -> None:
     for name in (*varying, "trials", "H", "h_K", "h_e", "K", "e", "updates"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(*(f"{row['parameters'][name]}" for name in varying), f"{row['trials']}", *_cells(row))
+        table.add_row(*(f"{row['parameters'][name]}" for name in varying), _trials(row), *_cells(row))
     # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
     width = Console(width=10_000).measure(table).maximum
     Console(width=width).print(table)
+
+
+def _trials(row: dict[str, Any]) -> str:
+    """How many trials there are, and how many there should be if some are missing."""
+    found, wanted = row["trials"], row["parameters"]["trials"]
+    return f"{found}" if found >= wanted else f"{found} of {wanted}"
 
 
 def _cells(row: dict[str, Any]) -> Iterator[str]:

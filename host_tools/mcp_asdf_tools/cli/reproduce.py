@@ -149,7 +149,7 @@ def _say_how_long(stores: Sequence[Store], scale: Scale, workers: int, args: arg
     if scale.firmware == "native":
         words += f", about {_minutes(seconds)} of processor time"
         if args.scheduler is None:
-            words += f", {_minutes(seconds / workers)} with {workers} workers"
+            words += f", {_minutes(seconds / workers)} with {workers} worker{'s' * (workers > 1)}"
     if scale.trials is None:
         words += "; up to half as many more where comparisons stay open"
     print(words, file=sys.stderr)

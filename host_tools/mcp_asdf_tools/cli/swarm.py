@@ -75,7 +75,7 @@ _STARTING_TIMEOUT = 60.0
 
 @dataclass
 class _Attached:
-    """Hooks that run along with a swarm.
+    """Companions of a swarm's run.
 
     Attributes:
         camera: Takes a film of it, if one is wanted.

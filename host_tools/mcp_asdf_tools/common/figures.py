@@ -37,10 +37,13 @@ def save_figure(figure: Figure, path: Path) -> None:
     write_atomically(check_plot_path(path), image_of(figure, path))
 
 
-def image_of(figure: Figure, path: Path) -> bytes:
-    """Content of the file ``path`` for a figure. Raises UsageError if its name is not that of a picture."""
+def image_of(figure: Figure, path: Path, has_text: bool = False) -> bytes:
+    """Content of the file ``path`` for a figure, an .svg with letters as shapes unless it ``has_text``.
+
+    Raises UsageError if its name is not that of a picture.
+    """
     image, suffix = io.BytesIO(), _format_of(path)
-    with rc_context({"svg.hashsalt": "mcp-asdf"}):
+    with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "none" if has_text else "path"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
     return image.getvalue()
 

@@ -43,7 +43,7 @@ class GrowingFiles:
             self._set_aside()
             for part in self.parts:
                 self.files.append(part.open("xb", buffering=_BUFFER))
-            fcntl.flock(self.files[0], fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(self.files[0])
 
     def keep(self, obsolete: Iterable[Path] = ()) -> None:
         """Let the files, which are closed by now, take their names.
@@ -72,10 +72,8 @@ class GrowingFiles:
             self.discard()
             return
         with first.open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UsageError(f"another program is writing {first}; choose another name") from None
+            if not _lock(file):
+                raise UsageError(f"another program is writing {first}; choose another name")
         if not first.stat().st_size:
             self.discard()
             return
@@ -97,6 +95,20 @@ def _numbered(part: Path, number: int) -> Path:
     """Another name for a part: run-1.log.part for run.log.part."""
     stem, dot, suffixes = part.name.partition(".")
     return part.with_name(f"{stem}-{number}{dot}{suffixes}")
+
+
+def _lock(file: BinaryIO) -> bool:
+    """Lock an open file as long as its program lives; returns whether no other program has it.
+
+    Some network file systems have no locks: there the answer is always yes.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
 
 
 def _sync(path: Path) -> None:

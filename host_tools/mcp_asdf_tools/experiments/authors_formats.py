@@ -67,7 +67,7 @@ class _Parameters:
         self._path = path
         try:
             node = yaml.compose(text, Loader=yaml.SafeLoader)
-        except yaml.YAMLError as error:
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise UsageError(f"{path}: {error}") from error
         if not isinstance(node, yaml.MappingNode):
             raise UsageError(f"{path}: no parameters; write lines like numRobots: 10")

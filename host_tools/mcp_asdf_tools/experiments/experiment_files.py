@@ -58,7 +58,7 @@ def _shipped(name: Path) -> Path:
 def _read_toml(path: Path, text: str) -> list[Experiment]:
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # of a number with thousands of digits, and of deep lists
         raise UsageError(f"{path}: {error}") from error
     grids = content.pop(GRID, [{}])
     if not (isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)):

@@ -124,7 +124,7 @@ _GOLDEN = 0.618
 def _draw_strip(axes: Axes, scores: NDArray[np.float64], place: float, width: float, colour: str) -> None:
     """Points spread evenly over the width, and a line at the median."""
     aside = (np.arange(len(scores)) * _GOLDEN % 1 - 0.5) * width
-    axes.plot(place + aside, scores, ".", color=colour, markersize=2.5, alpha=0.5, markeredgewidth=0)
+    axes.plot(place + aside, scores, ".", color=colour, markersize=3.5, alpha=0.5, markeredgewidth=0)
     middle = float(np.median(scores))
     axes.plot([place - width / 2, place + width / 2], [middle, middle], color=INK, linewidth=1.2)
 
@@ -195,10 +195,13 @@ def scatter(
         Line2D([], [], linestyle="", marker=marker, color=colour, label=_look_name(*key))
         for key, (colour, marker) in looks.items()
     ]
-    columns = min(len(handles), 2 * len(shares))
+    columns = max(1, int(figure.get_figwidth() / _LEGEND_WIDTH))
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=8)
     return figure
 
+
+_LEGEND_WIDTH = 2.6
+"""Inches of an entry."""
 
 Look = tuple[float, float]
 """b, and b_hat less b."""
@@ -380,7 +383,7 @@ def bands(experiments: Sequence[Trials]) -> Figure:
         raise UsageError(
             "there is no filter step in these trials; run more steps, or a shorter filter_period"
         )
-    columns = min(4, len(experiments))
+    columns = 6 if len(experiments) > 12 else min(4, len(experiments))
     rows = -(-len(experiments) // columns)
     figure = empty_figure(1.0 + 3.0 * columns, 1.2 + 2.4 * rows)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)

@@ -91,12 +91,22 @@ def write_table(path: Path, table: pa.Table) -> None:
     write_atomically(path, sink.getvalue())
 
 
+def parts_of(output: Path) -> Path:
+    """Folder of the finished jobs of a sweep with this output."""
+    return output.with_name(f"{output.name}.parts")
+
+
 def read_table(path: Path) -> pa.Table:
-    """Read a table that ``write_table`` wrote. Raises UsageError for any other file."""
+    """Read a table that ``write_table`` wrote, or all of a folder, such as the parts of a sweep.
+
+    Raises UsageError for any other file.
+    """
     try:
         table = pq.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:
-        raise UsageError(f"cannot read {path}: {error}") from error
+        parts = parts_of(path)
+        hint = f"; its sweep is not finished, {parts} has what there is" if parts.is_dir() else ""
+        raise UsageError(f"cannot read {path}: {error}{hint}") from error
     known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
     if known.get("format") != FORMAT:
         holds = "no results" if "format" not in known else f"results in format {known['format']}"

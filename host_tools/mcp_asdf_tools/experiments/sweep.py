@@ -26,7 +26,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import metadata_of, read_table, table_of, write_table
+from mcp_asdf_tools.experiments.results import metadata_of, parts_of, read_table, table_of, write_table
 from mcp_asdf_tools.experiments.simulation import Job
 
 _MOST_TRIALS = 32
@@ -60,7 +60,7 @@ class Store:
         Raises UsageError if the files hold other results, which would be lost, or cannot be written.
         """
         self.output = output
-        self.parts = output.with_name(f"{output.name}.parts")
+        self.parts = parts_of(output)
         self._interval = sampling_interval
         self._most = most
         self.want(experiments)

@@ -18,7 +18,11 @@ Content = tuple[int, int]
 """x_hat in units of 2**-23 and alpha as the firmware's word."""
 
 _TRIES = 300
-_LEAST_SPREAD, _MOST_SPREAD = 0.02, 0.6
+_LEAST_DISTANCE = 1 << 15
+"""Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
+_LEAST_SPREAD, _MOST_SKEW = 0.05, 6
+"""Estimates at a threshold are spread over this share of the room and more, most of them near its beginning:
+around their mean they would not fit where the own estimate is 0 or 1."""
 _TARGETS = {
     Update.ABOVE: (0.65, 0.98),
     Update.BELOW: (0.02, 0.35),
@@ -27,7 +31,7 @@ _TARGETS = {
     Update.HALF: (0.7, 0.95),
     Update.KEPT: (0.5, 0.5),
 }
-"""x_bar for each update where a bit more than half of the observations are black, and exactly half for HALF."""
+"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +60,14 @@ class Situation:
         return update_of(reestimate(self.t, self.n, Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)))
 
 
-def ordinary_alpha(draw: random.Random) -> int:
-    """A confidence as robots have it: 1 to 2**16."""
-    return (1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(1, 17)
+def ordinary_alpha(draw: random.Random, most: int = 17) -> int:
+    """A confidence as robots have it: 1 to 2**(most - 1)."""
+    return (1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(1, most)
 
 
-def any_content(draw: random.Random) -> Content:
+def any_content(draw: random.Random, most: int = 17) -> Content:
     """A message of any estimate, with an ordinary confidence."""
-    return draw.randint(0, ONE), ordinary_alpha(draw)
+    return draw.randint(0, ONE), ordinary_alpha(draw, most)
 
 
 def at_threshold(
@@ -97,16 +101,16 @@ def _values_at_threshold(
     assert situation.table is not None
     own = situation.x_hat
     is_above = own < HALF or (own == HALF and draw.random() < 0.5)
-    width = round(max(own, ONE - own) * draw.uniform(_LEAST_SPREAD, _MOST_SPREAD))
-    spread = [draw.randint(-width, width) for _ in range(m)]
+    step = 1 if is_above else -1
+    width, power = max(own, ONE - own) * draw.uniform(_LEAST_SPREAD, 1), draw.uniform(1, _MOST_SKEW)
+    spread = [step * round(width * draw.random() ** power) for _ in range(m)]
     total = sum(spread)
     square = m * sum(each * each for each in spread) - total * total
-    if square == 0:
-        return None
     least = isqrt(situation.table.entry(m) * square >> FRACTION_BITS) + 1  # of |Sum x - m x_hat| that rejects
+    if least < m * _LEAST_DISTANCE:
+        return None
     # The smallest shift whose sum is far enough from the own estimate, upwards or downwards.
     shift = -((total - least) // m) if is_above else (-least - total) // m
-    step = 1 if is_above else -1
     outside = [own + each + shift for each in spread]
     inside = [each - step for each in outside]
     return (inside, outside) if all(0 <= each <= ONE for each in (*inside, *outside)) else None
@@ -150,3 +154,10 @@ EXTREMES: dict[str, list[Content]] = {
     "126 messages of the largest confidence": [(ONE - 1, ALPHA_MAX)] * 126,
 }
 """Rounds of messages at the ends of the ranges."""
+
+FOREIGN_ALPHAS = {
+    "a confidence above the largest": 0x7F7F_FFFF,
+    "a confidence between two multiples of 2^-24": 0x3300_0001 + (1 << 23),
+    "a subnormal confidence": 0x0000_0001,
+}
+"""binary32 bits that the codec brings to the firmware's grid."""

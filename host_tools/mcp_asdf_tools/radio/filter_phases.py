@@ -13,11 +13,12 @@ from mcp_asdf_tools.radio.stage import Stage
 _WANTED = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.ABOVE, Update.BELOW)
 """Updates of the rounds just outside their thresholds."""
 _ATTEMPTS = 4
+_MANY = "many observations in a row"
 
 
 def no_information(stage: Stage) -> None:
     """A re-estimate that gives b_hat = 1/2, after which the robot knows nothing until the next."""
-    stage.doing = "observations, half of them black"
+    stage.doing = "many observations, half of them black"
     while 2 * stage.model.firmware.s.n != stage.model.firmware.s.t:
         s = stage.model.firmware.s
         stage.tick(Observation(2 * s.n < s.t))
@@ -95,12 +96,14 @@ def halvings(stage: Stage) -> None:
 
 def long_run(stage: Stage) -> None:
     """So many observations that a memory that is too short shows."""
-    stage.doing = "many observations in a row"
+    stage.doing = _MANY
     stage.skip(LONG_RUN - stage.model.coverage.observations, lambda: any_observation(stage))
 
 
 def _to_test(stage: Stage, before: int = 0) -> None:
-    stage.doing = "many observations in a row"
+    """Observe until the round of the next test begins, at least once: a new b_hat shows then."""
+    stage.doing = _MANY
+    stage.tick(any_observation(stage))
     stage.to_test(lambda: any_observation(stage), before)
 
 

@@ -46,13 +46,13 @@ def _re_estimates(config: TickConfig) -> bool:
 
 PHASES: tuple[Phase, ...] = (
     Phase("alone", protocol.alone),
+    Phase("messages and silence", protocol.messages_and_silence),
     Phase("lost commands", protocol.lost_settles),
     Phase("stray commands", protocol.stray),
     Phase("heartbeats", protocol.heartbeats),
     Phase("every sender", protocol.every_sender),
     Phase("alike ids", protocol.alike_ids),
     Phase("growing rounds", protocol.growing_rounds),
-    Phase("silence", protocol.silence),
     Phase("between ticks", protocol.between_ticks),
     Phase("extreme messages", protocol.extremes),
     Phase("same sender", protocol.same_sender),

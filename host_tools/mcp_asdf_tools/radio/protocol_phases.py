@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.radio.crafted_rounds import EXTREMES, any_content
+from mcp_asdf_tools.radio.crafted_rounds import EXTREMES, FOREIGN_ALPHAS, any_content
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.stage import Stage
 
 _PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)
-ALONE_TICKS = 24
+ALONE_TICKS = 72
+"""More than the shortest memory, 64."""
 STRAY_REPEATS = 3
 SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Messages of growing rounds."""
@@ -22,6 +23,19 @@ def alone(stage: Stage) -> None:
         stage.tick(z)
 
 
+def messages_and_silence(stage: Stage) -> None:
+    """Ticks with a few messages of similar weight, and ticks without any."""
+    for _ in range(6):
+        stage.avoid_test()
+        stage.doing = "a few messages"
+        frames = stage.messages({robot: any_content(stage.draw, 3) for robot in stage.others[:3]})
+        stage.tick(any_observation(stage), frames)
+        stage.avoid_test()
+        stage.doing = "no messages"
+        for _ in range(2 if stage.draw.random() < 0.5 else 1):
+            stage.tick(any_observation(stage))
+
+
 def any_observation(stage: Stage) -> Observation:
     """Black a bit more often than white, so that b_hat can be re-estimated on both sides of 1/2."""
     s = stage.model.firmware.s
@@ -32,10 +46,11 @@ def any_observation(stage: Stage) -> Observation:
 def lost_settles(stage: Stage) -> None:
     """Every other *settle* does not come; the next *observe* ends the tick and its round all the same."""
     for _ in range(4):
+        stage.avoid_test()
         stage.observe(any_observation(stage))
         stage.doing = "messages in a tick whose settle is lost"
         stage.send(stage.messages([(robot, any_content(stage.draw)) for robot in stage.others[5:8]]))
-        stage.lockstep.leave_open()
+        stage.leave_open()
         stage.doing = "the tick after one whose settle was lost"
         stage.tick(any_observation(stage))
 
@@ -48,10 +63,12 @@ def stray(stage: Stage) -> None:
         tick = stage.lockstep.tick
         kinds = stray_commands(stage.draw, subjects.commands, coverage.robot, other, tick)
         for name in kinds:
+            stage.avoid_test()
             stage.doing = name
             stage.observe(any_observation(stage))
             tick = stage.lockstep.tick
             stage.send([stray_commands(stage.draw, subjects.commands, coverage.robot, other, tick)[name]])
+            stage.send(stage.messages({robot: any_content(stage.draw) for robot in stage.others[:2]}))
             stage.settle()
             coverage.commands[name] += 1
 
@@ -102,22 +119,18 @@ def growing_rounds(stage: Stage) -> None:
         stage.round(*(any_content(stage.draw) for _ in range(size)))
 
 
-def silence(stage: Stage) -> None:
-    """Rounds without messages, after others."""
-    for _ in range(3):
-        stage.avoid_test()
-        stage.doing = "messages before a round without any"
-        stage.round(*(any_content(stage.draw) for _ in range(3)))
-        stage.doing = "a round without messages"
-        stage.round()
-
-
 def extremes(stage: Stage) -> None:
-    """Messages at the ends of the ranges."""
+    """Messages at the ends of the ranges, and confidences that no robot of ours sends."""
     for name, contents in EXTREMES.items():
         stage.avoid_test()
         stage.doing = name
         stage.round(*contents)
+    for name, bits in FOREIGN_ALPHAS.items():
+        stage.avoid_test()
+        stage.doing = name
+        frames = stage.messages({robot: any_content(stage.draw) for robot in stage.others[:2]})
+        frames[0].data[3:7] = bits.to_bytes(4, "little")
+        stage.round_of(frames)
 
 
 def same_sender(stage: Stage) -> None:

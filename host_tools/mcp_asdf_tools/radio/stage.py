@@ -1,7 +1,7 @@
 """Controller and model side by side on one bus: what a phase can let happen to both.
 
-The controller is driven in lockstep by command frames; the model is given the very frames that go over the bus.
-Whenever a tick is settled, all frames that the two have sent since are compared.
+The controller is driven in lockstep by command frames; the model is given the very frames that go over the
+bus. Whenever a tick is settled, all frames that the two have sent since are compared.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from mcp_asdf_tools.robots import Lockstep, LockstepSettings, Recorder, send_all
 
 SEND_TIMEOUT = 2.0
 BURST = 16
-"""Ticks of which only the last is settled, where many pass in a row: so many commands a controller must be able
-to take at the bus's own speed."""
+"""Ticks of which only the last is settled, where many pass in a row: so many commands must a controller be
+able to take at the bus's own speed."""
 _AFTERMATH = 0.1
 """Seconds to listen after the last answer."""
 
@@ -75,6 +75,7 @@ class Stage:
         neighbours: Emulated robots around the controller, for phases that want them.
         draw: Random numbers, the same in every run with this seed.
         doing: What is done at present, in words.
+        place: Number of the last tick that was settled or is to be.
         frames: Frames sent to the controller besides commands.
         strangers: Nodes that have no part in this.
         comparison: The frames compared so far.
@@ -87,7 +88,7 @@ class Stage:
         self.neighbours = Neighbourhood(settings)
         self.draw = random.Random(settings.swarm.seed)
         self.doing = ""
-        self.frames = 0
+        self.place = self.frames = 0
         self.strangers = Strangers(settings.controller.id, settings.subjects)
         (greeting,) = self.model.start()
         self.comparison = Comparison(settings.subjects, greeting, self.model.coverage.equal)
@@ -107,7 +108,7 @@ class Stage:
 
     @property
     def situation(self) -> Situation:
-        """Purposes for which rounds are crafted."""
+        """The controller's state, for which rounds are crafted."""
         s, config = self.model.firmware.s, self.settings.controller.config
         return Situation(s.t, s.n, s.x_hat, config.table if is_adaptive(config) else None)
 
@@ -118,6 +119,7 @@ class Stage:
         if self.bench.should_stop():
             raise KeyboardInterrupt
         broadcasts, begin = self.model.sent.estimates, time.perf_counter()
+        self.place = self.lockstep.tick
         self.lockstep.observe({self._id: z})
         if self.model.sent.estimates != broadcasts:
             self.lockstep.estimates({self._id})
@@ -138,6 +140,11 @@ class Stage:
         self.compare()
         self.bench.progress(self.lockstep.tick)
 
+    def leave_open(self) -> None:
+        """End the tick as if its settle were lost; the controller may complain about it from now on."""
+        self.lockstep.leave_open()
+        self.comparison.may_advise = True
+
     def tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
         """A whole tick, in which these frames come."""
         self.observe(z)
@@ -152,7 +159,7 @@ class Stage:
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
                 self.lockstep.observe({self._id: observe()})
-                self.lockstep.leave_open()
+                self.leave_open()
             self.tick(observe())
             ticks -= burst
 

@@ -21,7 +21,7 @@ from mcp_asdf_tools.robots import Subjects
 
 
 class Disturbed(Exception):  # noqa: N818 (an outcome, no error)
-    """The controller heard a stranger, so it can no longer be compared with the model; the message names it."""
+    """The controller heard a stranger, which the message names: no comparison with the model any more."""
 
 
 class Strangers:
@@ -37,7 +37,7 @@ class Strangers:
         self._counts: Counter[tuple[int | None, str]] = Counter()
 
     def take(self, frame: can.Message) -> None:
-        """Take a frame that does not come from the controller. Raises Disturbed if the controller heeds it."""
+        """Take a frame that is not the controller's. Raises Disturbed if the controller heeds it."""
         sender, kind, is_heard = self._content(frame)
         self._counts[sender, kind] += 1
         if is_heard:

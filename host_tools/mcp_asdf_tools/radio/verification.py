@@ -1,8 +1,8 @@
 """Verification of a real controller, which must behave as a model of it does.
 
-The controller is taken through phases (``phases``), in lockstep with the model, up to the first difference. The
-verdict gives that difference with its likely cause (``causes``), or else what was put to the test and what was
-not (``coverage``).
+The controller is taken through phases (``phases``), in lockstep with the model, up to the first difference.
+The verdict gives that difference with its likely cause (``causes``), or else what was put to the test and
+what was not (``coverage``).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class ControllerVerdict:
 
     @property
     def has_passed(self) -> bool:
-        """True if every phase has passed, and every claim was put to the test."""
+        """Whether every phase has passed, and every claim was put to the test."""
         return all(phase.outcome == PASSED for phase in self.phases) and not self.not_exercised
 
     def plain(self) -> dict[str, Any]:
@@ -165,8 +165,7 @@ class Verification:
         return verdict
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
-        stage, struck = self._stage, self._injected()
-        before = self._figures()
+        stage, before = self._stage, self._figures()
         stage.doing = phase.fault or phase.name
         try:
             if phase.play is not None:
@@ -175,28 +174,23 @@ class Verification:
                 for _ in range(self._bench.ticks):
                     among_neighbours(stage)
         finally:
-            ticks, frames, broadcasts, answers = (
-                after - each for each, after in zip(before, self._figures(), strict=True)
-            )
-            result.ticks, result.frames, result.broadcasts, result.answers = (
-                ticks,
-                frames,
-                broadcasts,
-                answers,
-            )
-            result.injected = self._injected() - struck
+            for name, figure in self._figures().items():
+                setattr(result, name, figure - before[name])
         result.outcome = NOT_EXERCISED if phase.fault and not result.injected else PASSED
 
-    def _figures(self) -> tuple[int, int, int, int]:
-        """Ticks, frames sent, equal broadcasts and equal answers so far."""
-        equal = self.verdict.coverage.equal
-        return self._stage.lockstep.tick, self._stage.frames, equal["estimate"], equal["telemetry"]
-
-    def _injected(self) -> int:
-        return sum(figure["injected"] for figure in self._stage.neighbours.faults.figures())
+    def _figures(self) -> dict[str, int]:
+        """The figures of a ``PhaseResult`` so far, for all phases together."""
+        stage, equal = self._stage, self.verdict.coverage.equal
+        return {
+            "ticks": stage.lockstep.tick,
+            "frames": stage.frames,
+            "injected": sum(figure["injected"] for figure in stage.neighbours.faults.figures()),
+            "broadcasts": equal["estimate"],
+            "answers": equal["telemetry"],
+        }
 
     def _symptom(self, error: Exception) -> Symptom:
-        """The symptom of what ended the run; a controller that did not answer may have said something else."""
+        """The symptom of what ended the run; who did not answer may have said something else."""
         if isinstance(error, Differs):
             return error.symptom
         if isinstance(error, can.CanError):
@@ -213,4 +207,4 @@ class Verification:
     def _place(self, phase: Phase) -> str:
         doing = self._stage.doing
         also = f" ({doing})" if doing and doing not in (phase.name, phase.fault) else ""
-        return f'phase "{phase.name}"{also}, tick {self._stage.lockstep.tick}'
+        return f'phase "{phase.name}"{also}, tick {self._stage.place}'

@@ -84,8 +84,9 @@ class FrameLog:
 
     def close(self) -> None:
         """Complete the log and close its file. Raises OSError; the file is closed all the same."""
-        with closing(self._file), closing(self._writer.file):
-            self._writer.stop()
+        if not self._file.closed:
+            with closing(self._file), closing(self._writer.file):
+                self._writer.stop()
 
 
 def _is_word(channel: object) -> bool:

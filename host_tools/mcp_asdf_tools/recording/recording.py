@@ -10,7 +10,7 @@ from types import TracebackType
 
 import can
 
-from mcp_asdf_tools.common import GrowingFiles, UsageError
+from mcp_asdf_tools.common import GrowingFiles, UsageError, check_target
 from mcp_asdf_tools.recording.frame_logs import FrameLog, check_format
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidecar_path
 
@@ -57,40 +57,45 @@ class Recording:
     """
 
     def __init__(self, path: Path, header: SidecarHeader | None, warn: Warn, channel: str = "vcan0") -> None:
-        """Begin the log ``path``. ``warn`` gets a line, once, if the recording fails.
+        """Prepare the log ``path``. ``warn`` gets a line, once, if the recording fails.
 
-        ``channel`` is that of frames that do not name theirs.
-        Raises UsageError if its format or place is unusable.
+        ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
+        log's format or place is unusable.
         """
         self.failure: str | None = None
         check_format(path)
-        self._path = path
+        self._paths = [path] if header is None else [path, sidecar_path(path)]
+        for each in self._paths:
+            check_target(each)
+        self._header = header
+        self._channel = channel
         self._warn = warn
         self._is_empty = True
         self._waiting = 0
         self._flush_at = time.monotonic() + _PERIOD
         self._events = None if header is None else SidecarWriter(header, self._write_events)
-        self._files = GrowingFiles([path] if header is None else [path, sidecar_path(path)])
-        self._log = FrameLog(path, self._files.files[0], channel)
-        self._others = self._files.files[1:]
-        for file in self._others:
-            file.write(header.line().encode() if header is not None else b"")
 
     def __enter__(self) -> LogOutputs:
+        self._files = GrowingFiles(self._paths)
+        log, *self._others = self._files.files
+        self._log = FrameLog(self._paths[0], log, self._channel)
+        for file in self._others:
+            file.write(self._header.line().encode() if self._header is not None else b"")
         return self._write_frame, self._events
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None and self._is_empty:
-            self._close()
+            with suppress(OSError):
+                self._close()
             self._files.discard()
             return
         if self._events is not None:
             self._events.finish()
         self._attempt(self._close)
         if kind is None:
-            self._attempt(lambda: self._files.keep(obsolete=[sidecar_path(self._path)]))
+            self._attempt(lambda: self._files.keep(obsolete=[sidecar_path(self._paths[0])]))
         else:
             self._fail("the run did not end regularly")
 
@@ -134,9 +139,8 @@ class Recording:
     def _fail(self, reason: str) -> None:
         if self.failure is None:
             self.failure = reason
-            self._warn(
-                f"the log {self._path} is not complete: {reason}; what there is is in {self._files.parts[0]}"
-            )
+            log, part = self._paths[0], self._files.parts[0]
+            self._warn(f"the log {log} is not complete: {reason}; what there is is in {part}")
             for close in (*(file.close for file in self._others), self._log.close):
                 with suppress(OSError):
                     close()

@@ -231,8 +231,14 @@ def claims_tables(decided: Decided, verdicts: Verdicts, scale: Scale) -> str:
                 "other seeds",
                 "other readings",
             ]
-            sections += [f"### {about(part).capitalize()}", table(columns, rows)]
+            title = f"{about(part).capitalize()}: {len(own)} claims"
+            sections.append(folded(title, table(columns, rows)))
     return "\n\n".join(sections)
+
+
+def folded(title: str, content: str) -> str:
+    """Something to be opened by a click."""
+    return f"<details><summary>{title}</summary>\n\n{content}\n\n</details>"
 
 
 def _claim_row(decision: Decision, verdicts: Sequence[Verdict], scale: Scale) -> list[object]:
@@ -306,9 +312,9 @@ def plain(words: str) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A table in Markdown."""
-    lines = [" | ".join(head), "|".join(["---"] * len(head))]
-    lines += [" | ".join(str(cell).replace("|", "\\|") for cell in row) for row in rows]
-    return "\n".join(f"| {line} |" if "---" not in line else f"|{line}|" for line in lines)
+    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in (head, *rows)]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:]])
 
 
 def as_values(decided: Decided, verdicts: Verdicts, scale: Scale) -> list[dict[str, object]]:

@@ -66,7 +66,7 @@ def _make_folder(folder: Path) -> None:
 def _images(decided: Decided, drawn: Drawn, figures: Sequence[ReportFigure]) -> Iterator[tuple[str, bytes]]:
     for each in decided:
         name = f"claims/{each.file}.svg"
-        yield name, image_of(heat_map(each.finding.comparisons), Path(name))
+        yield name, image_of(heat_map(each.finding.comparisons), Path(name), has_text=True)
     for figure in figures:
         name = f"figures/{figure.name}.png"
         yield name, image_of(figure.draw(drawn), Path(name))

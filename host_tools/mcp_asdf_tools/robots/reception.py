@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import can
 import numpy as np
@@ -22,6 +23,8 @@ from mcp_asdf_tools.bus import (
 )
 from mcp_asdf_tools.robots.events import message_text
 from mcp_asdf_tools.robots.firmwares import Words
+
+Mask = NDArray[np.bool_]
 
 Content = Message | Heartbeat | Telemetry | Rejection
 """Content of a frame, or the reason why it has none."""
@@ -109,31 +112,35 @@ class Estimates:
 
     Attributes:
         words: Shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``.
-        texts: The same as events, shape (estimates,).
     """
 
-    __slots__ = ("texts", "words")
-
-    def __init__(self, words: Words, texts: NDArray[np.object_]) -> None:
+    def __init__(self, words: Words, source: Estimates | None = None, which: Mask | None = None) -> None:
         self.words = words
-        self.texts = texts
+        self._source = source
+        self._which = which
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[int]]) -> Estimates:
         """Estimates of these senders, x_hat and alpha."""
-        texts = np.array([message_text(*row) for row in rows], np.object_)
-        return cls(np.array(rows, np.uint32).reshape(-1, 3), texts)
+        return cls(np.array(rows, np.uint32).reshape(-1, 3))
 
     def __len__(self) -> int:
         return len(self.words)
 
-    def __getitem__(self, which: NDArray[np.bool_] | Sequence[int]) -> Estimates:
-        """Some of them: those of a mask, or these numbers."""
-        return Estimates(self.words[which], self.texts[which])
+    def __getitem__(self, which: Mask) -> Estimates:
+        """Some of them."""
+        return Estimates(self.words[which], self, which)
 
-    def __add__(self, others: Estimates) -> Estimates:
-        words = np.concatenate((self.words, others.words))
-        return Estimates(words, np.concatenate((self.texts, others.texts)))
+    @property
+    def texts(self) -> NDArray[np.object_]:
+        """The same as events, shape (estimates,); made once for all robots that take some of them."""
+        if self._source is not None:
+            return self._source._all_texts[self._which]
+        return self._all_texts
+
+    @cached_property
+    def _all_texts(self) -> NDArray[np.object_]:
+        return np.array([message_text(*row) for row in self.words.tolist()], np.object_)
 
 
 def rows_of(contents: Sequence[Content]) -> list[tuple[int, int, int]]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Protocol
@@ -13,10 +12,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.swarm.faults import Faults, SentFrame
-
-_Turn = tuple[float, int, int, int]
-"""Place of a frame among those that a robot hears in a tick: place, tick and number sent, version."""
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame, Ways
 
 
 class Hearer(Protocol):
@@ -38,36 +34,36 @@ class InRange(Protocol):
 
 
 @dataclass(frozen=True)
+class Batch:
+    """Frames sent in one tick that arrive in one tick on one kind of ways."""
+
+    sent: Sequence[SentFrame]
+    ways: Ways
+
+
+@dataclass(frozen=True)
 class Arrivals:
     """Frames that robots hear in one tick.
 
     Attributes:
-        tick: The tick.
-        sent: Frames that arrive in time and unchanged at some of them.
-        plain: Whether they do at a robot, shape (frames, robots).
-        others: The other frames, by the robot that hears them.
+        in_turn: Those that come in their turn: late ones first, then frames as sent, copies, damaged ones.
+        behind: Those that fall behind these, by rising place.
     """
 
-    tick: int
-    sent: Sequence[SentFrame]
-    plain: NDArray[np.bool_]
-    others: Mapping[int, Sequence[tuple[_Turn, can.Message]]]
+    in_turn: Sequence[Batch]
+    behind: Sequence[Batch]
 
     def of(self, robot: int) -> list[can.Message]:
-        """The frames that ``robot`` hears, in order: by place, and at equal places as sent."""
-        plain = np.flatnonzero(self.plain[:, robot])
-        frames = [self.sent[number].frame for number in plain.tolist()]
-        for before, (place, frame) in enumerate(self.between(robot, plain)):
-            frames.insert(place + before, frame)
-        return frames
-
-    def between(self, robot: int, plain: NDArray[np.intp]) -> list[tuple[int, can.Message]]:
-        """The other frames that ``robot`` hears, in order, each with the number of ``plain`` ones before."""
-        numbers = plain.tolist()
+        """The frames that ``robot`` hears, in order."""
         return [
-            (len(numbers) if place > 0 else bisect_left(numbers, number) if tick == self.tick else 0, frame)
-            for (place, tick, number, _), frame in sorted(self.others.get(robot, ()), key=itemgetter(0))
+            *(frame for each in self.in_turn for _, frame in each.ways.to(robot, each.sent)),
+            *self.behind_of(robot),
         ]
+
+    def behind_of(self, robot: int) -> list[can.Message]:
+        """The frames behind those that come in their turn."""
+        behind = [pair for each in self.behind for pair in each.ways.to(robot, each.sent)]
+        return [frame for _, frame in sorted(behind, key=itemgetter(0))]
 
 
 class Air:
@@ -85,7 +81,7 @@ class Air:
         self._faults = faults
         self._is_late = latency > 0
         self._held: tuple[Sequence[SentFrame], NDArray[np.bool_] | None] = (), None
-        self._due: dict[int, dict[int, list[tuple[_Turn, can.Message]]]] = {}
+        self._due: defaultdict[int, list[Batch]] = defaultdict(list)
 
     def arrivals(
         self, tick: int, sent: Sequence[SentFrame], came: NDArray[np.bool_] | None = None
@@ -100,13 +96,12 @@ class Air:
         in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
         if came is not None:
             in_range = in_range & came
-        ways = self._faults.ways(tick, sent, in_range)
-        for (number, robot), deliveries in ways.changed.items():
-            for version, way in enumerate(deliveries):
-                turn = way.place, tick, number, version
-                due = self._due.setdefault(tick + way.delay, defaultdict(list))
-                due[robot].append((turn, way.frame))
-        others = self._due.pop(tick, {})
+        for ways in self._faults.ways(tick, sent, in_range):
+            self._due[tick + ways.delay].append(Batch(sent, ways))
+        due = self._due.pop(tick, [])
         self.in_range += int(np.count_nonzero(in_range))
-        self.arrived += int(np.count_nonzero(ways.plain)) + sum(map(len, others.values()))
-        return Arrivals(tick, sent, ways.plain, others)
+        self.arrived += sum(int(np.count_nonzero(each.ways.reach)) for each in due)
+        return Arrivals(
+            [each for each in due if each.ways.places is None],
+            [each for each in due if each.ways.places is not None],
+        )

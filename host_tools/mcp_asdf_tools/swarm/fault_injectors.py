@@ -1,4 +1,7 @@
-"""Injectors, one for each kind of fault; ``mcp_asdf_tools.swarm.faults`` puts them to work."""
+"""Faults of nodes and of frames that a node sends; ``mcp_asdf_tools.swarm.faults`` puts them to work.
+
+The faults of frames on their way to a receiver are in ``ways``.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,8 @@ import hashlib
 import math
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from enum import IntEnum
 from fractions import Fraction
 from functools import cache
@@ -20,7 +23,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE_ID, ONE, FrameFormat, Message, bits_of, decode, encode
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
-from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
+from mcp_asdf_tools.swarm.transmission import SentFrame
 
 Words = tuple[int, ...]
 """Eight random words of 64 bits."""
@@ -46,15 +49,20 @@ class _Of(IntEnum):
     FRAME = 2
     COPIES = 3
     COPY = 4
+    PLACES = 5
 
 
 class Draws:
     """Random words of one fault; ``number`` distinguishes faults of one kind.
 
     Where each receiver has a draw of its own, receiver i has word i, however many are asked for.
+
+    Attributes:
+        number: As given.
     """
 
     def __init__(self, seed: int, kind: FaultKind, number: int) -> None:
+        self.number = number
         self._hash = hashlib.shake_128(seed.to_bytes(16, "little") + f"{kind.value} {number}".encode())
 
     def of_node(self, node: int, tick: int, number: int = 0) -> Words:
@@ -72,6 +80,10 @@ class Draws:
     def of_copies(self, sent: SentFrame, version: int, receivers: int) -> Row:
         """A word of the copy of a frame for each receiver; ``version`` counts copies for the same one."""
         return self._row(receivers, *_frame_key(sent), version % 256, _Of.COPIES, 0)
+
+    def of_places(self, sent: SentFrame, version: int, receivers: int) -> Row:
+        """One more word of each of these copies."""
+        return self._row(receivers, *_frame_key(sent), version % 256, _Of.PLACES, 0)
 
     def of_copy(self, sent: SentFrame, version: int, receiver: int) -> int:
         """Eight more words of one of these copies, as one integer, the first lowest."""
@@ -266,156 +278,12 @@ class _Queue(_InItsTicks):
         return [sent]
 
 
-@dataclass
-class Ways:
-    """Frames of one tick on their ways to the receivers in range.
-
-    Attributes:
-        plain: Whether a frame reaches a receiver at once and as it was sent, shape (frames, receivers).
-        changed: Deliveries of the other frames that reach a receiver, by (frame, receiver).
-    """
-
-    plain: NDArray[np.bool_]
-    changed: dict[tuple[int, int], Sequence[Delivery]] = field(default_factory=dict)
-
-
-class OnTheWay(Injector, ABC):
-    """Fault that acts on a frame on its way to one receiver."""
-
-    loses = False
-    """True if nothing is left of a delivery that is struck."""
-
-    def act(self, sent: Sequence[SentFrame], ways: Ways) -> None:
-        """Change the ``ways`` of the frames ``sent``, those left by earlier faults. O(frames receivers)."""
-        frames = [place for place, each in enumerate(sent) if self._is_on(each)]
-        if not frames:
-            return
-        on = set(frames)
-        for (place, receiver), deliveries in ways.changed.items():
-            if place in on and self._concerns(receiver):
-                ways.changed[place, receiver] = self._each(sent[place], receiver, deliveries)
-        receivers = ways.plain.shape[1]
-        struck = np.array([self._strikes_at(sent[place], 0, receivers) for place in frames])
-        struck &= ways.plain[frames] & self._concerned(receivers)
-        ways.plain[frames] &= ~struck
-        self.injected += int(np.count_nonzero(struck))
-        if not self.loses:
-            for row, receiver in zip(*(each.tolist() for each in struck.nonzero()), strict=True):
-                each = sent[frames[row]]
-                after = self._struck(Delivery(each.frame), each, 0, receiver)
-                ways.changed[frames[row], receiver] = after
-
-    def _is_on(self, sent: SentFrame) -> bool:
-        return not sent.frame.is_error_frame and self.fault.is_on(sent.tick, sent.sender)
-
-    def _concerns(self, receiver: int) -> bool:
-        return self.fault.receivers is None or receiver in self.fault.receivers
-
-    def _concerned(self, receivers: int) -> NDArray[np.bool_] | bool:
-        chosen = self.fault.receivers
-        return True if chosen is None else np.isin(np.arange(receivers), list(chosen))
-
-    def _each(self, sent: SentFrame, receiver: int, ways: Sequence[Delivery]) -> Sequence[Delivery]:
-        """Deliveries that replace several of one frame to one receiver."""
-        after: list[Delivery] = []
-        for version, way in enumerate(ways):
-            strikes = bool(self._strikes_at(sent, version, receiver + 1)[receiver])
-            self.injected += strikes
-            after += self._struck(way, sent, version, receiver) if strikes else [way]
-        return after
-
-    @abstractmethod
-    def _strikes_at(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
-        """True if the fault strikes a frame's copies for each receiver, shape (receivers,)."""
-
-    def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
-        """Deliveries that replace one that is struck."""
-        return ()
-
-
-class _ByDraw(OnTheWay):
-    """Fault that strikes each frame by a draw of its own."""
-
-    def _strikes_at(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
-        return _each_below(self._draws.of_copies(sent, version, receivers), self.fault.rate)
-
-
-class _Loss(_ByDraw):
-    loses = True
-
-
-class _Burst(OnTheWay):
-    """Gilbert's chain for each sender and receiver: nothing passes in its bad state."""
-
-    loses = True
-
-    def __init__(self, fault: Fault, draws: Draws) -> None:
-        super().__init__(fault, draws)
-        self._chains: dict[int, tuple[int, NDArray[np.bool_]]] = {}
-
-    def _strikes_at(self, sent: SentFrame, version: int, receivers: int) -> NDArray[np.bool_]:
-        start = self.fault.start
-        known, is_bad = self._chains.get(sent.sender, (start - 1, np.zeros(receivers, np.bool_)))
-        if len(is_bad) < receivers:
-            known, is_bad = start - 1, np.zeros(receivers, np.bool_)
-        for tick in range(known + 1, sent.tick + 1):
-            is_bad = self._step(sent.sender, tick, is_bad)
-        # A frame that a bus has brought late meets the state of the last frame in time.
-        self._chains[sent.sender] = max(known, sent.tick), is_bad
-        return is_bad[:receivers]
-
-    def _step(self, sender: int, tick: int, is_bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Start in the stationary state; then bursts end, and new ones begin to keep their share."""
-        share, length = self.fault.rate, self.fault.length
-        words = self._draws.of_links(sender, tick, len(is_bad))
-        if tick == self.fault.start:
-            return _each_below(words, share)
-        goes_on = ~_each_below(words, 1 / length)
-        begins = _each_below(words, share / (1 - share) / length)
-        return np.where(is_bad, goes_on, begins)
-
-
-class _Delay(_ByDraw):
-    def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
-        return (Delivery(way.frame, way.delay + self.fault.ticks, way.place),)
-
-
-class _Duplicate(_ByDraw):
-    def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
-        return way, Delivery(way.frame, way.delay + self.fault.ticks, way.place)
-
-
-class _Reorder(_ByDraw):
-    def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
-        word = self._draws.of_copy(sent, version, receiver) & _MAX_WORD
-        return (Delivery(way.frame, way.delay, (word >> 11) * 2.0**-53),)
-
-
-class _Corrupt(_ByDraw):
-    def _struck(self, way: Delivery, sent: SentFrame, version: int, receiver: int) -> Sequence[Delivery]:
-        frame = copy.copy(way.frame)
-        width = 8 * len(frame.data)
-        drawn = self._draws.of_copy(sent, version, receiver)
-        flips = _choice(width, min(self.fault.bits, width), drawn)
-        frame.data = bytearray((int.from_bytes(frame.data, "little") ^ flips).to_bytes(width // 8, "little"))
-        return (Delivery(frame, way.delay, way.place),)
-
-
 AT_SENDERS: dict[FaultKind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
     FaultKind.FREEZE: _Freeze,
     FaultKind.LIAR: _Liar,
     FaultKind.COLLIDE: _Collide,
     FaultKind.ERROR: _Error,
     FaultKind.QUEUE: _Queue,
-}
-
-ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
-    FaultKind.LOSS: _Loss,
-    FaultKind.BURST: _Burst,
-    FaultKind.DELAY: _Delay,
-    FaultKind.DUPLICATE: _Duplicate,
-    FaultKind.REORDER: _Reorder,
-    FaultKind.CORRUPT: _Corrupt,
 }
 
 
@@ -430,22 +298,17 @@ def _below(words: Words, probability: float) -> bool:
     return words[0] < _limit(probability)
 
 
-def _each_below(words: Row, probability: float) -> NDArray[np.bool_]:
-    """True if each word strikes."""
-    limit = _limit(probability)
-    if limit == 0:
-        return np.zeros(len(words), np.bool_)
-    struck: NDArray[np.bool_] = words <= np.uint64(limit - 1)
+def each_below(words: Row, probability: float) -> NDArray[np.bool_]:
+    """True for each word that strikes."""
+    last = _last_below(probability)
+    if last is None:
+        return np.zeros(words.shape, np.bool_)
+    struck: NDArray[np.bool_] = words <= last
     return struck
 
 
-def _choice(width: int, count: int, drawn: int) -> int:
-    """``count`` different bits of ``width`` (at most 64), by a draw of 512 bits.
-
-    All choices are equally likely up to 2**-100.
-    """
-    places, chosen = list(range(width)), 0
-    for _ in range(count):
-        drawn, at = divmod(drawn, len(places))
-        chosen |= 1 << places.pop(at)
-    return chosen
+@cache
+def _last_below(probability: float) -> np.uint64 | None:
+    """The largest word that strikes; None if none does."""
+    limit = _limit(probability)
+    return np.uint64(limit - 1) if limit else None

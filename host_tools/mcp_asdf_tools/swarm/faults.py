@@ -26,26 +26,23 @@ from typing import Any
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import FrameFormat
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import BusRobot
 from mcp_asdf_tools.swarm.fault_injectors import (
     AT_SENDERS,
-    ON_THE_WAY,
     AtSender,
     Babbler,
     Draws,
     Injector,
-    OnTheWay,
     Spells,
-    Ways,
 )
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
-from mcp_asdf_tools.swarm.transmission import Delivery, SentFrame
+from mcp_asdf_tools.swarm.transmission import SentFrame
+from mcp_asdf_tools.swarm.ways import ON_THE_WAY, Mask, OnTheWay, Ways
 
-__all__ = ["Delivery", "Fault", "FaultKind", "Faults", "SentFrame", "Ways", "parse_fault"]
+__all__ = ["Fault", "FaultKind", "Faults", "SentFrame", "Ways", "parse_fault"]
 
 
 class Faults:
@@ -92,14 +89,14 @@ class Faults:
     def is_off(self, robot: int, tick: int) -> bool:
         """True if the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""
         # All are evaluated, since each counts its ticks.
-        return any([each.lasts(robot, tick) for each in self._spells])
+        return bool(self._spells) and any([each.lasts(robot, tick) for each in self._spells])
 
     def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
         """The frames, stamped ``now`` (seconds), that the node sends besides its own.
 
         Call once per tick, and pass each to ``leave``.
         """
-        if self.is_off(robot, tick):
+        if not self._babblers or self.is_off(robot, tick):
             return []
         identifier = self._frames.identifier(robot)
         return [
@@ -119,18 +116,19 @@ class Faults:
             leaving = [after for sent in leaving for after in each.act(sent)]
         return leaving
 
-    def ways(self, tick: int, sent: Sequence[SentFrame], in_range: NDArray[np.bool_]) -> Ways:
+    def ways(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Ways]:
         """Ways of the frames that arrive in this tick, if undisturbed, at the receivers in range.
 
         ``in_range`` has shape (frames, receivers), and receivers are numbered by id. Call once per tick with
         all frames; error frames reach every node. O(faults frames receivers).
         """
-        ways = Ways(in_range.copy())
+        reach = in_range.copy()
         if self._spells:
             hearing = np.flatnonzero(in_range.any(axis=0)).tolist()
-            ways.plain[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
+            reach[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
+        ways = [Ways(reach)]
         for each in self._on_the_way:
-            each.act(sent, ways)
+            ways = each.act(sent, ways)
         return ways
 
     def figures(self) -> list[dict[str, Any]]:

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import Message
 from mcp_asdf_tools.robots import BusRobot, Decoder, Estimates, FrameTaker, rows_of
-from mcp_asdf_tools.swarm.air import Air, Arrivals
+from mcp_asdf_tools.swarm.air import Air, Batch
 from mcp_asdf_tools.swarm.transmission import SentFrame
 
 
@@ -43,39 +42,34 @@ class InProcess:
         """Let every robot hear what it hears in this tick."""
         sent, self._sent = self._sent, []
         arrivals = self._air.arrivals(tick, sent)
-        contents = np.array([self._decode(each.frame) for each in arrivals.sent], np.object_)
-        is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
-        self._hand_over_estimates(
-            arrivals, is_estimate.nonzero()[0], Estimates.of(rows_of(contents.tolist()))
-        )
-        others = contents[~is_estimate]
-        if len(others):
-            for robot, heard in zip(self._robots, arrivals.plain[~is_estimate].T, strict=True):
-                robot.count(others[heard].tolist())
-
-    def _hand_over_estimates(
-        self, arrivals: Arrivals, numbers: NDArray[np.intp], estimates: Estimates
-    ) -> None:
-        """Let each robot receive all of its estimates at once, late and changed ones in their turn."""
-        for robot, heard in zip(self._robots, arrivals.plain[numbers].T, strict=True):
-            if robot.id in arrivals.others:
-                robot.receive(self._with_others(arrivals, robot, numbers[heard], estimates[heard]))
+        for batch in arrivals.in_turn:
+            if batch.ways.damaged:
+                for robot in _hearing(batch):
+                    self._robots[robot].hear(*(frame for _, frame in batch.ways.to(robot, batch.sent)))
             else:
-                robot.receive(estimates[heard])
+                self._hand_over(batch)
+        for robot in sorted({robot for batch in arrivals.behind for robot in _hearing(batch)}):
+            self._robots[robot].hear(*arrivals.behind_of(robot))
 
-    def _with_others(
-        self, arrivals: Arrivals, robot: BusRobot, numbers: NDArray[np.intp], estimates: Estimates
-    ) -> Estimates:
-        """The plain estimates of these ``numbers`` and the other ones in order; counts what is none."""
-        others = [(place, self._decode(frame)) for place, frame in arrivals.between(robot.id, numbers)]
-        robot.count([content for _, content in others if not isinstance(content, Message)])
-        order = list(range(len(numbers)))
-        for before, place in enumerate(place for place, content in others if isinstance(content, Message)):
-            order.insert(place + before, len(order))
-        return (estimates + Estimates.of(rows_of([content for _, content in others])))[order]
+    def _hand_over(self, batch: Batch) -> None:
+        """Let each robot receive all of its estimates at once, and count all other frames."""
+        contents = np.array([self._decode(each.frame) for each in batch.sent], np.object_)
+        is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
+        estimates, others = Estimates.of(rows_of(contents.tolist())), contents[~is_estimate]
+        for robot, heard in zip(self._robots, batch.ways.reach[is_estimate].T, strict=True):
+            robot.receive(estimates[heard])
+        if len(others):
+            for robot, heard in zip(self._robots, batch.ways.reach[~is_estimate].T, strict=True):
+                robot.count(others[heard].tolist())
 
     def __enter__(self) -> InProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
         """Do nothing: there is no bus to leave."""
+
+
+def _hearing(batch: Batch) -> list[int]:
+    """Robots that hear something of it."""
+    robots: list[int] = np.flatnonzero(batch.ways.reach.any(axis=0)).tolist()
+    return robots

@@ -1,4 +1,4 @@
-"""Pictures of a running swarm for terminals, and lines for pipes."""
+"""A running swarm on a terminal, and as lines in a pipe."""
 
 from __future__ import annotations
 

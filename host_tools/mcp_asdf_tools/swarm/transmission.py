@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import can
 
@@ -32,18 +31,3 @@ class SentFrame:
     def key(self) -> Key:
         """Identity of the frame, which must not change any more."""
         return self.frame.arbitration_id, bytes(self.frame.data), self.frame.is_error_frame
-
-
-class Delivery(NamedTuple):
-    """A frame on its way to one receiver.
-
-    Attributes:
-        frame: Frame that the receiver hears.
-        delay: Ticks until it arrives, from 0.
-        place: Where in that tick, from 0 up to 1: frames of one tick arrive by rising ``place``, and at
-            equal places in the order sent.
-    """
-
-    frame: can.Message
-    delay: int = 0
-    place: float = 0.0

@@ -31,9 +31,11 @@ from mcp_asdf_tools.tables.thresholds import (
 )
 
 _SYMBOL = re.compile(
-    r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\[[0-9]+\] MCP_ASDF_ROM = \{(.*?)\};", re.DOTALL
+    r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\[[0-9]+\] MCP_ASDF_ROM = \{(.*?)(?:\};|\Z)",
+    re.DOTALL,
 )
-_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
+"""Without an end it takes the rest: to look for one anew behind each beginning would take quadratic time."""
 _C_WORD = re.compile(r"0x[0-9A-Fa-f]+")
 
 

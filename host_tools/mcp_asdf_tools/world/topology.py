@@ -150,6 +150,6 @@ def _links_of(text: str, place: str) -> list[tuple[int, int]]:
 
 
 def _id_of(word: str, place: str) -> int:
-    if not (word.isascii() and word.isdigit() and int(word) <= MAX_ID):
+    if not (word.isascii() and word.isdigit() and len(word) <= 3 and int(word) <= MAX_ID):
         raise UsageError(f"{place}: {word!r} is not a robot; ids are 0 to {MAX_ID}")
     return int(word)

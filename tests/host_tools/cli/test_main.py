@@ -275,7 +275,7 @@ SLOW_TO_LOAD = ["can", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scip
         (["dbc", "--help"], ["can"]),
         (["node", "--help"], ["can", "mpmath", "numpy", "rich"]),
         (["radio", "--help"], ["can", "mpmath", "numpy", "rich"]),
-        (["replay", "--help"], ["can", "mpmath", "rich"]),
+        (["replay", "--help"], ["can", "mpmath", "numpy", "rich"]),
         (["swarm", "--help"], ["can", "mpmath", "numpy", "rich"]),
         (["swarm", "--steps", "1", "--quiet"], ["can", "mpmath", "numpy", "rich"]),
     ],

@@ -360,11 +360,12 @@ def test_a_file_without_parameters_is_told(tmp_path: Path) -> None:
         experiments_of(tmp_path, "", "file.yml")
 
 
-def test_the_grid_of_the_documentation_is_one(tmp_path: Path) -> None:
+def test_the_grids_of_the_documentation_are_grids(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "docs/experiments.md"
-    (grid,) = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    found = experiments_of(tmp_path, grid)
-    assert len(set(found)) == len(found) == 2 * 2 * 2 * 3 * 4 * 3
+    grids = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    for grid, size in zip(grids, (2 * 2 * 2 * 3 * 4 * 3, 4 * 3), strict=True):
+        found = experiments_of(tmp_path, grid)
+        assert len(set(found)) == len(found) == size
 
 
 def test_the_documentation_lists_every_parameter() -> None:

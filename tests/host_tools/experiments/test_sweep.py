@@ -97,8 +97,8 @@ def test_identity_is_all_that_a_trial_depends_on() -> None:
 # --- Nothing lost, nothing twice ---------------------------------------------------------------------------
 
 
-def test_a_sweep_that_was_interrupted_goes_on(
-    output: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_sweep_that_was_interrupted_can_be_read_and_goes_on(
+    output: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = run_sweep(Store(tmp_path / "whole.parquet", GRID), 1)
     with monkeypatch.context() as patch:
@@ -107,6 +107,10 @@ def test_a_sweep_that_was_interrupted_goes_on(
             run_sweep(Store(output, GRID), 1)
     assert not output.exists()
     store = Store(output, GRID)
+    assert cli.main(["score", str(store.parts)]) == 0
+    assert "32 of 40" in capsys.readouterr().out
+    assert cli.main(["score", str(output)]) == 2
+    assert f"its sweep is not finished, {store.parts} has what there is" in capsys.readouterr().err
     assert len(list(jobs_of(store))) == 12 - 5
     assert run_sweep(store, 1).equals(whole)
     assert read_table(output).equals(read_table(tmp_path / "whole.parquet"))

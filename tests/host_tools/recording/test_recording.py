@@ -141,6 +141,24 @@ def test_a_run_that_recorded_nothing_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("suffix", [".txt", *FORMATS])
+def test_what_cannot_take_its_name_stays_a_part(suffix: str, tmp_path: Path) -> None:
+    log, said = tmp_path / f"run{suffix}", list[str]()
+    with Recording(log, HEADER, said.append) as (write, _):
+        assert write is not None
+        write(frame(1))
+        log.mkdir()
+    assert len(said) == 1
+    assert f"cannot write {log}: it is not a regular file" in said[0]
+    names = {log.name, f"{log.name}.part", f"{log.name}.events.part"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_a_recording_that_is_not_begun_leaves_nothing(tmp_path: Path) -> None:
+    Recording(tmp_path / "run.log", HEADER, print)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_parts_of_an_earlier_run_are_kept(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     for number in range(3):
@@ -161,10 +179,9 @@ def test_two_programs_do_not_write_one_log(tmp_path: Path) -> None:
     with Recording(log, HEADER, print) as (write, _):
         assert write is not None
         write(frame(1))
-        with pytest.raises(
-            UsageError, match=r"another program is writing .*run\.log\.part; choose another name"
-        ):
-            Recording(log, None, print)
+        told = r"another program is writing .*run\.log\.part; choose another name"
+        with pytest.raises(UsageError, match=told), Recording(log, None, print):
+            pass
     assert len(list(read_log(log))) == 1
 
 

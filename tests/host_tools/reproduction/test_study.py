@@ -365,3 +365,7 @@ def test_the_docs_show_every_claim() -> None:
     page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
     for claim in CLAIMS:
         assert page.count(f'| {claim.where} | "{claim.words}" |') >= len(abouts(claim)), claim.name
+
+
+def test_tables_hold_any_words() -> None:
+    assert report_text.table(["a", "b"], [["x | y", "p---q"]]) == "| a | b |\n|---|---|\n| x \\| y | p---q |"

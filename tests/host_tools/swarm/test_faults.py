@@ -7,7 +7,7 @@ import itertools
 import math
 import re
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -29,7 +29,7 @@ from mcp_asdf_tools.bus.frames import (
     float_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.swarm.faults import Delivery, Fault, FaultKind, Faults, SentFrame, Ways, parse_fault
+from mcp_asdf_tools.swarm.faults import Fault, FaultKind, Faults, SentFrame, Ways, parse_fault
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -55,11 +55,25 @@ def estimate(sender: int, tick: int) -> can.Message:
     return encode(Message(sender, 1000 * sender + tick, alpha, tick % 32), FORMAT, tick / 10)
 
 
-def all_ways(ways: Ways, place: int, sent: SentFrame, receiver: int) -> list[Delivery]:
-    if ways.plain[place, receiver]:
-        assert (place, receiver) not in ways.changed
-        return [Delivery(sent.frame)]
-    return list(ways.changed.get((place, receiver), ()))
+class Delivery(NamedTuple):
+    """Frame on its way to one receiver."""
+
+    frame: can.Message
+    delay: int
+    place: float
+
+
+def all_ways(ways: list[Ways], number: int, sent: SentFrame, receiver: int) -> list[Delivery]:
+    """Deliveries of one frame to one receiver, each kind of ways in turn."""
+    return [
+        Delivery(
+            each.damaged.get((number, receiver), sent.frame),
+            each.delay,
+            0.0 if each.places is None else float(each.places[number, receiver]),
+        )
+        for each in ways
+        if each.reach[number, receiver]
+    ]
 
 
 def deliver(faults: Faults, sent: SentFrame, receiver: int) -> list[Delivery]:

@@ -1,4 +1,4 @@
-"""Pictures of a running swarm show what is true, on any width and without colour; a pipe gets lines."""
+"""A terminal shows the truth about a running swarm, at any width, without colour, and in a pipe."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.swarm import connection
 from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.connection import Connection, SwarmError
-from mcp_asdf_tools.swarm.faults import Delivery, Faults, SentFrame, parse_fault
+from mcp_asdf_tools.swarm.faults import Faults, SentFrame, parse_fault
 
 
 class Everyone:
@@ -32,18 +32,18 @@ def faults_of(*texts: str) -> Faults:
 
 def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
     """Against a list of all that is under way, sorted anew in every tick."""
-    texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1")
+    texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1", "corrupt=0.1")
     air, twin = Air(Everyone(6), faults_of(*texts), latency=0), faults_of(*texts)
     under_way: list[tuple[int, float, int, bytes]] = []
     arrived = 0
     for tick in range(200):
         sent = [estimate(sender, tick) for sender in range(1, 6)]
-        ways = twin.ways(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0))
-        for place, each in enumerate(sent):
-            plain = [Delivery(each.frame)] * bool(ways.plain[place, 0])
-            for way in [*plain, *ways.changed.get((place, 0), ())]:
-                content = bytes(way.frame.data) + bytes([each.sender])
-                under_way.append((tick + way.delay, way.place, len(under_way), content))
+        for ways in twin.ways(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0)):
+            for number in ways.reach[:, 0].nonzero()[0].tolist():
+                place = 0.0 if ways.places is None else ways.places[number, 0]
+                frame = ways.damaged.get((number, 0), sent[number].frame)
+                content = bytes(frame.data) + bytes([sent[number].sender])
+                under_way.append((tick + ways.delay, place, len(under_way), content))
         due = sorted(way for way in under_way if way[0] == tick)
         heard = air.arrivals(tick, sent).of(0)
         assert [bytes(f.data) + bytes([f.arbitration_id & 127]) for f in heard] == [way[-1] for way in due]

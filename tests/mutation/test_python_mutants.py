@@ -1,0 +1,41 @@
+"""Small mistakes in the mirror and in the exact oracle are noticed: some at random, all by the command."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, mutants, source
+
+SAMPLE = {MIRROR: 30, ORACLES[0]: 3, ORACLES[1]: 3}
+NOTICED = 0.75
+"""At least this share. Some changes make no difference, and of the mirror's not all are listed."""
+
+
+@pytest.mark.parametrize("module", SAMPLE)
+def test_each_mutant_has_a_name_of_its_own_and_other_code(module: str) -> None:
+    found = list(mutants(module))
+    assert len(found) > 200 and len({each.name for each in found}) == len({each.code for each in found})
+    assert all(" => " in each.name for each in found)
+
+
+def test_each_equivalent_mutant_is_a_mutant() -> None:
+    assert set(equivalents()) <= {each.name for module in SAMPLE for each in mutants(module)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", [MIRROR, ORACLES[1]])
+def test_what_is_not_changed_passes(module: str) -> None:
+    assert not dies(Mutant(module, "", source(module).read_text(encoding="utf-8")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", SAMPLE)
+def test_most_mistakes_are_noticed(module: str) -> None:
+    seed = random.randrange(1 << 32)
+    print(f"python -m mutation.python_mutants {module} --sample {SAMPLE[module]} --seed {seed}")
+    chosen = random.Random(seed).sample(list(mutants(module)), SAMPLE[module])
+    survive = [each.name for each in chosen if each.name not in equivalents() and not dies(each)]
+    print(*survive, sep="\n")
+    assert len(survive) <= (1 - NOTICED) * len(chosen)

@@ -1,0 +1,844 @@
+"""Controllers that are wrong, each in one way, with the phase that finds it and the cause that is named.
+
+Most are mistakes that one makes when porting the firmware or writing a node from docs/frame.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import can
+from mpmath import mp  # type: ignore[import-untyped]
+
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
+from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, rejects
+from mcp_asdf.robot import Filter, Observation, Status
+from mcp_asdf.table import FRACTION_BITS, Table
+from mcp_asdf_tools.bus.frames import (
+    EVERY_ROBOT,
+    Action,
+    Command,
+    FrameFormat,
+    Message,
+    Rejection,
+    alpha_bits,
+    bits_of,
+    decode,
+    word_of,
+)
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickedRobot
+from mcp_asdf_tools.tables.thresholds import _t_score, generate, parse_omega
+from wire import TABLE, record
+
+ID, B_HAT = 3, 0.55
+Frames = list[can.Message]
+
+
+def right(**config: Any) -> RobotRecord:
+    """The controller as the verification is told that it is."""
+    return record(ID, "mirror", B_HAT, **config)
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A wrong controller.
+
+    Attributes:
+        phase: Phase that finds it.
+        cause: Part of the cause that is named.
+        node: Its node.
+        firmware: Its firmware.
+        config: Its settings where they differ from the default.
+        actual: Settings that it really has, other than said.
+        robot: Its id, if another than said.
+    """
+
+    phase: str
+    cause: str
+    node: type[RobotNode] = RobotNode
+    firmware: type[MirrorRobot] = MirrorRobot
+    config: dict[str, Any] = field(default_factory=dict)
+    actual: dict[str, Any] = field(default_factory=dict)
+    robot: int = ID
+    b_hat: float = B_HAT
+    prepare: Callable[[RobotNode], object] = lambda node: None
+
+    def make(self) -> RobotNode:
+        """The controller."""
+        own = record(self.robot, "mirror", self.b_hat, **{**self.config, **self.actual}).config
+        robot = self.firmware(own.in_rounds(), self.robot, self.b_hat)
+        node = self.node(TickedRobot(robot, own.comms_period), NodeSettings(self.robot))
+        self.prepare(node)
+        return node
+
+
+# --- Wrong firmwares: the method ---
+
+
+class Hooked(MirrorRobot):
+    """The right filter, in parts that others replace."""
+
+    def decides(self) -> bool:
+        """The test (eq. 12)."""
+        assert self.config.table is not None
+        return rejects(self.config.table, self.s.open, self.s.x_hat)
+
+    def new_b_hat(self) -> int | None:
+        """Eq. 8."""
+        return reestimate(self.s.t, self.s.n, self.s.closed)
+
+    def least(self) -> int:
+        """The fewest messages of a test."""
+        return 2
+
+    def _filter(self) -> bool:
+        s = self.s
+        if s.t == 0 or s.open.count < self.least() or not self.decides():
+            return False
+        b_hat = self.new_b_hat()
+        if b_hat is None:
+            return False
+        s.accuracy = accuracy_of(b_hat)
+        s.updates, s.updated = s.updates + 1, 1
+        return True
+
+
+class VarianceOverM(Hooked):
+    def decides(self) -> bool:
+        m, open_ = self.s.open.count, self.s.open
+        assert self.config.table is not None
+        difference = open_.x - m * self.s.x_hat
+        spread = m * open_.x_squared - open_.x**2
+        return difference**2 * m > (self.config.table.entry(m) * spread * (m - 1)) >> FRACTION_BITS
+
+
+class NotStrict(Hooked):
+    def decides(self) -> bool:
+        m, open_ = self.s.open.count, self.s.open
+        assert self.config.table is not None
+        spread = m * open_.x_squared - open_.x**2
+        return (open_.x - m * self.s.x_hat) ** 2 >= self.config.table.entry(m) * spread >> FRACTION_BITS
+
+
+class TestsInformed(Hooked):
+    """Compares its neighbours with x instead of x_hat."""
+
+    def decides(self) -> bool:
+        assert self.config.table is not None
+        return rejects(self.config.table, self.s.open, self.x_raw)
+
+
+class TestsOneMessage(Hooked):
+    def least(self) -> int:
+        return 1
+
+    def decides(self) -> bool:
+        return self.s.open.count == 1 or super().decides()
+
+
+class TestsThoseWithoutConfidence(MirrorRobot):
+    """Takes messages with alpha = 0 into m and the sums of the test."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        status = super()._receive(sender, x_hat, alpha)
+        if status == Status.OK and alpha_units(alpha) == 0:
+            open_ = self.s.open
+            open_.x, open_.x_squared, open_.count = (
+                open_.x + x_hat,
+                open_.x_squared + x_hat**2,
+                open_.count + 1,
+            )
+        return status
+
+
+class NeverUpdates(Hooked):
+    def new_b_hat(self) -> int | None:
+        return None
+
+
+class NeverRejects(Hooked):
+    def decides(self) -> bool:
+        return False
+
+
+class AlwaysRejects(Hooked):
+    def decides(self) -> bool:
+        return True
+
+
+class Maximum(Hooked):
+    def new_b_hat(self) -> int | None:
+        return B_HAT_MAX
+
+
+class AThousandthOff(Hooked):
+    def new_b_hat(self) -> int | None:
+        right = super().new_b_hat()
+        return right and min(right + right // 1000, B_HAT_MAX)
+
+
+class Float32(Hooked):
+    """Eq. 8 with 24 bits."""
+
+    def new_b_hat(self) -> int | None:
+        right = super().new_b_hat()
+        return right and max(right >> 10 << 10, B_HAT_MIN)
+
+
+class NeverBelowHalf(Hooked):
+    def new_b_hat(self) -> int | None:
+        right = super().new_b_hat()
+        return right and max(right, 1 << 31)
+
+
+class ClampsAtAMillionth(Hooked):
+    def new_b_hat(self) -> int | None:
+        right, margin = super().new_b_hat(), round(2**32 * 1e-5)
+        return right and min(max(right, margin), 2**32 - margin)
+
+
+class UnweightedMean(Hooked):
+    def new_b_hat(self) -> int | None:
+        s, open_ = self.s, self.s.open
+        closed = type(s.closed)(open_.count << 24, open_.x << 24 & 0xFFFFFFFF, open_.x << 24 >> 32)
+        return reestimate(s.t, s.n, closed)
+
+
+class UpdatesAtHalf(Hooked):
+    """Takes an x_bar of 1/2 for a bit more."""
+
+    def new_b_hat(self) -> int | None:
+        right = super().new_b_hat()
+        return B_HAT_MAX if right is None else right
+
+
+class AppliesAtOnce(Hooked):
+    def _filter(self) -> bool:
+        is_updated = super()._filter()
+        if is_updated:
+            self.s.x_hat, self.s.alpha = estimate(self.s.t, self.s.n, self.s.accuracy)
+        return is_updated
+
+
+class NeverAppliesHalf(MirrorRobot):
+    """Divides by 2 b - 1 although it is nearly 0."""
+
+    def observe(self, z: Observation) -> Status:
+        status = super().observe(z)
+        if self.s.alpha == 0:
+            self.s.x_hat = ONE
+        return status
+
+
+class FiltersEveryRound(MirrorRobot):
+    def settle(self) -> Status:
+        self.s.filter_left = 1
+        return super().settle()
+
+
+class FirstTestLate(MirrorRobot):
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.s.filter_left += 1
+
+
+class KeepsTheRound(MirrorRobot):
+    """Forgets to empty the open round when nothing new has come."""
+
+    def settle(self) -> Status:
+        is_silent = self.s.open.count == 0
+        kept = vars(self.s.closed).copy()
+        status = super().settle()
+        if is_silent:
+            vars(self.s.closed).update(kept)
+        return status
+
+
+class NeverEmpties(MirrorRobot):
+    def settle(self) -> Status:
+        kept = self.s.open
+        status = super().settle()
+        self.s.open = kept
+        return status
+
+
+class HearsIdsBelow8(MirrorRobot):
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, alpha) if sender < 8 else Status.ERR_SENDER
+
+
+class HearsIdsBelow100(MirrorRobot):
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, alpha) if sender < 100 else Status.ERR_SENDER
+
+
+class Bitmap(MirrorRobot):
+    """Of 32 bits, for 128 senders."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        if self.s.heard[0] >> sender % 32 & 1:
+            return Status.REPEATED
+        status = super()._receive(sender, x_hat, alpha)
+        self.s.heard[0] |= 1 << sender % 32
+        return status
+
+
+class AtMost(MirrorRobot):
+    most = 5
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        full = self.s.open.count >= self.most
+        return Status.ERR_SENDER if full else super()._receive(sender, x_hat, alpha)
+
+
+class AtMost100(AtMost):
+    most = 100
+
+
+class LastCounts(MirrorRobot):
+    """Takes the last message of a sender instead of the first."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.kept: dict[int, tuple[int, int]] = {}
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        if sender != self.id and x_hat <= ONE:
+            self.kept[sender] = x_hat, alpha
+        return Status.OK
+
+    def settle(self) -> Status:
+        for sender, content in self.kept.items():
+            super()._receive(sender, *content)
+        self.kept = {}
+        return super().settle()
+
+
+class SmallAlphas(MirrorRobot):
+    """Sums of alpha in 32 bits with 8 after the point."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, alpha_word(min(alpha_units(alpha), 1 << 44)))
+
+
+class RoundsSmallAlphas(MirrorRobot):
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, alpha_word(alpha_units(alpha) >> 8 << 8))
+
+
+class ZeroCounts(MirrorRobot):
+    """Takes a confidence of 0 for the least one."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, alpha or 0x100)
+
+
+class Unweighted(MirrorRobot):
+    """All neighbours count alike."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return super()._receive(sender, x_hat, 0x80000001)
+
+
+class ColoursExchanged(MirrorRobot):
+    def observe(self, z: Observation) -> Status:
+        return super().observe(Observation(1 - z))
+
+
+class RoundsXHat(MirrorRobot):
+    """To nearest instead of down."""
+
+    def observe(self, z: Observation) -> Status:
+        status = super().observe(z)
+        self.s.x_hat = min(self.s.x_hat + (0 < self.s.x_hat < HALF), ONE)
+        return status
+
+
+class TruncatesAlpha(MirrorRobot):
+    def observe(self, z: Observation) -> Status:
+        status = super().observe(z)
+        self.s.alpha &= 0xFFFF_F01F
+        return status
+
+
+class BroadcastsX(MirrorRobot):
+    """The informed estimate instead of its own."""
+
+    @property
+    def x_hat_raw(self) -> int:
+        return self.x_raw
+
+
+class HalvesDown(MirrorRobot):
+    """Instead of to nearest, ties to even."""
+
+    def observe(self, z: Observation) -> Status:
+        t, n = self.s.t, self.s.n + z
+        status = super().observe(z)
+        if self.s.t < t:
+            self.s.n = n >> 1
+            self.s.x_hat, self.s.alpha = estimate(self.s.t, self.s.n, self.s.accuracy)
+        return status
+
+
+class HalvesUp(HalvesDown):
+    def observe(self, z: Observation) -> Status:
+        t, n = self.s.t, self.s.n + z
+        status = MirrorRobot.observe(self, z)
+        if self.s.t < t:
+            self.s.n = n + 1 >> 1
+            self.s.x_hat, self.s.alpha = estimate(self.s.t, self.s.n, self.s.accuracy)
+        return status
+
+
+# --- Wrong nodes: what they hear ---
+
+
+class HearsItself(RobotNode):
+    def _receive(self, message: Message) -> None:
+        super()._receive(replace(message, sender=99) if message.sender == ID else message)
+
+
+class ForgetsAfterAConflict(RobotNode):
+    def _receive(self, message: Message) -> None:
+        if message.sender == ID:
+            self._bus_robot._drive(right().make())
+        super()._receive(message)
+
+
+class StopsListening(RobotNode):
+    """As with a receive buffer that is too small."""
+
+    room = 60
+
+    def hear(self, frame: can.Message) -> Frames:
+        self.room -= 1
+        is_command = frame.arbitration_id >> 8 & 0x1FFF == 3002
+        answers = super().hear(frame) if self.room > 0 or is_command else []
+        self.room = 60 if answers else self.room
+        return answers
+
+
+class DropsCommandsInARow(RobotNode):
+    """As with a buffer for four commands, emptied when it has time."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.waiting = 0
+
+    def _obey(self, command: Command) -> Frames:
+        self.waiting = 0 if command.action is Action.SETTLE else self.waiting + 1
+        return super()._obey(command) if self.waiting <= 4 else []
+
+
+class DeafBetweenTicks(RobotNode):
+    def _receive(self, message: Message) -> None:
+        if not self.is_settled:
+            super()._receive(message)
+
+
+class LateCountsNow(RobotNode):
+    """Takes messages after a settle for the round that is over."""
+
+    def _receive(self, message: Message) -> None:
+        if not self.is_settled:
+            super()._receive(message)
+        else:
+            s = self.robot.s  # type: ignore[attr-defined]
+            s.closed.alpha += alpha_units(message.alpha)
+
+
+class RefusesLargeAlphas(RobotNode):
+    """Instead of taking them for the largest."""
+
+    def hear(self, frame: can.Message) -> Frames:
+        is_estimate = isinstance(decode(frame, FrameFormat()), Message)
+        return [] if is_estimate and alpha_bits(frame) >= bits_of(2.0**31) else super().hear(frame)
+
+
+class DropsOlderTransfers(RobotNode):
+    """Takes a smaller transfer id for an old message, like a stack that removes duplicates."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.last: dict[int, int] = {}
+
+    def _receive(self, message: Message) -> None:
+        sender, number = message.sender, message.transfer_id
+        if (number - self.last.get(sender, number - 1)) % 32 < 16:
+            self.last[sender] = number
+            super()._receive(message)
+
+
+class Lenient(RobotNode):
+    """Reads an estimate out of anything with 8 bytes that it should reject for these reasons."""
+
+    reasons: tuple[Rejection, ...] = ()
+
+    def hear(self, frame: can.Message) -> Frames:
+        if decode(frame, FrameFormat()) not in self.reasons:
+            return super().hear(frame)
+        content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
+        alpha = word_of(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
+        x_hat = min(content & 0xFF_FFFF, ONE)
+        cast(MirrorRobot, self.robot).receive_raw(frame.arbitration_id & 0x7F, x_hat, alpha)
+        return []
+
+
+def accepting(reason: Rejection) -> type[Lenient]:
+    """A node whose codec lets through what it should reject for this reason."""
+    return type("Accepting", (Lenient,), {"reasons": (reason,)})
+
+
+# --- Wrong nodes: commands ---
+
+
+class SettlesInAnyTick(RobotNode):
+    def _obey(self, command: Command) -> Frames:
+        if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
+            self._tick_of_command = command.tick
+        return super()._obey(command)
+
+
+class StaysInATick(RobotNode):
+    """Waits for the settle of the open tick, ignoring everything else."""
+
+    def _obey(self, command: Command) -> Frames:
+        is_stuck = not self.is_settled and command.tick != self._tick_of_command
+        return [] if is_stuck else super()._obey(command)
+
+
+class AnswersLate(RobotNode):
+    """Answers a settle that has not come."""
+
+    def observe(self, z: Observation | None) -> Frames:
+        return ([] if self.is_settled else self.settle()) + super().observe(z)
+
+
+class ForgetsARound(RobotNode):
+    """Begins the next tick without ending the last."""
+
+    def observe(self, z: Observation | None) -> Frames:
+        self.is_settled = True
+        return super().observe(z)
+
+
+class ObeysOthers(RobotNode):
+    def _obey(self, command: Command) -> Frames:
+        return super()._obey(Command(command.sender, command.tick, ID, command.action, 0))
+
+
+class ObservesTwice(RobotNode):
+    def _obey(self, command: Command) -> Frames:
+        is_repeated = not self.is_settled and command.tick == self._tick_of_command
+        if is_repeated and command.action is not Action.SETTLE and command.target == ID:
+            self._bus_robot._ticked.observe(command.action.observation)
+        return super()._obey(command)
+
+
+class CountsNothingAsWhite(RobotNode):
+    def observe(self, z: Observation | None) -> Frames:
+        return super().observe(Observation.WHITE if z is None else z)
+
+
+class Hangs(RobotNode):
+    def hear(self, frame: can.Message) -> Frames:
+        return super().hear(frame) if self.ticks < 200 else []
+
+
+class ClosesEveryTick(RobotNode):
+    def settle(self) -> Frames:
+        self.robot.settle()
+        return super().settle()
+
+
+# --- Wrong nodes: the wire ---
+
+
+class Spoils(RobotNode):
+    """Spoils every frame of a kind that it sends."""
+
+    subject = 3000
+
+    def spoil(self, frame: can.Message) -> Sequence[can.Message]:
+        """What is sent instead."""
+        raise NotImplementedError
+
+    def spoiled(self, frames: Sequence[can.Message]) -> Frames:
+        """Frames of the subject spoiled, others as they are."""
+        sent: Frames = []
+        for frame in frames:
+            sent += self.spoil(frame) if frame.arbitration_id >> 8 & 0x1FFF == self.subject else [frame]
+        return sent
+
+    def observe(self, z: Observation | None) -> Frames:
+        return self.spoiled(super().observe(z))
+
+    def settle(self) -> Frames:
+        return self.spoiled(super().settle())
+
+
+def spoiling(subject: int, spoil: Callable[[can.Message], Sequence[can.Message] | None]) -> type[Spoils]:
+    """A node that sends what ``spoil`` makes of a subject's frames; None is the frame itself, changed."""
+
+    def instead(self: Spoils, frame: can.Message) -> Sequence[can.Message]:
+        frames = spoil(frame)
+        return [frame] if frames is None else frames
+
+    return type("Spoiling", (Spoils,), {"subject": subject, "spoil": instead})
+
+
+def flip(bits: int) -> Callable[[can.Message], None]:
+    """Flips identifier bits."""
+
+    def spoil(frame: can.Message) -> None:
+        frame.arbitration_id ^= bits
+
+    return spoil
+
+
+def put(place: int, value: Callable[[int], int]) -> Callable[[can.Message], None]:
+    """Changes a byte."""
+
+    def spoil(frame: can.Message) -> None:
+        frame.data[place] = value(frame.data[place]) & 0xFF
+
+    return spoil
+
+
+def more_of_alpha(frame: can.Message) -> None:
+    """As the firmware has it before it is rounded to the grid."""
+    frame.data[3] |= alpha_bits(frame) < bits_of(0.25)
+
+
+def shorten(frame: can.Message) -> None:
+    """Send 7 bytes."""
+    frame.data, frame.dlc = frame.data[:7], 7
+
+
+def as_fd(frame: can.Message) -> None:
+    """Send a CAN FD frame."""
+    frame.is_fd = True
+
+
+def standard(frame: can.Message) -> None:
+    """Send an 11-bit identifier."""
+    frame.is_extended_id, frame.arbitration_id = False, frame.arbitration_id & 0x7FF
+
+
+class OneCountForAll(RobotNode):
+    """Transfer ids count the frames of all kinds."""
+
+    def settle(self) -> Frames:
+        self.sent.telemetry = self.sent.estimates
+        frames = super().settle()
+        self.sent.estimates += 1
+        return frames
+
+
+class HeartbeatTwiceAsOften(RobotNode):
+    def observe(self, z: Observation | None) -> Frames:
+        return (self.start() if self.ticks % 10 == 5 else []) + super().observe(z)
+
+
+class HeartbeatLate(RobotNode):
+    """In the tick after the one in which it is due."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.due: Frames = []
+
+    def observe(self, z: Observation | None) -> Frames:
+        *heartbeats, estimate_ = super().observe(z)
+        late, self.due = self.due, heartbeats
+        return [*late, estimate_]
+
+
+# --- The table ---
+
+
+def table_with(freedom: Callable[[int], int]) -> Table:
+    """The t-table with other degrees of freedom."""
+    with mp.workdps(40):
+        entries = [
+            round(
+                (_t_score(mp.mpf("0.05"), freedom(m), mp.mpf(0)) / mp.sqrt(m) + 1) ** 2 * m / (m - 1) * 2**26
+            )
+            for m in range(2, 21)
+        ]
+    return Table(TABLE.omega_word, (*entries, TABLE.entries[-1]))
+
+
+def _has_run(node: RobotNode) -> None:
+    node.observe(Observation.BLACK)
+    node.settle()
+
+
+_SMALL, _LARGE = "a threshold too small", "a threshold too large"
+
+WRONG: dict[str, Wrong] = {
+    # How it is set up
+    "another b_hat": Wrong("alone", "its b_hat is another at the start", b_hat=0.56),
+    "another broadcast period": Wrong("alone", "longer broadcast period", actual={"comms_period": 2}),
+    "broadcasts in every tick": Wrong(
+        "alone",
+        "more often than its broadcast period",
+        config={"comms_period": 5},
+        actual={"comms_period": 1},
+    ),
+    "another id": Wrong("alone", "not there", robot=4),
+    "has run before": Wrong("alone", "has run before", prepare=_has_run),
+    "another filter period": Wrong(
+        "", "at other times than every filter period", actual={"filter_period": 9}
+    ),
+    "filters always": Wrong(
+        "rounds without a test", "updates without a test", actual={"filter": Filter.ALWAYS}
+    ),
+    "never filters": Wrong("no information", "never filters", actual={"filter": Filter.OFF}),
+    "filters though it should not": Wrong(
+        "",
+        "though it is set up not to",
+        config={"filter": Filter.OFF, "table": None, "filter_period": 1},
+        actual={"filter": Filter.ALWAYS},
+    ),
+    "memory 8192": Wrong("long run", "memory is shorter", actual={"memory": 8192}),
+    "memory 64": Wrong("alone", "forgets sooner than its memory", actual={"memory": 64}),
+    "t-table of omega 0.25": Wrong(
+        "threshold of 2 messages", _LARGE, actual={"table": generate(parse_omega("0.25"), 20)}
+    ),
+    "t-table of omega 0.04": Wrong(
+        "threshold of 2 messages", _SMALL, actual={"table": generate(parse_omega("0.04"), 20)}
+    ),
+    "t-table of q = 9": Wrong(
+        "threshold of 10 messages", "another q", actual={"table": generate(parse_omega("0.05"), 9)}
+    ),
+    "t-table with m degrees of freedom": Wrong(
+        "threshold of 2 messages", _SMALL, actual={"table": table_with(lambda m: m)}
+    ),
+    "t-table with m - 2 degrees of freedom": Wrong(
+        "threshold of 2 messages",
+        "threshold",
+        actual={"table": table_with(lambda m: max(m - 2, 1) if m > 2 else 3)},
+    ),
+    # The method
+    "variance over m": Wrong("threshold of 2 messages", _SMALL, firmware=VarianceOverM),
+    ">= instead of >": Wrong("own estimate", ">= instead of >", firmware=NotStrict),
+    "tests its informed estimate": Wrong("", "another estimate", firmware=TestsInformed),
+    "tests one message": Wrong("rounds without a test", "fewer than two", firmware=TestsOneMessage),
+    "counts messages without confidence into m": Wrong(
+        "rounds without a test", "without confidence", firmware=TestsThoseWithoutConfidence
+    ),
+    "never updates": Wrong("no information", "never filters", firmware=NeverUpdates),
+    "never rejects": Wrong("no information", "never filters", firmware=NeverRejects),
+    "always rejects": Wrong("threshold of 2 messages", "updates without a test", firmware=AlwaysRejects),
+    "b_hat is the maximum": Wrong("no information", "eq. 8", firmware=Maximum),
+    "eq. 8 wrong by 0.1 %": Wrong("no information", "eq. 8", firmware=AThousandthOff),
+    "eq. 8 in float32": Wrong("no information", "eq. 8", firmware=Float32),
+    "b_hat never below 1/2": Wrong("no information", "eq. 8", firmware=NeverBelowHalf),
+    "b_hat clamped elsewhere": Wrong("threshold of 5 messages", "the limits", firmware=ClampsAtAMillionth),
+    "x_bar not weighted in eq. 8": Wrong("threshold of 2 messages", "eq. 8", firmware=UnweightedMean),
+    "updates at x_bar = 1/2": Wrong("re-estimates", "x_bar is 1/2", firmware=UpdatesAtHalf),
+    "a re-estimate changes x_hat at once": Wrong(
+        "no information", "at the next observation", firmware=AppliesAtOnce
+    ),
+    "divides by 2 b - 1 = 0": Wrong("no information", "b_hat = 1/2", firmware=NeverAppliesHalf),
+    "filters every round": Wrong("", "filter", firmware=FiltersEveryRound),
+    "first test a round late": Wrong("", "other times", firmware=FirstTestLate),
+    "keeps x_bar in silence": Wrong("messages and silence", "beta must be 0", firmware=KeepsTheRound),
+    "never empties the round": Wrong("messages and silence", "keeps messages", firmware=NeverEmpties),
+    "hears ids below 8 only": Wrong(
+        "every sender", "message, of robot 8: ids above", firmware=HearsIdsBelow8
+    ),
+    "hears ids below 100 only": Wrong("every sender", "of robot 100", firmware=HearsIdsBelow100),
+    "a bitmap of 32 senders": Wrong("alike ids", "bitmap of senders heard is too narrow", firmware=Bitmap),
+    "at most 5 messages": Wrong("growing rounds", "a round of 10 messages: a bound", firmware=AtMost),
+    "at most 100 messages": Wrong("growing rounds", "a round of 126 messages: a bound", firmware=AtMost100),
+    "takes the last message of a sender": Wrong("same sender", "the last one", firmware=LastCounts),
+    "saturates alpha at 2^20": Wrong("extreme messages", "largest confidence", firmware=SmallAlphas),
+    "loses low bits of alpha": Wrong(
+        "messages and silence", "sums that are not exact", firmware=RoundsSmallAlphas
+    ),
+    "takes alpha = 0 for a little": Wrong("extreme messages", "confidences of 0", firmware=ZeroCounts),
+    "all neighbours count alike": Wrong("messages and silence", "not weighted by alpha", firmware=Unweighted),
+    "colours exchanged": Wrong("alone", "colours exchanged", firmware=ColoursExchanged),
+    "rounds x_hat up": Wrong("", "x_hat (eq. 3)", firmware=RoundsXHat),
+    "alpha of 20 bits": Wrong("alone", "its alpha (eq. 4) is wrong", firmware=TruncatesAlpha),
+    "halves down": Wrong("halvings", "ties to even", firmware=HalvesDown, config={"memory": 512}),
+    "halves up": Wrong("halvings", "ties to even", firmware=HalvesUp, config={"memory": 512}),
+    "broadcasts x": Wrong("messages and silence", "its own estimate is disturbed", firmware=BroadcastsX),
+    # What it hears
+    "refuses large alphas": Wrong("extreme messages", "above the largest", node=RefusesLargeAlphas),
+    "drops older transfer ids": Wrong("among neighbours", "their order", node=DropsOlderTransfers),
+    "hears itself": Wrong("its own id", "under its own id", node=HearsItself),
+    "restarts after a conflict": Wrong("its own id", "restarts at them", node=ForgetsAfterAConflict),
+    "a receive buffer of 60 frames": Wrong("growing rounds", "receive buffer too small", node=StopsListening),
+    "a buffer of 4 commands": Wrong("heartbeats", "commands that come in a row", node=DropsCommandsInARow),
+    "deaf between ticks": Wrong("between ticks", "between settle and observe", node=DeafBetweenTicks),
+    "late messages count at once": Wrong("between ticks", "another round", node=LateCountsNow),
+    **{
+        f"accepts {doing}": Wrong("invalid frames", f"accepts {doing}", node=accepting(reason))
+        for reason, doing in (
+            (Rejection.X_HAT, "x_hat above 1"),
+            (Rejection.ALPHA, "alpha"),
+            (Rejection.LENGTH, "fewer than 8 bytes"),
+            (Rejection.MULTI_FRAME, "no single-frame tail byte"),
+            (Rejection.REMOTE_FRAME, "a remote frame"),
+            (Rejection.STANDARD_ID, "an 11-bit identifier"),
+            (Rejection.SERVICE, "a service transfer"),
+            (Rejection.ANONYMOUS, "an anonymous sender"),
+            (Rejection.RESERVED_BITS, "reserved bit"),
+        )
+    },
+    # Commands
+    "takes no observation for white": Wrong("alone", "without an observation", node=CountsNothingAsWhite),
+    "stays in a tick": Wrong("lost commands", "waits for that settle", node=StaysInATick),
+    "answers late": Wrong("lost commands", "whose settle never came", node=AnswersLate),
+    "forgets a round": Wrong("lost commands", "does not end the open tick", node=ForgetsARound),
+    "settles in any tick": Wrong("stray commands", "obeys a settle of", node=SettlesInAnyTick),
+    "obeys others": Wrong("stray commands", "for another robot", node=ObeysOthers),
+    "observes twice": Wrong("stray commands", "obeys an observe of the open tick", node=ObservesTwice),
+    "hangs": Wrong("every sender", "hangs", node=Hangs),
+    "closes a round in every tick": Wrong(
+        "messages and silence", "closes at other times", node=ClosesEveryTick, config={"comms_period": 5}
+    ),
+    # The wire
+    "another priority": Wrong("alone", "priority", node=spoiling(3000, flip(1 << 26))),
+    "another priority of telemetry": Wrong("alone", "priority", node=spoiling(3001, flip(1 << 27))),
+    "another priority of heartbeats": Wrong("alone", "priority", node=spoiling(7509, flip(1 << 28))),
+    "bits 21 and 22 not set": Wrong("alone", "reserved bits", node=spoiling(3000, flip(3 << 21))),
+    "bit 23 set": Wrong("alone", "reserved bits", node=spoiling(3000, flip(1 << 23))),
+    "bit 7 set": Wrong("alone", "reserved bits", node=spoiling(3001, flip(1 << 7))),
+    "a service": Wrong("alone", "reserved bits", node=spoiling(3000, flip(1 << 25))),
+    "11-bit identifiers": Wrong("alone", "no 29-bit identifiers", node=spoiling(3000, standard)),
+    "CAN FD": Wrong("alone", "not classic CAN", node=spoiling(3000, as_fd)),
+    "7 bytes": Wrong("alone", "another DLC", node=spoiling(3001, shorten)),
+    "another tail": Wrong("alone", "tail byte", node=spoiling(3000, put(7, lambda byte: byte & 0x3F))),
+    "transfer ids modulo 16": Wrong(
+        "alone", "modulo 32", node=spoiling(3000, put(7, lambda byte: byte & 0xEF))
+    ),
+    "transfer ids stand still": Wrong("alone", "modulo 32", node=spoiling(7509, put(7, lambda byte: 0xE0))),
+    "one count of transfer ids": Wrong("alone", "each kind by themselves", node=OneCountForAll),
+    "x rounded in telemetry": Wrong(
+        "alone", "telemetry does not carry", node=spoiling(3001, put(0, lambda b: b ^ 1))
+    ),
+    "b_hat cut in telemetry": Wrong(
+        "alone", "telemetry cuts it", node=spoiling(3001, put(3, lambda byte: byte + 1))
+    ),
+    "more of alpha": Wrong("alone", "firmware's word", node=spoiling(3000, more_of_alpha)),
+    "another subject of telemetry": Wrong(
+        "alone", "another subject of telemetry", node=spoiling(3001, flip(1 << 11))
+    ),
+    "says it twice": Wrong("alone", "each frame twice", node=spoiling(3000, lambda frame: [frame, frame])),
+    "answers twice": Wrong("alone", "answers twice", node=spoiling(3001, lambda frame: [frame, frame])),
+    "no heartbeats": Wrong("alone", "no heartbeats", node=spoiling(7509, lambda frame: [])),
+    "uptime in ticks": Wrong("alone", "uptime", node=spoiling(7509, put(0, lambda byte: 10 * byte))),
+    "health caution": Wrong("alone", "health", node=spoiling(7509, put(4, lambda byte: byte | 2))),
+    "mode maintenance": Wrong("alone", "mode", node=spoiling(7509, put(5, lambda byte: byte | 2))),
+    "heartbeats twice as often": Wrong("alone", "too often", node=HeartbeatTwiceAsOften),
+    "heartbeats a tick late": Wrong("alone", "too few", node=HeartbeatLate),
+}
+"""Wrong controllers, by what is wrong with them."""
