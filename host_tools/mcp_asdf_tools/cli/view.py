@@ -29,7 +29,7 @@ examples:
   mcp-asdf view run.log                             # a log of swarm or node, with run.log.events beside it
   mcp-asdf view run.log --export run.html           # one file that needs nothing else
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
-  mcp-asdf swarm --view                             # a swarm as it runs
+mcp-asdf swarm --view shows a swarm as it runs.
 The page is for browsers of this computer alone; Ctrl-C ends it. A recording need not hold positions and
 floor: they follow from its seed and parameters. A server needs the extra: pip install 'mcp-asdf[view]'.
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
