@@ -45,7 +45,9 @@ def test_points_are_medians_and_bands_their_intervals(results: list[Trials], y: 
             ]
             assert np.array_equal(line.get_xdata(), [0.02, 0.05, 0.9])
             assert np.array_equal(line.get_ydata(), np.median(own, axis=1))
-            assert band.get_paths()[0].vertices[:, 1].min() == min(median_interval(each)[1] for each in own)
+            assert np.asarray(band.get_paths()[0].vertices)[:, 1].min() == min(
+                median_interval(each)[1] for each in own
+            )
     assert figure.axes[0].get_xscale() == "log"
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
@@ -67,7 +69,7 @@ def test_points_are_medians_and_bands_their_intervals(results: list[Trials], y: 
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
     swept = {**BASE, "topology": "fully-connected", LETTERS.get(x, x): values}
     (axes,) = curve([results_of(each) for each in grid(**swept)], x).axes
-    assert list(axes.lines[0].get_xdata()) == expected
+    assert np.asarray(axes.lines[0].get_xdata()).tolist() == expected
 
 
 @pytest.mark.parametrize(("trials", "beyond"), [(5, 1), (6, 1), (30, 10), (100, 40)])
