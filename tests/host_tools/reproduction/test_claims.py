@@ -409,5 +409,5 @@ def test_identical_estimates_are_identical(spread: int, monkeypatch: pytest.Monk
 
 def test_corruption_is_that_of_the_robots_that_were_right() -> None:
     b_hat = np.array([[[0.9, 0.9, 0.5, 0.5]] * 2 + [[0.1, 0.2, 0.6, 0.8]]])
-    trials: Any = SimpleNamespace(b_hat=b_hat, experiment=SimpleNamespace(flawed_robots=2))
+    trials: Any = SimpleNamespace(b_hat=b_hat, experiment=SimpleNamespace(flawed=2))
     assert CORRUPTION.of(trials, None) == pytest.approx([0.7])  # type: ignore[arg-type]
