@@ -111,8 +111,8 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     comms_period = settings.controller.config.comms_period
     if comms_period > LONGEST_ROUND:
         raise UsageError(
-            f"comms-period is {comms_period}; a verification has hundreds of rounds, so set the controller up "
-            f"with at most {LONGEST_ROUND} ticks"
+            f"comms-period is {comms_period}; a verification has hundreds of rounds, so "
+            f"set the controller up with at most {LONGEST_ROUND} ticks"
         )
     ids = [str(neighbour.id) for neighbour in settings.neighbours]
     names = {"me": settings.controller.id, "them": "+".join(ids), "one": ids[0]}
