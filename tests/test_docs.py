@@ -21,7 +21,14 @@ from support import FENCED, PAGES, PATH, PATIENCE, ROOT, blocks, require, run
 LANGUAGES = {"sh", "console", "text", "c", "cmake", "python", "toml", "mermaid"}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
-SHOWN = ("FAILED at call", "(0.000000) vcan0", "PASS scenarios", "scenario 6", "cortex-m3 on mps2-an385")
+SHOWN = (
+    "FAILED at call",
+    "FAILED: 14 of 38",
+    "(0.000000) vcan0",
+    "PASS scenarios",
+    "scenario 6",
+    "cortex-m3 on mps2-an385",
+)
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
 RUN_ELSEWHERE = {
