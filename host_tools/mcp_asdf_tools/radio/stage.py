@@ -52,7 +52,7 @@ class ControllerBench:
         recorder: Takes the controller's events; None if they are not recorded.
         log: Takes all frames, sent and heard.
         progress: Called after each settled tick with the number of ticks done.
-        should_stop: Checked before each tick.
+        should_stop: Checked before each tick, and while the controller is waited for between ticks.
     """
 
     bus: can.BusABC
@@ -94,7 +94,9 @@ class Stage:
         self.comparison = Comparison(settings.subjects, greeting, self.model.coverage.equal)
         self._id = settings.controller.id
         subjects = settings.subjects
-        self.lockstep = Lockstep(bench.bus, LockstepSettings(subjects), bench.timeout, watch=self._note)
+        self.lockstep = Lockstep(
+            bench.bus, LockstepSettings(subjects), bench.timeout, watch=self._note, check=self._check_stop
+        )
         self._said: list[can.Message] = []
         self._expected: list[can.Message] = []
         self._numbers: Counter[int] = Counter()
