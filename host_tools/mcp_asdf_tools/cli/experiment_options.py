@@ -27,6 +27,11 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
     parameter_options.add_parameters(parser, Experiment, "experiment (values replace those of FILE)")
 
 
+def experiment_of(args: argparse.Namespace) -> Experiment:
+    """The experiment with the parameters that were given. Raises UsageError for a value out of range."""
+    return parameter_options.settings_from(args, Experiment)
+
+
 def with_parameters(experiment: Experiment, args: argparse.Namespace) -> Experiment:
     """``experiment`` with the parameters that were given. Raises UsageError for a value out of range."""
     return parameter_options.settings_from(args, Experiment, experiment.parameters())

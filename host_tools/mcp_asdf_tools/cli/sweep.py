@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import progress
 from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
@@ -72,4 +73,6 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
     else:
         options.show(experiments, limits, str(store.output))
+        seeds = {experiment.seed for experiment in given}
+        print_again(args, (), **({"seed": seeds.pop()} if len(seeds) == 1 else {}))
     return 0
