@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
     if args.omega is not None or args.neighbours is not None:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
     if args.check is not None:
-        return _report([check_file(path) for path in args.check], args)
-    return _report([finding for path in args.verify for finding in verify_image(path)], args)
+        return _report([check_file(path) for path in args.check], args.json)
+    return _report([finding for path in args.verify for finding in verify_image(path)], args.json)
 
 
 def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
@@ -98,13 +98,12 @@ def _summary(omega: Decimal, facts: dict[str, Any]) -> str:
     )
 
 
-def _report(findings: Sequence[TableCheck], args: argparse.Namespace) -> int:
+def _report(findings: Sequence[TableCheck], as_json: bool) -> int:
     ok = all(finding.problem is None for finding in findings)
-    if args.json:
+    if as_json:
         print(json.dumps({"ok": ok, "tables": [_as_dict(finding) for finding in findings]}, indent=2))
     else:
         print("\n".join(_as_line(finding) for finding in findings))
-        print_again(args)
     return 0 if ok else 1
 
 
