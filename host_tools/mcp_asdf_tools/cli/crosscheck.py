@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.replay is not None:
         if (args.steps, args.seed, args.plot) != (None, None, None):
             raise UsageError("--replay runs one scenario; it does not go with --steps, --seed or --plot")
-        return _replay(parse_scenario(args.replay), args)
+        return _replay(parse_scenario(args.replay), args.json)
     steps, seed = STEPS if args.steps is None else args.steps, SEED if args.seed is None else args.seed
     if steps < 1:
         raise UsageError(f"--steps is {steps}; choose 1 or more")
@@ -82,12 +82,12 @@ def _check_with(audit: Audit) -> Check:
     return lambda scenario: compare_firmwares(scenario, native, mirror, audit.follow(scenario.setup))
 
 
-def _replay(scenario: Scenario, args: argparse.Namespace) -> int:
+def _replay(scenario: Scenario, as_json: bool) -> int:
     finding = _check_with(Audit())(scenario)
     failure = None if finding is None else _failure(scenario, finding)
     status = Subject(_firmware("native"), scenario.setup).last.outcome
     made = len(scenario.calls) if status == Status.OK.name else 0
-    if args.json:
+    if as_json:
         report = {
             "ok": failure is None,
             "status": status,
@@ -97,8 +97,6 @@ def _replay(scenario: Scenario, args: argparse.Namespace) -> int:
         print(json.dumps(report, indent=2))
     else:
         print(failure or _agreement(status, made))
-        if failure is None:
-            print_again(args)
     return 0 if failure is None else 1
 
 

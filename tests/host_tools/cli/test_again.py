@@ -50,7 +50,6 @@ RUNS = [
     "simulate --output results.parquet one.toml --seed 3",
     "sweep grid.toml --output 'two words.parquet'",
     f"table --output tables {TABLE}",
-    "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
 ]
 
 

@@ -1121,11 +1121,7 @@ def test_a_failure_is_printed_with_a_line_that_replays_it(
     calls = parse_scenario(replay[1]).calls
     monkeypatch.undo()
     code, out, _ = main(capsys, *replay)
-    agreement = f"native and mirror agree in every bit over {len(calls)} calls"
-    assert (code, out.splitlines()) == (
-        0,
-        [agreement, f"again: {shlex.join(['mcp-asdf', 'crosscheck', *replay])}"],
-    )
+    assert (code, out) == (0, f"native and mirror agree in every bit over {len(calls)} calls\n")
 
 
 @pytest.mark.parametrize(
