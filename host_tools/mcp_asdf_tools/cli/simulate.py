@@ -40,13 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_limits(parser)
     output = parser.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
-    output.add_argument(
-        "--record",
-        metavar="STEPS",
-        type=int,
-        default=0,
-        help="also keep every robot's values, every STEPS steps",
-    )
+    options.add_record(output)
     output.add_argument(
         "--authors-json", metavar="FOLDER", type=Path, help="write each trial as the authors' simulator does"
     )
@@ -92,9 +86,7 @@ def settings_of(args: argparse.Namespace) -> Experiment:
 
 
 def _sampling_interval(args: argparse.Namespace, experiment: Experiment) -> int:
-    interval: int = args.record
-    if not 0 <= interval <= experiment.steps:
-        raise UsageError(f"--record is {interval}; choose 1 to {experiment.steps} steps, or 0 for none")
+    interval = options.sampling_interval(args, [experiment])
     if args.authors_json is None:
         return interval
     if interval > 1:
