@@ -7,8 +7,9 @@ import configparser
 import errno
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import can
@@ -46,6 +47,7 @@ class BusChoice:
     _args: argparse.Namespace
     _defaults: dict[str, Any]
     _is_plain: bool = True
+    _inherited: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
@@ -103,6 +105,18 @@ class BusChoice:
         return words + (
             ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
         )
+
+    def inherited_options(self) -> list[str]:
+        """Options for what python-can's variables and files say of this bus, for a shell without them."""
+        if not self._inherited:
+            return []
+        found = {
+            name: value for name, value in self._inherited.items() if name not in ("interface", "bustype")
+        }
+        own = [f"--{name}={found.pop(name)}" for name in ("channel", "bitrate") if name in found]
+        rest = [f"{name}={value}" for name, value in found.items()]
+        # The interface is last, since --bus-kwargs takes all words up to the next option.
+        return [*(["--bus-kwargs", *rest] if rest else []), *own, f"--interface={self.interface}"]
 
     def _explain(self, cause: BaseException | None) -> str:
         """The failure and its fix."""
@@ -259,17 +273,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def choose_bus(args: argparse.Namespace) -> BusChoice:
     """Decide on a bus. Raises UsageError if python-can's variables or files cannot be read."""
-    asked = _asked_for(args)
+    inherited, given = _inherited(), _given(args)
+    asked = inherited | given
     interface = str(asked.get("interface") or asked.get("bustype") or DEFAULT_INTERFACE)
     defaults = {"interface": interface, **_DEFAULTS.get(interface, {})}
     defaults = {key: value for key, value in defaults.items() if key not in asked}
     channel = asked.get("channel", defaults.get("channel"))
     is_plain = asked.keys() <= {"interface", "bustype", "channel"}
-    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain)
+    rest = {name: value for name, value in inherited.items() if name not in given}
+    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain, rest)
 
 
-def _asked_for(args: argparse.Namespace) -> dict[str, Any]:
-    """Settings of files, variables, ``can.rc`` and arguments; later ones override earlier ones."""
+def _inherited() -> dict[str, Any]:
+    """Settings of files, variables and ``can.rc``; later ones override earlier ones."""
     merged: dict[str, Any] = {}
     try:
         merged |= load_file_config()
@@ -278,5 +294,10 @@ def _asked_for(args: argparse.Namespace) -> dict[str, Any]:
         raise UsageError(
             f"python-can's CAN_* variables or configuration files are not valid: {error}"
         ) from error
+    return merged | can.rc
+
+
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    """Settings of arguments."""
     given = {name: getattr(args, name) for name in _OPTIONS if name in args}
-    return merged | can.rc | given | getattr(args, "bus_kwargs", {})
+    return given | getattr(args, "bus_kwargs", {})

@@ -9,6 +9,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.tables import (
     MAX_MESSAGES,
@@ -83,6 +84,7 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     else:
         print(_summary(omega, facts))
         print("\n".join(f"wrote {file}" for file in files))
+        print_again(args, omega=omega, neighbours=q)
     return 0
 
 
