@@ -62,6 +62,7 @@ CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
+SWEPT = "takes a minute; tests/host_tools/test_advice.py sweeps the same"
 IN_A_BROWSER = "ends with Ctrl-C; tests/host_tools/view/test_browser.py has the page in a browser"
 NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
@@ -94,6 +95,9 @@ NOT_RUN = {
     ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
+    "mcp-asdf sweep advice.toml": SWEPT,
+    "mcp-asdf sweep knobs.toml": SWEPT,
+    "mcp-asdf score advice.parquet --csv advice.csv": SWEPT,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
     "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
     "mcp-asdf sweep explore.toml": TAKES_LONG,
