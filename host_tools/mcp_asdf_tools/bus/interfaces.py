@@ -30,7 +30,17 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
 _ROBOT = "{robot}"
 _UDP_PORT = 43113
 """python-can's."""
-_OPTIONS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+_OPTIONS = ("interface", "channel", "bitrate", "timing")
+_SHOWN = {
+    "interface": (
+        "INTERFACE",
+        "kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's",
+    ),
+    "channel": ("CHANNEL", "bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2"),
+    "bitrate": ("BITRATE", "bits per second, where the interface sets them"),
+    "bus_kwargs": ("KEY=VALUE", "further settings of the interface, such as app_name=MyCanApp serial=1234"),
+}
+"""Options taken from python-can: metavar and help. Those for CAN FD are not, since FD frames are refused."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +107,8 @@ class BusChoice:
     def options(self) -> list[str]:
         """The options that choose this bus."""
         words = [f"--interface={self.interface}", *([f"--channel={self.channel}"] if self.channel else [])]
-        for name in ("bitrate", "data_bitrate"):
-            if getattr(self._args, name, None) is not None:
-                words.append(f"--{name.replace('_', '-')}={getattr(self._args, name)}")
-        words += ["--fd"] if getattr(self._args, "fd", False) else []
+        if getattr(self._args, "bitrate", None) is not None:
+            words.append(f"--bitrate={self._args.bitrate}")
         kwargs = getattr(self._args, "bus_kwargs", {})
         return words + (
             ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
@@ -263,12 +271,45 @@ _REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bus options that python-can's own tools have."""
-    add_bus_arguments(
-        parser,
-        group_title="bus options (default: the interface 'virtual' inside this process; python-can's "
-        "CAN_* variables and configuration files are honoured)",
+    """Add the bus options that python-can's own tools have, except those for CAN FD."""
+    theirs = argparse.ArgumentParser(add_help=False)
+    add_bus_arguments(theirs)
+    group = parser.add_argument_group(
+        "bus (default: inside this process; python-can's CAN_* variables and files count)"
     )
+    for action in theirs._actions:
+        if action.dest in _SHOWN:
+            action.metavar, action.help = _SHOWN[action.dest]
+            group._add_action(action)
+    group.add_argument(
+        "--timing",
+        action=_Timing,
+        nargs="+",
+        default=argparse.SUPPRESS,
+        metavar="KEY=VALUE",
+        help="bit timing: f_clock=8000000 brp=1 tseg1=5 tseg2=2 sjw=1 nof_samples=1",
+    )
+
+
+class _Timing(argparse.Action):
+    """Option for the bit timing of classic CAN; python-can's own takes CAN FD and prints what it took."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        parts = (word.partition("=") for word in values)
+        try:
+            fields: dict[str, Any] = {key: int(value) for key, _, value in parts}
+            timing = can.BitTiming(**fields)
+        except (TypeError, ValueError) as error:
+            raise argparse.ArgumentError(
+                self, f"{' '.join(values)} is no timing of classic CAN: {error}"
+            ) from error
+        setattr(namespace, self.dest, timing)
 
 
 def choose_bus(args: argparse.Namespace) -> BusChoice:

@@ -64,7 +64,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=default_workers(),
-        help="processes (default %(default)s: one a processor)",
+        help="processes (default %(default)s: one per processor)",
     )
 
 

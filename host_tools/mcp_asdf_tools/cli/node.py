@@ -120,7 +120,7 @@ def _add_clock(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="HZ",
         default=10,
-        help="steps per second, in lockstep of simulated time; a heartbeat is sent once a second "
+        help="steps per second, in lockstep of simulated time; a heartbeat is sent every second "
         "(default %(default)s)",
     )
     group.add_argument(

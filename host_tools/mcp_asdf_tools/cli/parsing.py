@@ -7,9 +7,28 @@ import re
 import sys
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from textwrap import fill
 from typing import Any, NoReturn
 
 _UNKNOWN = re.compile(r"unrecognized arguments: (.*)")
+_NO_CHOICE = re.compile(r".*invalid choice: '(.*?)' \(choose from (.*)\)")
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Formatter that wraps the prose around examples and lists, whose lines are indented and stay."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines: list[str] = []
+        for line in text.splitlines():
+            goes_on = lines and lines[-1][-1:] not in ("", ":") and not lines[-1].startswith(" ")
+            if goes_on and not line.startswith((" ", "exit code")) and line:
+                lines[-1] += f" {line}"
+            else:
+                lines.append(line)
+        is_prose = [bool(line) and not line.startswith(" ") for line in lines]
+        return "\n".join(
+            fill(line, width) if wraps else line for line, wraps in zip(lines, is_prose, strict=True)
+        )
 
 
 class Parser(argparse.ArgumentParser):
@@ -20,7 +39,7 @@ class Parser(argparse.ArgumentParser):
             prog=prog,
             description=description,
             epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Formatter,
             allow_abbrev=False,
         )
 
@@ -37,6 +56,8 @@ class Parser(argparse.ArgumentParser):
         """Print the error and where help is; end the program with exit code 2."""
         if found := _UNKNOWN.fullmatch(message):
             message = self._unknown(found.group(1).split())
+        elif found := _NO_CHOICE.fullmatch(message):
+            message += offer(found.group(1), found.group(2).replace("'", "").split(", "))
         self.exit(2, f"{self.prog}: error: {message}\nSee '{self.prog} --help'.\n")
 
     def _unknown(self, words: list[str]) -> str:

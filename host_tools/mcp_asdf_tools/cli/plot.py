@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots
+  mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of the flawed
   mcp-asdf plot grid.parquet strips.png --kind strips       # the same, a point for each trial
   mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
   mcp-asdf plot grid.parquet curves.svg --kind curve --x omega --hue density --y e
@@ -27,7 +27,7 @@ examples:
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
   mcp-asdf plot run.parquet paths.svg --kind trajectories --step 600
   mcp-asdf plot run.parquet links.svg --kind network --step 600
-  mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy; needs no results
+  mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy
 exit code: 0 done, 2 bad usage"""
 
 KINDS = (*PLOTS, "alpha")

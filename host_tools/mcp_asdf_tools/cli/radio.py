@@ -58,7 +58,7 @@ EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0 --fault loss=0.3
-  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report controller.md
+  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report it.md
 --id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken

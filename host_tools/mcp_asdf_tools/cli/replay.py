@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="FACTOR",
         default=1.0,
-        help="recorded seconds a second, 0 for as fast as possible (default %(default)s)",
+        help="recorded seconds per second, 0 for as fast as possible (default %(default)s)",
     )
     group.add_argument(
         "--leave-out", type=int, metavar="ID", nargs="+", default=[], help="nodes whose frames are not sent"

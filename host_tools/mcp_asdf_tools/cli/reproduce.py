@@ -34,12 +34,12 @@ from mcp_asdf_tools.robots import FIRMWARES
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # as many trials and seeds as decide; says how long first
+  mcp-asdf reproduce                                # as many trials as decide; says how long
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --redraw                       # the report again from the results, nothing is run
-  mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors
+  mcp-asdf reproduce --redraw                       # the report again, nothing is run
+  mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --output authors
 A run that was interrupted is resumed by the same command: finished trials are kept and not run again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""

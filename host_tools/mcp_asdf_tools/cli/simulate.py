@@ -25,7 +25,7 @@ examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
-  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
+  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # for the authors' own scripts
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
 FILE is an experiment (.toml) or the authors' parameter file (.yml). Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""

@@ -48,13 +48,13 @@ __all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
-  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
+  mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
+  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
   mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
-  mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
+  mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
   mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
   mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log

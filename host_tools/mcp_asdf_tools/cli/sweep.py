@@ -19,7 +19,7 @@ examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
   mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet
   mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
-  mcp-asdf sweep grid.toml --record 100 --output recorded.parquet   # values over time, too: for mcp-asdf view
+  mcp-asdf sweep grid.toml --record 100 --output recorded.parquet     # with values over time
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.

@@ -27,7 +27,7 @@ EPILOG = """\
 examples:
   mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
   mcp-asdf view grid.parquet --where filter=none --trial 3
-  mcp-asdf view run.log                             # a log of swarm or node, with run.log.events beside it
+  mcp-asdf view run.log                             # a log of swarm or node, beside run.log.events
   mcp-asdf view run.log --export run.html           # one file that needs nothing else
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
 mcp-asdf swarm --view shows a swarm as it runs.
