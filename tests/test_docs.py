@@ -28,6 +28,7 @@ SHOWN = (
     "PASS scenarios",
     "scenario 6",
     "cortex-m3 on mps2-an385",
+    "tick  50: share of black",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
@@ -43,6 +44,7 @@ RUN_ELSEWHERE = {
     ),
     "tests/host_tools/test_extending.py": ("extending.md", "mcp-asdf "),
     "tests/test_setup.py": ("development.md", ".venv"),
+    "tests/test_tutorials.py": ("robot_tutorial.md", "my_robot", "--slcan 20001"),
 }
 """Tests that run commands of a page: the page, and what is in these commands."""
 
@@ -113,7 +115,6 @@ NOT_RUN = {
 
 SLOW = {
     "mcp-asdf crosscheck --steps 5000 --seed 7",
-    "mcp-asdf crosscheck --steps 2000",
     "mcp-asdf crosscheck --steps 1000 --plot operations.png",
     "mcp-asdf crosscheck --steps 1000 --json",
     "mcp-asdf plot alpha.svg --kind alpha",
