@@ -10,7 +10,6 @@ import argparse
 import html
 import inspect
 import re
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from typing import Any
 import griffe
 from latex2mathml.converter import convert
 
-sys.path[:0] = [str(Path(__file__).parents[1] / folder) for folder in ("firmware_py", "host_tools")]
 from mcp_asdf_tools.cli import main as cli
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +34,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     for comment, make in (("commands", commands), ("headers", headers), ("rooms", rooms)):
         if f"<!-- {comment} -->" in markdown:
             markdown = markdown.replace(f"<!-- {comment} -->", make())
+    markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both
     page.formulas = []
     parts = _CODE.split(markdown)
     parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]
