@@ -335,6 +335,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors(target), f"{page.name} links to {name}#{anchor}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_are_described(page: Path) -> None:
+    """For readers who do not see them: more than the name of a file."""
+    text = page.read_text(encoding="utf-8")
+    described = re.findall(r"!\[([^\]]*)\]\([^)]*\)", text)
+    described += [(re.findall(r'alt="([^"]*)"', tag) or [""])[0] for tag in re.findall(r"<img\b[^>]*>", text)]
+    assert all(len(words.split()) >= 5 for words in described)
+
+
 def test_the_readme_names_what_its_first_commands_need() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     before, _, block = text.partition("```sh\n")
