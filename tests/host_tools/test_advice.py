@@ -78,7 +78,7 @@ def test_the_figures_are_those_of_the_sweep(
 
 
 def test_the_sweeps_are_read(tmp_path: Path) -> None:
-    for text, experiments in zip(blocks(PAGE, "toml"), (48, 28), strict=True):
+    for text, experiments in zip(blocks(PAGE, "toml"), (48, 32), strict=True):
         (tmp_path / "advice.toml").write_text(text)
         assert len(m.read_experiments(tmp_path / "advice.toml")) == experiments
 

@@ -210,6 +210,8 @@ def _note_fate(
     decode: Decoder,
 ) -> None:
     """Record how the frames ``leaving`` the robot differ from its own ``frame``, None if it babbles."""
+    if [sent.frame for sent in leaving] == [frame]:
+        return
     own = None if frame is None else decode(frame)
     is_heard = False
     for sent in leaving:
