@@ -260,8 +260,11 @@ def _interrupts_held() -> Iterator[None]:
     """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
 
     They inherit the signal mask before Python starts in them. In this process another thread may still
-    receive the signal, so its handler waits, too.
+    receive the signal, so its handler waits, too. Windows has no such mask.
     """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     with stopping() as is_asked:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
