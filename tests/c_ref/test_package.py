@@ -362,7 +362,7 @@ def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
 
 
 def test_the_description_on_an_index_of_packages_has_no_link_into_the_repository(wheel: Path) -> None:
-    """It is the README, whose first sentence and commands are in it, with links and pictures of the web alone."""
+    """It is the README, with links and pictures of the web alone."""
     (name,) = (each for each in zipfile.ZipFile(wheel).namelist() if each.endswith(".dist-info/METADATA"))
     head, _, shown = zipfile.ZipFile(wheel).read(name).decode().partition("\n\n")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -371,12 +371,8 @@ def test_the_description_on_an_index_of_packages_has_no_link_into_the_repository
     assert re.findall(r"\]\((https?:[^)]*)\)", shown) == re.findall(r"\]\((https?:[^)]*)\)", readme)
     assert shown.split("\n\n")[1] == readme.split("\n\n")[1]
     assert shown.count("```") == readme.count("```")
-    for field in (
-        "Project-URL: Paper, https://arxiv.org/abs/",
-        "Author: The mcp-asdf authors",
-        "License-Expression: MIT",
-    ):
-        assert field in head
+    assert "Project-URL: Paper, https://arxiv.org/abs/" in head
+    assert "Author: The mcp-asdf authors" in head
 
 
 @pytest.mark.slow
