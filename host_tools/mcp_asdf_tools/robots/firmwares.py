@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Protocol, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Robot, Status
 from mcp_asdf_tools.common import UsageError, extensions
 
-Words = NDArray[np.uint32]
+if TYPE_CHECKING:  # numpy is slow to load, and help needs the names below only
+    import numpy as np
+    from numpy.typing import NDArray
+
+Words: TypeAlias = "NDArray[np.uint32]"
 """Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
 
 RobotMaker = Callable[[Config, int, float], Robot]
