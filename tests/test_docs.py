@@ -24,7 +24,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 14 of 38",
+    "FAILED: 17 of 40",
     "(0.000000) vcan0",
     "PASS scenarios",
     "scenario 6",
