@@ -24,7 +24,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 14 of 38",
+    "FAILED: 17 of 40",
     "(0.000000) vcan0",
     "PASS scenarios",
     "scenario 6",
@@ -335,6 +335,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         target = page.parent / name if name else page
         assert target.exists(), f"{page.name} links to {name}"
         assert not anchor or anchor in anchors(target), f"{page.name} links to {name}#{anchor}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_are_described(page: Path) -> None:
+    """For readers who do not see them: more than the name of a file."""
+    text = page.read_text(encoding="utf-8")
+    described = re.findall(r"!\[([^\]]*)\]\([^)]*\)", text)
+    described += [(re.findall(r'alt="([^"]*)"', tag) or [""])[0] for tag in re.findall(r"<img\b[^>]*>", text)]
+    assert all(len(words.split()) >= 5 for words in described)
 
 
 def test_the_readme_names_what_its_first_commands_need() -> None:
