@@ -28,6 +28,7 @@ SHOWN = (
     "PASS scenarios",
     "scenario 6",
     "cortex-m3 on mps2-an385",
+    "tick  50: share of black",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
@@ -43,6 +44,7 @@ RUN_ELSEWHERE = {
     ),
     "tests/host_tools/test_extending.py": ("extending.md", "mcp-asdf "),
     "tests/test_setup.py": ("development.md", ".venv"),
+    "tests/test_tutorials.py": ("robot_tutorial.md", "my_robot", "--slcan 20001"),
 }
 """Tests that run commands of a page: the page, and what is in these commands."""
 
@@ -62,6 +64,7 @@ CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"
 AS_ROOT = "changes the machine's network as root; tests/socketcan does it in a guest"
 TAKES_LONG = "takes minutes"
+SWEPT = "takes a minute; tests/host_tools/test_advice.py sweeps the same"
 IN_A_BROWSER = "ends with Ctrl-C; tests/host_tools/view/test_browser.py has the page in a browser"
 NEEDS_CLUSTER = (
     "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py has a cluster on this one"
@@ -94,6 +97,9 @@ NOT_RUN = {
     ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
+    "mcp-asdf sweep advice.toml": SWEPT,
+    "mcp-asdf sweep knobs.toml": SWEPT,
+    "mcp-asdf score advice.parquet --csv advice.csv": SWEPT,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
     "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
     "mcp-asdf sweep explore.toml": TAKES_LONG,
@@ -109,7 +115,6 @@ NOT_RUN = {
 
 SLOW = {
     "mcp-asdf crosscheck --steps 5000 --seed 7",
-    "mcp-asdf crosscheck --steps 2000",
     "mcp-asdf crosscheck --steps 1000 --plot operations.png",
     "mcp-asdf crosscheck --steps 1000 --json",
     "mcp-asdf plot alpha.svg --kind alpha",

@@ -156,7 +156,7 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
         exponent = 2 * (16 - g_shift) - shift + spread_shift - square_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
         const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in [2^23, 2^25) */
-        mantissa >>= excess;
+        mantissa >>= excess;                        /* a shift by at most 1 */
         exponent += excess;
     }
     const bool mirrored =
@@ -328,7 +328,7 @@ static bool table_valid(const uint32_t *table)
         return false;
     }
     uint32_t hash = HASH_START, previous = 0;
-    for (uint8_t i = 0; i < end; ++i) {
+    for (uint8_t i = 0; i < end; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
         if (word >= previous && i > 2) {
             return false;

@@ -165,7 +165,7 @@ NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
     for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
         value <<= 8;
     }
-    return value << count;
+    return value << count; /* a shift by at most 7 */
 }
 
 NOINLINE uint32_t shift_right_by(uint32_t value, uint8_t count)
@@ -173,7 +173,7 @@ NOINLINE uint32_t shift_right_by(uint32_t value, uint8_t count)
     for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
         value >>= 8;
     }
-    return value >> count;
+    return value >> count; /* a shift by at most 7 */
 }
 
 static inline uint32_t shift_left(uint32_t value, uint32_t count)

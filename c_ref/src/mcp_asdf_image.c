@@ -77,7 +77,7 @@ static bool open_possible(const mcp_asdf_open_t *open)
 static bool senders_possible(const mcp_asdf_t *robot)
 {
     uint32_t heard = 0;
-    for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) {
+    for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) { /* at most 128 turns */
         heard += robot->heard.of[id >> 3] >> (id & 7) & 1;
     }
     return robot->open.count <= heard && (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
@@ -112,7 +112,7 @@ typedef struct {
 static uint32_t pass(image_t *image, uint32_t value)
 {
     uint32_t passed = image->target == 0 ? 0 : value;
-    for (uint8_t shift = 0; shift < 32; shift = (uint8_t)(shift + 8)) {
+    for (uint8_t shift = 0; shift < 32; shift = (uint8_t)(shift + 8)) { /* at most 4 turns */
         if (image->target == 0) {
             passed |= (uint32_t)*image->source++ << shift;
         } else {
@@ -140,11 +140,11 @@ static void pass_pair(image_t *image, uint16_t *first, uint16_t *second)
 static void pass_bytes(image_t *image, uint8_t *bytes)
 {
     uint32_t word = 0;
-    for (uint8_t i = 0; i < 4; ++i) {
+    for (uint8_t i = 0; i < 4; ++i) { /* at most 4 turns */
         word |= (uint32_t)bytes[i] << 8 * i;
     }
     word = pass(image, word);
-    for (uint8_t i = 0; i < 4; ++i) {
+    for (uint8_t i = 0; i < 4; ++i) { /* at most 4 turns */
         bytes[i] = (uint8_t)(word >> 8 * i);
     }
 }
@@ -160,7 +160,7 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot)
     pass_double(image, &robot->open.x_squared);
     robot->open.x = pass(image, robot->open.x);
     robot->open.count = pass(image, robot->open.count);
-    for (uint8_t i = 0; i < 16; i = (uint8_t)(i + 4)) {
+    for (uint8_t i = 0; i < 16; i = (uint8_t)(i + 4)) { /* at most 4 turns */
         pass_bytes(image, &robot->heard.of[i]);
     }
 }

@@ -23,7 +23,7 @@ from support import ROOT, require
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
 from unicorn import UC_HOOK_CODE
 
-from benchmarks.cost import figures, measurement, picture, report, runs
+from benchmarks.cost import figures, measurement, picture, report, runs, turns
 from benchmarks.cost.budgets import (
     AVR,
     AVR_CYCLES_BEFORE,
@@ -36,12 +36,13 @@ from benchmarks.cost.budgets import (
     most,
 )
 from benchmarks.cost.demo import measure_demo
-from benchmarks.cost.flow import Flow, LongestWay
+from benchmarks.cost.flow import Flow
 from benchmarks.cost.images import LEVELS, TARGETS, Image, Target, build
 from benchmarks.cost.machines import Machine, UnicornMachine, load
-from benchmarks.cost.robots import Robot
+from benchmarks.cost.robots import UNITS, Robot
 from benchmarks.cost.stacks import Stacks
 from benchmarks.cost.timing import TIMINGS
+from benchmarks.cost.ways import TURNS, Bound, LongestWay, cycles
 from mcp_asdf import Config, MirrorRobot, Observation
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
@@ -155,19 +156,29 @@ def test_nothing_grows(target: Target, level: str) -> None:
 
 @every_level
 @every_target
-def test_no_call_is_longer_than_the_longest_way(target: Target, level: str) -> None:
+def test_no_call_is_longer_than_its_bound(target: Target, level: str) -> None:
     core = KEPT["targets"][target.name][level]["firmware"]
-    seen = {
-        name: max(spans["instructions"][2] for call, spans in core["calls"].items() if call.startswith(name))
-        for name in measurement.TICK_CALLS
-    }
-    if target.tools == "avr-":
-        assert set(core["longest"].values()) == set(core["longest seen"].values()) == {None}
-        return
-    assert all(seen[name] <= core["longest"][name] for name in seen), core
+    assert list(core["bounds"]) == [*measurement.TICK_CALLS, *measurement.OTHER_CALLS]
+    for call, bound in core["bounds"].items():
+        assert all(0 < report.most_seen(core, call, unit) <= bound[unit] for unit in UNITS), call
+    assert report.largest_ratio(core, measurement.TICK_CALLS) <= (1.32 if target.name == AVR else 1.08)
+    assert report.largest_ratio(core, measurement.OTHER_CALLS) < 2.8
     for name, longest in core["longest seen"].items():
-        assert most(core["calls"], name) <= longest <= CLOSE * most(core["calls"], name), name
-        assert longest <= core["longest"]["x" if name == "x" else "step"]
+        bound = core["bounds"]["x" if name == "x" else "step"]["instructions"]
+        if target.name != AVR:
+            assert most(core["calls"], name) <= longest <= CLOSE * most(core["calls"], name), name
+            assert longest <= bound
+
+
+@every_level
+@every_target
+def test_loops_and_divisions_are_where_the_target_needs_them(target: Target, level: str) -> None:
+    """An AVR has no other way to divide; a Cortex-M0+ takes a table; the others have an instruction."""
+    bounds = KEPT["targets"][target.name][level]["firmware"]["bounds"]
+    has_divider = target.name not in (AVR, "Cortex-M0+")
+    for call in measurement.TICK_CALLS:
+        assert (bounds[call]["turns"] > 0) == (target.name == AVR), call
+        assert (bounds[call]["divisions"] > 0) == (has_divider and call != "receive"), call
 
 
 def test_growth_is_seen() -> None:
@@ -314,12 +325,12 @@ def test_counting_blocks_is_counting_instructions(target: str, tmp_path: Path) -
     assert robot.step(1).instructions == len(addresses) > 100
 
 
-def program(target: Target, folder: Path, *functions: str) -> Image:
+def program(target: Target, folder: Path, *functions: str, flags: tuple[str, ...] = ("-O1",)) -> Image:
     """An image with functions in C, of which known() stays in it."""
     folder.mkdir(exist_ok=True)
     source = folder / "program.c"
     source.write_text("\n".join((*functions, "int main(void) { return 0; }")) + "\n", encoding="utf-8")
-    return build(target, folder / "build", [source], "-O1", "-Wl,-u,known")
+    return build(target, folder / "build", [source], *flags, "-Wl,-u,known")
 
 
 def written(target: Target, folder: Path, *lines: str) -> Machine:
@@ -373,6 +384,13 @@ def test_cycles_of_a_cortex_m0plus_are_those_of_its_manual(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("target", "name", "operands", "cycles"),
     [
+        ("ATmega328P", "brne", ".-12", 1),
+        ("ATmega328P", "ldi", "r24, 1", 1),
+        ("ATmega328P", "ldd", "r24, Z+2", 2),
+        ("ATmega328P", "lpm", "r24, Z+", 3),
+        ("ATmega328P", "rcall", ".+8", 3),
+        ("ATmega328P", "call", "0x10 <x>", 4),
+        ("ATmega328P", "mul", "r1, r2", 2),
         ("Cortex-M0+", "bl", "10234 <x>", 3),
         ("Cortex-M0+", "b.n", "10234 <x>", 2),
         ("Cortex-M0+", "blt.n", "10234 <x>", 1),
@@ -445,6 +463,71 @@ def test_a_loop_is_found(target: Target, tmp_path: Path) -> None:
     code = "int known(int x) { volatile int y = 0; while (x-- > 0) y += x; return y; }"
     with pytest.raises(ValueError, match="loop in known"):
         LongestWay(Flow(program(usable(target), tmp_path, code))).of("known")
+
+
+@every_target
+def test_recursion_is_found(target: Target, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"loop in|calls itself"):
+        LongestWay(Flow(program(usable(target), tmp_path, *NO_BOUNDS["calls itself"]))).of("known")
+
+
+LOOPS = """
+int known(unsigned x)
+{
+    volatile int y = 0;
+    for (unsigned char i = 0; i < 5; ++i) {
+        for (unsigned char j = 0; j < (x & 3); ++j) {
+            y += 3;
+        }
+    }
+    return y;
+}
+"""
+
+
+@every_target
+def test_loops_within_loops_count_as_often_as_they_run(target: Target, tmp_path: Path) -> None:
+    """Both are left where they are entered or at their end: one after 5 turns, the inner after 3."""
+    image = program(usable(target), tmp_path, LOOPS)
+    most = load(image).call("known", ("enum", 3))
+    sizes: list[int] = []
+
+    def bound(outer: int, inner: int) -> Bound:
+        """Of the times that a loop's entry runs: one more than it turns, if it is the test."""
+
+        def of(loop: set[int], entries: set[int]) -> tuple[int, int]:
+            sizes.append(len(loop))
+            return min(entries), outer if len(loop) == max(sizes) else inner
+
+        return of
+
+    flow = Flow(image)
+    assert most.instructions <= LongestWay(flow, bound(6, 4)).of("known") < 2 * most.instructions
+    assert LongestWay(flow, bound(4, 2)).of("known") < most.instructions
+    timing = cycles(TIMINGS[target.name])
+    assert most.cycles <= LongestWay(flow, bound(6, 4), timing).of("known") < 2 * most.cycles
+
+
+def test_turns_are_those_of_the_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a stated loop, shifts by a mask, a stated count and a constant; a loop without a bound has none."""
+    functions = (
+        "char robot[20]; unsigned long known(unsigned long x, unsigned char n) {",
+        "for (unsigned char i = 0; i < n; ++i) { /* at most 6 turns */",
+        "robot[i] = robot[i + 1] + robot[x]; }",
+        "robot[1] = x >> (n & 7);",
+        "robot[2] = x << n; /* a shift by at most 9 */",
+        "return (x ^ robot[1]) << 13; }",
+    )
+    image = program(named(AVR), tmp_path, *functions, flags=("-gdwarf-4", "-Os"))
+    text = (tmp_path / "program.c").read_text(encoding="utf-8")
+    monkeypatch.setattr(turns, "_sources", lambda: {"program.c": text.splitlines()})
+    flow = Flow(image)
+    assert LongestWay(flow, turns.Turns(image, flow), TURNS).of("known") == 6 + 7 + 9 + (13 - 1)
+    text = text.replace("shift by", "shift of")
+    assert LongestWay(flow, turns.Turns(image, flow), TURNS).of("known") == 6 + 7 + 31 + (13 - 1)
+    text = text.replace("at most 6", "many")
+    with pytest.raises(ValueError, match="nothing bounds a loop in known"):
+        LongestWay(flow, turns.Turns(image, flow), TURNS).of("known")
 
 
 # ---- The command ----

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import z3
 from pycparser import c_ast
 
 from proofs.machine import Machine
@@ -16,6 +18,12 @@ def loops_in(program: Program, name: str) -> list[Any]:
     """The loops of a function, of every kind."""
     body = program.functions[name].body
     return [loop for kind in (c_ast.For, c_ast.While, c_ast.DoWhile) for loop in nodes(body, kind)]
+
+
+KNOWN: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "table_valid": {"end": lambda end: z3.ULE(end, 129)}  # q + 2, as a head with another q is refused before
+}
+"""What a function's earlier lines leave of variables that bound its loop."""
 
 
 def prove_ends(program: Program, name: str, loop: Any) -> None:
@@ -31,6 +39,8 @@ def prove_ends(program: Program, name: str, loop: Any) -> None:
     for declaration in (*nodes(function.body, c_ast.Decl), *program.parameters(name)):
         if declaration.name in used:
             machine.declare(declaration)
+            known = KNOWN.get(name, {}).get(declaration.name, always)
+            machine.know(known(machine.load(machine.variable(declaration.name)).term))
     machine.execute(c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord))
     prove_obligations(machine, name)
 

@@ -15,7 +15,7 @@ import z3
 from pycparser import c_ast
 
 from proofs.numbers import Arithmetic, Number, Type, known
-from proofs.source import Program, nodes, stated_turns
+from proofs.source import Program, nodes, stated_shift, stated_turns
 
 INTEGERS = {
     "_Bool": Type(1),
@@ -360,11 +360,15 @@ class Machine:
     def _value_BinaryOp(self, node: Any) -> Number:  # noqa: N802
         if node.op in ("&&", "||", "<", "<=", ">", ">=", "==", "!="):
             return self._truth_value(self.truth(node))
-        return self._combined(node.op, self.value(node.left), self.value(node.right))
+        left, right = self.value(node.left), self.value(node.right)
+        self._claim_stated(node, node.op, right)
+        return self._combined(node.op, left, right)
 
     def _value_Assignment(self, node: Any) -> Any:  # noqa: N802
         if node.op != "=":
-            return self._changed(node.lvalue, node.op[:-1], self.value(node.rvalue))
+            by = self.value(node.rvalue)
+            self._claim_stated(node, node.op[:-1], by)
+            return self._changed(node.lvalue, node.op[:-1], by)
         value = self.value(node.rvalue)
         return self.store(self._place(node.lvalue), value)
 
@@ -417,6 +421,13 @@ class Machine:
         if operator in ("<<", ">>"):
             return self.arithmetic.binary(operator, self._promoted(left), self._promoted(right))
         return self.arithmetic.binary(operator, *self._common(left, right))
+
+    def _claim_stated(self, node: Any, operator: str, count: Number) -> None:
+        """What the comment beside a shift says of its count."""
+        most = stated_shift(node) if operator in ("<<", ">>") else None
+        if most is not None:
+            limit = self.arithmetic.constant(most, count.type)
+            self.claim(self.arithmetic.compare("<=", count, limit), f"a shift by at most {most}")
 
     def _promoted(self, number: Number) -> Number:
         return number if number.type.bits >= self.int.bits else self.arithmetic.convert(number, self.int)

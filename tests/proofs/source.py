@@ -129,5 +129,14 @@ def _lines(path: str) -> list[str]:
 
 def stated_turns(loop: Any) -> int | None:
     """The bound in the comment beside a loop, ``at most 3 turns``."""
-    found = re.search(r"at most (\d+)", _lines(loop.coord.file)[loop.coord.line - 1])
+    return _stated(loop, r"at most (\d+)")
+
+
+def stated_shift(node: Any) -> int | None:
+    """The bound in the comment beside a shift, ``a shift by at most 7``."""
+    return _stated(node, r"a shift by at most (\d+)")
+
+
+def _stated(node: Any, pattern: str) -> int | None:
+    found = re.search(pattern, _lines(node.coord.file)[node.coord.line - 1])
     return int(found[1]) if found else None

@@ -81,6 +81,7 @@ BROKEN = {
     "shift_left_wide": ("1000", "complement = masked ^ 31", "complement = masked ^ 15"),
     "shift_right_64": ("1000", "(count & 32) != 0", "(count & 16) != 0"),
     "leading_zeros": ("1000", "value >> 28 == 0", "value >> 27 == 0"),
+    "shift_left_by": ("1010", "count >= 8;", "count >= 9;"),
     "shift_right_by": ("1010", "count >= 8; count = (uint8_t)(count - 8)", "count >= 8; count = count"),
     "multiply": ("1100", "middle2 << 16 |", "middle2 << 15 |"),
     "prepare": ("1000", "(d >> 15) + 1", "(d >> 15)"),

@@ -13,7 +13,7 @@ from pycparser import c_ast
 
 from proofs import arithmetic
 from proofs.core import C_MOST, CORE, contracts, product_bounds
-from proofs.loops import loops_in, prove_ends
+from proofs.loops import KNOWN, loops_in, prove_ends
 from proofs.prove import UnprovenError, prove, prove_contract, prove_safe, safe_callees
 from proofs.source import HEADER, SOURCES, VARIANTS, Program, Variant, nodes, program
 
@@ -115,9 +115,30 @@ def test_no_function_calls_itself(path: Path) -> None:
         assert list(TopologicalSorter(calls).static_order())  # which refuses a cycle
 
 
-def test_every_loop_of_the_arithmetic_states_its_bound() -> None:
-    """Those are proved with the lemma of their function, in every variant."""
-    lines = HEADER.read_text(encoding="utf-8").splitlines()
+def test_a_table_that_is_read_has_at_most_129_words() -> None:
+    """As table_valid() refuses any other head before its loop."""
+    head, magic = z3.BitVec("head", 32), 0x4D435400
+    accepted = z3.And(z3.UGE(head, magic + 2), z3.ULE(head, magic + 127))
+    prove(KNOWN["table_valid"]["end"](z3.Extract(7, 0, head + 2)), accepted, about="q + 2")
+    text = CORE.read_text(encoding="utf-8")
+    refusal = text.index("if (head < TABLE_MAGIC + 2 || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
+    assert refusal < text.index("for (uint8_t i = 0; i < end; ++i)")
+    assert "const uint8_t end = (uint8_t)(head + 2);" in text[:refusal]
+
+
+def test_a_loop_that_turns_more_often_than_stated_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / CORE.name
+    path.write_text(CORE.read_text(encoding="utf-8").replace("at most 129", "at most 128"), encoding="utf-8")
+    code = Program(path, VARIANTS[0])
+    (loop,) = loops_in(code, "table_valid")
+    with pytest.raises(UnprovenError, match="at most 128"):
+        prove_ends(code, "table_valid", loop)
+
+
+@pytest.mark.parametrize("path", [HEADER, *FIRMWARE], ids=lambda path: path.name)
+def test_every_loop_states_its_bound(path: Path) -> None:
+    """Those of the arithmetic are proved with the lemma of their function, in every variant."""
+    lines = path.read_text(encoding="utf-8").splitlines()
     stated = [line for line in lines if line.lstrip().startswith(("for ", "while ", "do "))]
     assert stated and all("/* at most " in line for line in stated)
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mcp_asdf.robot import Status
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import INTERRUPTED, UsageError
 from mcp_asdf_tools.crosscheck import (
     Audit,
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--steps is {steps}; choose 1 or more")
     if seed < 0:
         raise UsageError(f"--seed is {seed}; choose 0 or more")
-    return _check_all(steps, seed, _plotter(args.plot), args.json)
+    return _check_all(steps, seed, _plotter(args.plot), args)
 
 
 def _firmware(name: str) -> Firmware:
@@ -107,22 +108,24 @@ def _agreement(status: str, calls: int) -> str:
 
 
 def _check_all(
-    steps: int, seed: int, save_plot: Callable[[dict[str, CallCount]], None], as_json: bool
+    steps: int, seed: int, save_plot: Callable[[dict[str, CallCount]], None], args: argparse.Namespace
 ) -> int:
     audit = Audit()
     check = _check_with(audit)
     counts = count_operations()
     save_plot(counts)
-    with _progress(as_json) as progress:
+    with _progress(args.json) as progress:
         task = progress.add_task("calls", total=steps)
         outcome = crosscheck(check, seed, steps, lambda done: progress.update(task, completed=done))
     failure = None if outcome.failing is None else _explain(outcome.failing)
     result = Result(seed, outcome, failure, audit, counts, measure_storage())
-    if as_json:
+    if args.json:
         print(json.dumps(result.as_dict(), indent=2))
     else:
         Console(soft_wrap=True).print(result.tables())
         print(result.verdict())
+        if result.is_good:  # else the verdict ends with the line that replays the failure
+            print_again(args, steps=steps, seed=seed)
     if not result.is_good:
         return 1
     return INTERRUPTED if outcome.interrupted else 0

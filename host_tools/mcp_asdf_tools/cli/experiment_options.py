@@ -27,9 +27,34 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
     parameter_options.add_parameters(parser, Experiment, "experiment (values replace those of FILE)")
 
 
+def experiment_of(args: argparse.Namespace) -> Experiment:
+    """The experiment with the parameters that were given. Raises UsageError for a value out of range."""
+    return parameter_options.settings_from(args, Experiment)
+
+
 def with_parameters(experiment: Experiment, args: argparse.Namespace) -> Experiment:
     """``experiment`` with the parameters that were given. Raises UsageError for a value out of range."""
     return parameter_options.settings_from(args, Experiment, experiment.parameters())
+
+
+def add_record(group: argparse._ActionsContainer) -> None:
+    """The option for values over time."""
+    group.add_argument(
+        "--record",
+        metavar="STEPS",
+        type=int,
+        default=0,
+        help="also keep every robot's values, every STEPS steps (default: only the scores)",
+    )
+
+
+def sampling_interval(args: argparse.Namespace, experiments: Sequence[Experiment]) -> int:
+    """The steps of ``--record``. Raises UsageError if trials are shorter."""
+    interval: int = args.record
+    most = min(experiment.steps for experiment in experiments)
+    if not 0 <= interval <= most:
+        raise UsageError(f"--record is {interval}; choose 1 to {most} steps, or 0 for none")
+    return interval
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +64,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=default_workers(),
-        help="processes (default %(default)s: one a processor)",
+        help="processes (default %(default)s: one per processor)",
     )
 
 

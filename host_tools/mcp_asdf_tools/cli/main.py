@@ -34,8 +34,11 @@ GROUPS = {
         "simulate": "run one experiment: a swarm, many trials, the paper's scores",
         "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
         "score": "score results: K, e, h_K, h_e and H",
-        "plot": "draw results: scores, curves over any parameter, trials over time, paths and who hears whom",
+        "plot": "draw results: scores, curves over any parameter, trials over time, paths, networks",
         "reproduce": "run the paper's whole study and report which of its claims hold",
+    },
+    "Set up your shell": {
+        "completion": "print a script that completes commands and options in bash, zsh or fish",
     },
 }
 """Commands by purpose, with a line on each. ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``; the lines
@@ -117,12 +120,29 @@ def _parser_for(name: str, command: Command) -> argparse.ArgumentParser:
     return parser
 
 
-def _show_overview(arguments: Sequence[str]) -> int:
-    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
+def _overview_parser() -> argparse.ArgumentParser:
     from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads slowly)
 
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
+    return parser
+
+
+def whole_parser(
+    prepared: Callable[[argparse.ArgumentParser], argparse.ArgumentParser],
+) -> argparse.ArgumentParser:
+    """The parser of the program with those of all commands in it, each as ``prepared``; loads all of them."""
+    parser = _overview_parser()
+    commands = parser.add_subparsers(parser_class=argparse.ArgumentParser)
+    for name, text in COMMANDS.items():
+        own = prepared(_parser_for(name, _load(name)))
+        commands.add_parser(name, help=text, description=text, parents=[own], add_help=False)
+    return parser
+
+
+def _show_overview(arguments: Sequence[str]) -> int:
+    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
+    parser = _overview_parser()
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     (found, _) = parser.parse_known_args(arguments)
     if found.command is not None:

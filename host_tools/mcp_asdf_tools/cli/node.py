@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.common import (
     INTERRUPTED,
@@ -38,15 +38,12 @@ from mcp_asdf_tools.robots import (
     ObservationSource,
     RobotNode,
     RobotRecord,
-    Subjects,
     WorldSource,
     add_robot_options,
     add_subject_options,
     filters_for,
-    robot_arguments,
     robot_of,
     state_of,
-    subject_arguments,
     subjects_of,
 )
 
@@ -91,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
             recorder = None if events is None else events.robots[record.id]
             run = _go(args, RobotNode(record.make(), settings, recorder), choice, log)
             report = _report(args, run, record, choice)
-            ending.callback(_print, args, run, report, choice, record)  # even if a file cannot be completed
+            ending.callback(_print, args, run, report, choice)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
     return exit_code(recording, _exit_code(run))
@@ -123,7 +120,7 @@ def _add_clock(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="HZ",
         default=10,
-        help="steps per second, in lockstep of simulated time; a heartbeat is sent once a second "
+        help="steps per second, in lockstep of simulated time; a heartbeat is sent every second "
         "(default %(default)s)",
     )
     group.add_argument(
@@ -263,15 +260,12 @@ def _print(
     run: NodeRun,
     report: dict[str, Any],
     choice: interfaces.BusChoice,
-    record: RobotRecord,
 ) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
     elif not args.quiet:
-        again = _again(args, record, run.node.settings.subjects, choice)
-        screen = Console(soft_wrap=True)
-        screen.print(_summary(run, report["results"], f"on {choice}"))
-        screen.print(f"again: {again}", markup=False, highlight=False)
+        Console(soft_wrap=True).print(_summary(run, report["results"], f"on {choice}"))
+        print_again(args, choice.inherited_options(), seed=args.seed)
 
 
 def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
@@ -305,17 +299,6 @@ def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:
 
 def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.2f} ms"
-
-
-def _again(
-    args: argparse.Namespace, record: RobotRecord, subjects: Subjects, choice: interfaces.BusChoice
-) -> str:
-    """Command line for the same run."""
-    given = {name: value for name, value in _parameters(args).items() if value is not None}
-    flags = ["--lockstep"] if given.pop("lockstep") else []
-    own = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
-    words = [*robot_arguments(record), *subject_arguments(subjects), *own, *flags, *choice.options()]
-    return shlex.join(["mcp-asdf", "node", *words])
 
 
 def _exit_code(run: NodeRun) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Trials, experiments_in, read_table
 from mcp_asdf_tools.library import PLOTS, PlotChoice, plot_trials
@@ -17,18 +18,20 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of flawed robots
+  mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of the flawed
   mcp-asdf plot grid.parquet strips.png --kind strips       # the same, a point for each trial
   mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
   mcp-asdf plot grid.parquet curves.svg --kind curve --x omega --hue density --y e
   mcp-asdf plot grid.parquet bands.png --kind bands         # b_hat of all robots and trials
+  mcp-asdf plot grid.parquet none.png --where filter=none --where fill_ratio=0.95
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
   mcp-asdf plot run.parquet paths.svg --kind trajectories --step 600
   mcp-asdf plot run.parquet links.svg --kind network --step 600
-  mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy; needs no results
+  mcp-asdf plot alpha.svg --kind alpha              # confidence against assumed accuracy
 exit code: 0 done, 2 bad usage"""
 
 KINDS = (*PLOTS, "alpha")
+PLOTS_OF_ONE = ("series", "trajectories", "network")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, nargs="?", help="results: .parquet")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
     parser.add_argument("--kind", choices=KINDS, default=KINDS[0], help="what to draw (default %(default)s)")
+    add_where(parser)
     parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
     parser.add_argument(
         "--step",
@@ -70,7 +74,17 @@ def _experiments_of(args: argparse.Namespace) -> list[Trials]:
     if (args.file is None) != (args.kind == "alpha"):
         needs = "no results" if args.kind == "alpha" else "results"
         raise UsageError(f"a picture of kind {args.kind} needs {needs}; see --help")
-    return [] if args.file is None else experiments_in(read_table(args.file))
+    if args.file is None:
+        if args.where:
+            raise UsageError("--where chooses from results, and there are none; leave it out")
+        return []
+    found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
+    if len(found) > 1 and args.kind in PLOTS_OF_ONE:
+        raise UsageError(
+            f"a picture of kind {args.kind} shows one experiment, and {len(found)} match; choose one with "
+            f"--where {differing(found)}"
+        )
+    return found
 
 
 def _draw(args: argparse.Namespace, experiments: list[Trials]) -> Figure:

@@ -17,6 +17,7 @@ from rich.table import Table
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.common import (
     INTERRUPTED,
@@ -57,7 +58,7 @@ EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0 --fault loss=0.3
-  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report controller.md
+  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report it.md
 --id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
 been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
@@ -203,7 +204,7 @@ def _verify(
             verification = _judge(args, settings, choice, console, outputs)
             verdict = verification.verdict
             report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
-            ending.callback(_print_verdict, args, report)  # even if a file cannot be completed
+            ending.callback(_print_verdict, args, report, choice)  # even if a file cannot be completed
         if args.report is not None:
             write_verification_report(args.report, report)
     code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
@@ -233,7 +234,7 @@ def _judge(
     return verification
 
 
-def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
+def _print_verdict(args: argparse.Namespace, report: dict[str, Any], choice: interfaces.BusChoice) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
         return
@@ -251,6 +252,7 @@ def _print_verdict(args: argparse.Namespace, report: dict[str, Any]) -> None:
             f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
         )
     console.print(headline(verdict), markup=False)
+    print_again(args, choice.inherited_options(), seed=report["parameters"]["seed"])
 
 
 # --- Emulation in real time ------------------------------------------------------------------------------
@@ -265,7 +267,7 @@ def _emulate(
         with recording as (log, _):
             run = _go(args, settings, choice, console, log)
             report = _report(args, settings, choice) | {"results": run.figures()}
-            ending.callback(_print_results, args, report)  # even if a file cannot be completed
+            ending.callback(_print_results, args, report, choice)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
@@ -298,7 +300,7 @@ def _line(run: RadioRun) -> str:
     return f"tick {run.neighbours.tick}   controller: {heard}{state}   frames sent {run.sent}"
 
 
-def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
+def _print_results(args: argparse.Namespace, report: dict[str, Any], choice: interfaces.BusChoice) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
         return
@@ -318,3 +320,4 @@ def _print_results(args: argparse.Namespace, report: dict[str, Any]) -> None:
     for sender, what in results["id_conflicts"].items():
         table.add_row("node-id conflict", f"{what}: {sender}; choose other ids with --first-id")
     Console(soft_wrap=True).print(table)
+    print_again(args, choice.inherited_options(), seed=report["parameters"]["seed"])

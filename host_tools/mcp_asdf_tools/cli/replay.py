@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import INTERRUPTED, PART, UsageError, stopping
 from mcp_asdf_tools.recording import (
     Playback,
@@ -52,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="FACTOR",
         default=1.0,
-        help="recorded seconds a second, 0 for as fast as possible (default %(default)s)",
+        help="recorded seconds per second, 0 for as fast as possible (default %(default)s)",
     )
     group.add_argument(
         "--leave-out", type=int, metavar="ID", nargs="+", default=[], help="nodes whose frames are not sent"
@@ -112,7 +114,8 @@ def _play(args: argparse.Namespace) -> int:
             status = stack.enter_context(console.status(""))
             player.progress = lambda: status.update(f"{playback.sent} frames sent")
         player.play(read_log(args.log))
-    _print(args, {"log": str(args.log), "bus": str(choice), "playback": playback.plain()}, _line_of(playback))
+    report = {"log": str(args.log), "bus": str(choice), "playback": playback.plain()}
+    _print(args, report, _line_of(playback), choice.inherited_options())
     if playback.is_stopped:
         return INTERRUPTED
     if playback.failures:
@@ -120,11 +123,14 @@ def _play(args: argparse.Namespace) -> int:
     return 1 if playback.failures else 0
 
 
-def _print(args: argparse.Namespace, report: dict[str, Any], text: str | Table) -> None:
+def _print(
+    args: argparse.Namespace, report: dict[str, Any], text: str | Table, bus: Sequence[str] = ()
+) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
     else:
         Console(soft_wrap=True).print(text)
+        print_again(args, bus)
 
 
 def _table_of(verdict: ReplayVerdict) -> Table:

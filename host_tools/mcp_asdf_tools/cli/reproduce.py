@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common import ParameterError, UsageError, progress
 from mcp_asdf_tools.experiments import Convention, Store, Trials, run_missing
@@ -33,12 +34,12 @@ from mcp_asdf_tools.robots import FIRMWARES
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # as many trials and seeds as decide; says how long first
+  mcp-asdf reproduce                                # as many trials as decide; says how long
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --redraw                       # the report again from the results, nothing is run
-  mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors
+  mcp-asdf reproduce --redraw                       # the report again, nothing is run
+  mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --output authors
 A run that was interrupted is resumed by the same command: finished trials are kept and not run again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
@@ -94,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, decide the claims, write the report."""
-    workers, scale = options.check_workers(args.workers), _scale(args)
+    workers, scale = options.check_workers(args.workers), scale_of(args)
     parts = [part for part in Part if args.part is None or part.value in args.part]
     folder = args.output or Path(
         "reproduction" + ("-quick" if args.quick else "-paper" if args.paper else "")
@@ -118,6 +119,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(runs[0], scale)
         print(report)
+        print_again(args, seed=scale.seed)
     return 0
 
 
@@ -159,7 +161,8 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
-def _scale(args: argparse.Namespace) -> Scale:
+def scale_of(args: argparse.Namespace) -> Scale:
+    """Size of the study by the options. Raises UsageError for values out of range."""
     given = {name: getattr(args, name) for name in ("trials", "steps", "seed", "seeds", "firmware")}
     given["conventions"] = None if args.conventions is None else Convention(args.conventions)
     scale = replace(

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import UsageError, progress
 from mcp_asdf_tools.experiments import (
     Experiment,
@@ -24,7 +25,7 @@ examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
-  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # every step, for the authors' own scripts
+  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # for the authors' own scripts
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
 FILE is an experiment (.toml) or the authors' parameter file (.yml). Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
@@ -39,13 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_limits(parser)
     output = parser.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
-    output.add_argument(
-        "--record",
-        metavar="STEPS",
-        type=int,
-        default=0,
-        help="also keep every robot's values, every STEPS steps",
-    )
+    options.add_record(output)
     output.add_argument(
         "--authors-json", metavar="FOLDER", type=Path, help="write each trial as the authors' simulator does"
     )
@@ -54,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, keep and print what came out."""
-    experiment = options.with_parameters(_start(args.file), args)
+    experiment = settings_of(args)
     workers, sampling_interval = options.check_workers(args.workers), _sampling_interval(args, experiment)
     with tempfile.TemporaryDirectory() as folder:
         output = (
@@ -76,22 +71,22 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({**metadata_of(table), **options.summary(experiments, limits)[0]}, indent=2))
     else:
         options.show(experiments, limits, "one experiment")
+        print_again(args, seed=experiment.seed)
     return 0
 
 
-def _start(path: Path | None) -> Experiment:
-    if path is None:
-        return Experiment()
-    experiments = read_experiments(path)
+def settings_of(args: argparse.Namespace) -> Experiment:
+    """The experiment of file and options. Raises UsageError for a value out of range."""
+    if args.file is None:
+        return options.experiment_of(args)
+    experiments = read_experiments(args.file)
     if len(experiments) != 1:
-        raise UsageError(f"{path} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
-    return experiments[0]
+        raise UsageError(f"{args.file} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
+    return options.with_parameters(experiments[0], args)
 
 
 def _sampling_interval(args: argparse.Namespace, experiment: Experiment) -> int:
-    interval: int = args.record
-    if not 0 <= interval <= experiment.steps:
-        raise UsageError(f"--record is {interval}; choose 1 to {experiment.steps} steps, or 0 for none")
+    interval = options.sampling_interval(args, [experiment])
     if args.authors_json is None:
         return interval
     if interval > 1:

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from rich.console import Console
 
 from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
 from mcp_asdf_tools.cli import view
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
@@ -47,13 +48,13 @@ __all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter none --plot off.png        # the same without the filter, as a picture
-  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # with the filter and without
+  mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
+  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
   mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
-  mcp-asdf swarm --slcan 20000                      # yakut and the like join at socket://127.0.0.1:20000
+  mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
   mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
   mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
@@ -114,7 +115,8 @@ def run(args: argparse.Namespace) -> int:
                 outcome, report = _emulate(args, (settings, choice, wiring), outputs, attached)
                 seconds = time.monotonic() - began - attached.seconds
                 # Printed even if a file cannot be completed.
-                ending.callback(_print, args, outcome, report, summary(outcome, str(choice), seconds))
+                rows = summary(outcome, str(choice), seconds)
+                ending.callback(_print, args, outcome, report, rows, choice.inherited_options())
             with FileSet() as files:
                 pictures.write(files, outcome, attached.camera)
                 for path in beside:
@@ -270,7 +272,9 @@ def _interruptible() -> Iterator[SwarmHook]:
         yield obey
 
 
-def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows) -> None:
+def _print(
+    args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows, bus: Sequence[str]
+) -> None:
     """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
     console = Console()
     if args.json:
@@ -286,6 +290,7 @@ def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], 
         warning = load_warning(outcome.results)
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
+        print_again(args, bus, seed=outcome.settings.seed)
     if "without_filter" in report:
         sentence = comparison(report["results"], report["without_filter"])
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import progress
 from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
 
@@ -18,6 +19,7 @@ examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
   mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet
   mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
+  mcp-asdf sweep grid.toml --record 100 --output recorded.parquet     # with values over time
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
 A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
 again. So are those of a finished sweep when the file asks for more.
@@ -30,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", metavar="FILE", type=Path, help="where results go (default: FILE's name with .parquet)"
     )
+    options.add_record(parser)
     options.add_parameters(parser)
     options.add_limits(parser)
     options.add_workers(parser)
@@ -61,10 +64,11 @@ def run(args: argparse.Namespace) -> int:
     """Run what is missing, keep and print what came out."""
     workers = options.check_workers(args.workers)
     given = [options.with_parameters(experiment, args) for experiment in read_experiments(args.file)]
-    store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given)
+    interval = options.sampling_interval(args, given)
+    store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given, interval)
     missing = store.left
     with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
-        table = run_sweep(store, workers, report=report, scheduler=args.scheduler)
+        table = run_sweep(store, workers, interval, report, scheduler=args.scheduler)
     experiments = experiments_in(table)
     limits = options.limits_of(args)
     if args.json:
@@ -72,4 +76,6 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
     else:
         options.show(experiments, limits, str(store.output))
+        seeds = {experiment.seed for experiment in given}
+        print_again(args, (), **({"seed": seeds.pop()} if len(seeds) == 1 else {}))
     return 0

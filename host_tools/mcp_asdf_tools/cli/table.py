@@ -9,6 +9,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.tables import (
     MAX_MESSAGES,
@@ -23,10 +24,10 @@ from mcp_asdf_tools.tables import (
 
 EPILOG = """\
 examples:
-  mcp-asdf table --output build/tables            # the paper's omega (0.05), any number of neighbours
+  mcp-asdf table --output build/tables            # the paper's omega, any number of neighbours
   mcp-asdf table --omega 0.1 --neighbours 30 --output build/tables
   mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
-  mcp-asdf table --verify firmware.elf            # is the right table in the image? also Intel HEX, binary
+  mcp-asdf table --verify firmware.elf            # is it in the image? also Intel HEX, binary
 exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
 
 _OMEGA, _NEIGHBOURS = "0.05", 127
@@ -83,6 +84,7 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     else:
         print(_summary(omega, facts))
         print("\n".join(f"wrote {file}" for file in files))
+        print_again(args, omega=omega, neighbours=q)
     return 0
 
 

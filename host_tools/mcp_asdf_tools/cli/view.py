@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import can
 
 from mcp_asdf_tools.bus import FrameFormat, interfaces
+from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
 from mcp_asdf_tools.common import UsageError, check_target, stopping, write_atomically
 from mcp_asdf_tools.robots import Decoder
 
@@ -26,7 +27,7 @@ EPILOG = """\
 examples:
   mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
   mcp-asdf view grid.parquet --where filter=none --trial 3
-  mcp-asdf view run.log                             # a log of swarm or node, with run.log.events beside it
+  mcp-asdf view run.log                             # a log of swarm or node, beside run.log.events
   mcp-asdf view run.log --export run.html           # one file that needs nothing else
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
 mcp-asdf swarm --view shows a swarm as it runs.
@@ -47,13 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recording.add_argument(
         "--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)"
     )
-    recording.add_argument(
-        "--where",
-        metavar="NAME=VALUE",
-        action="append",
-        default=[],
-        help="choose the experiment with this parameter; repeatable",
-    )
+    add_where(recording)
     recording.add_argument(
         "--events", metavar="FILE", type=Path, help="what happened to the robots (default: LOG.events)"
     )
@@ -104,25 +99,11 @@ def _chosen(args: argparse.Namespace) -> Trials:
     """The experiment that the options choose. Raises UsageError unless it is one."""
     from mcp_asdf_tools.experiments import experiments_in, read_table  # noqa: PLC0415 (loads slowly)
 
-    found = experiments_in(read_table(args.file))
-    for condition in args.where:
-        name, _, value = condition.partition("=")
-        if found and name not in found[0].experiment.parameters():
-            raise UsageError(f"--where {condition!r} names no parameter; write it as filter=none")
-        found = [each for each in found if str(each.experiment.parameters()[name]) == value]
+    found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
     if len(found) == 1:
         return found[0]
-    if not found:
-        raise UsageError(f"no experiment of {args.file} has {' and '.join(args.where)}")
-    choices = _differing(found)
+    choices = differing(found)
     raise UsageError(f"{len(found)} experiments of {args.file} match; choose one with --where {choices}")
-
-
-def _differing(found: list[Trials]) -> str:
-    """The parameters in which experiments differ, with their values."""
-    parameters = [each.experiment.parameters() for each in found]
-    values = {name: sorted({str(each[name]) for each in parameters}) for name in parameters[0]}
-    return ", ".join(f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)
 
 
 def _export(args: argparse.Namespace, film: Film) -> int:

@@ -106,7 +106,8 @@ def read_table(path: Path) -> pa.Table:
     except (OSError, pa.ArrowException) as error:
         parts = parts_of(path)
         hint = f"; its sweep is not finished, {parts} has what there is" if parts.is_dir() else ""
-        raise UsageError(f"cannot read {path}: {error}{hint}") from error
+        reason = error if path.exists() else "there is no such file"
+        raise UsageError(f"cannot read {path}: {reason}{hint}") from error
     known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
     if known.get("format") != FORMAT:
         holds = "no results" if "format" not in known else f"results in format {known['format']}"

@@ -186,16 +186,19 @@ class Lockstep:
         they have missed, and ignore one that they have heard.
         """
         again, began = dict(orders or {}), time.monotonic()
+        check_at = began + _SLICE
         while waiting:
-            passed = time.monotonic() - began
+            now = time.monotonic()
+            passed = now - began
             if again and passed > seconds / 2:
                 self._repeat({robot: action for robot, action in again.items() if robot in waiting})
                 again, began = {}, time.monotonic() - seconds / 2
             left = (seconds / 2 if again else seconds) - passed
             frame = self._bus.recv(min(_SLICE, max(0.0, left)))
-            if frame is None:
+            if frame is None or now >= check_at:  # frames may come without end
                 self._check()
-            elif frame.is_rx:  # not one of the driver's own, returned to it
+                check_at = now + _SLICE
+            if frame is not None and frame.is_rx:  # not one of the driver's own, returned to it
                 self._watch(frame)
                 self._take(frame)
                 yield frame

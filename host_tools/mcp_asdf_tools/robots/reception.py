@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, partial
+from itertools import pairwise
 
 import can
 import numpy as np
@@ -25,6 +26,7 @@ from mcp_asdf_tools.robots.events import message_text
 from mcp_asdf_tools.robots.firmwares import Words
 
 Mask = NDArray[np.bool_]
+Texts = NDArray[np.object_]
 
 Content = Message | Heartbeat | Telemetry | Rejection
 """Content of a frame, or the reason why it has none."""
@@ -114,10 +116,10 @@ class Estimates:
         words: Shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``.
     """
 
-    def __init__(self, words: Words, source: Estimates | None = None, which: Mask | None = None) -> None:
+    def __init__(self, words: Words, texts: Callable[[], Texts] | None = None) -> None:
+        """Take estimates whose ``texts`` are made when they are asked for."""
         self.words = words
-        self._source = source
-        self._which = which
+        self._make_texts = texts
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[int]]) -> Estimates:
@@ -127,20 +129,24 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.words)
 
-    def __getitem__(self, which: Mask) -> Estimates:
-        """Some of them."""
-        return Estimates(self.words[which], self, which)
+    def heard(self, reach: Mask) -> Iterator[Estimates]:
+        """For each receiver those that reach it, by ``reach`` of shape (estimates, receivers)."""
+        _, which = reach.T.nonzero()
+        words, texts = self.words[which], cache(lambda: self.texts[which])
+        ends = np.count_nonzero(reach, axis=0).cumsum().tolist()
+        for start, end in pairwise([0, *ends]):
+            yield Estimates(words[start:end], partial(_part, texts, start, end))
 
     @property
-    def texts(self) -> NDArray[np.object_]:
-        """The same as events, shape (estimates,); made once for all robots that take some of them."""
-        if self._source is not None:
-            return self._source._all_texts[self._which]
-        return self._all_texts
-
-    @cached_property
-    def _all_texts(self) -> NDArray[np.object_]:
+    def texts(self) -> Texts:
+        """The same as events, shape (estimates,); made once for all receivers."""
+        if self._make_texts is not None:
+            return self._make_texts()
         return np.array([message_text(*row) for row in self.words.tolist()], np.object_)
+
+
+def _part(texts: Callable[[], Texts], start: int, end: int) -> Texts:
+    return texts()[start:end]
 
 
 def rows_of(contents: Sequence[Content]) -> list[tuple[int, int, int]]:

@@ -18,6 +18,9 @@ TIMEOUT = 2.0
 _MOST_RETURNED = 256
 """Sent frames remembered, since the bus may return them."""
 
+_MOST_LATE = 4096
+"""Frames read once the time is over: the queue counts, but a flood must not keep a robot listening."""
+
 
 class SwarmError(RuntimeError):
     """The swarm cannot go on: the bus lost a frame."""
@@ -82,9 +85,11 @@ class Connection:
     def _read(self, left: dict[Key, int], seconds: float) -> None:
         """Take frames off ``left`` until it is empty or the time is over."""
         monotonic, recv = time.monotonic, self.bus.recv
-        deadline = monotonic() + seconds
-        while left:
-            frame = recv(max(0.0, deadline - monotonic()))
+        deadline, late = monotonic() + seconds, 0
+        while left and late < _MOST_LATE:
+            seconds = max(0.0, deadline - monotonic())
+            late += seconds == 0.0
+            frame = recv(seconds)
             if frame is None:
                 return
             self._sort(frame, left)

@@ -79,12 +79,19 @@ class Faults:
 
     def survives(self, robot: BusRobot, tick: int) -> bool:
         """Let ``robot`` crash or wake as this tick wants it; returns whether it lives."""
+        if not self._spells:
+            return robot.is_alive
         fault = self.crash(robot.id, tick)
         if fault is None and not robot.is_alive:
             robot.wake()
         elif fault is not None and robot.is_alive:
             robot.die(loses_state=fault.rejoin == "new")
         return robot.is_alive
+
+    @property
+    def babbles(self) -> bool:
+        """True if ``babble`` may return frames in any tick."""
+        return bool(self._babblers)
 
     def is_off(self, robot: int, tick: int) -> bool:
         """True if the node is off the bus, crashed or bus-off. ``leave`` and ``ways`` respect it."""

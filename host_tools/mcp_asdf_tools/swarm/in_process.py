@@ -56,8 +56,8 @@ class InProcess:
         contents = np.array([self._decode(each.frame) for each in batch.sent], np.object_)
         is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
         estimates, others = Estimates.of(rows_of(contents.tolist())), contents[~is_estimate]
-        for robot, heard in zip(self._robots, batch.ways.reach[is_estimate].T, strict=True):
-            robot.receive(estimates[heard])
+        for robot, heard in zip(self._robots, estimates.heard(batch.ways.reach[is_estimate]), strict=True):
+            robot.receive(heard)
         if len(others):
             for robot, heard in zip(self._robots, batch.ways.reach[~is_estimate].T, strict=True):
                 robot.count(others[heard].tolist())

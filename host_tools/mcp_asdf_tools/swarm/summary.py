@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -11,7 +10,6 @@ from rich.text import Text
 
 from mcp_asdf_tools.bus import LIMIT
 from mcp_asdf_tools.swarm.run import SwarmRun
-from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 Rows = Sequence[tuple[str, str]]
 """A name and a text each."""
@@ -32,7 +30,6 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
         ("frames", _frames(run, bus)),
         *(*_faults(results), *_rejections(results), *_id_conflicts(results), *_clock(results)),
         ("bus load", _loads(results)),
-        ("parameters", parameters(run)),
     ]
 
 
@@ -53,22 +50,6 @@ def one_line(run: SwarmRun) -> str:
         f"seed {run.settings.seed}: {run.settings.robots} robots, {results['steps']} steps, "
         f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
     )
-
-
-def parameters(run: SwarmRun) -> str:
-    """The options to type for the same run: the seed, and those that differ from their defaults."""
-    given, usual = _options(run.settings), _options(SwarmSettings())
-    words = [
-        f"--{name.replace('_', '-')} {shlex.quote(str(value))}"
-        for name, value in given.items()
-        if value != usual[name] or name == "seed"
-    ]
-    return " ".join([*words, *(f"--fault {shlex.quote(str(fault))}" for fault in run.settings.faults)])
-
-
-def _options(settings: SwarmSettings) -> dict[str, Any]:
-    plain = settings.plain()
-    return {**plain, **plain["frames"], "frames": None, "faults": None}
 
 
 def comparison(results: dict[str, Any], without: dict[str, Any]) -> str:

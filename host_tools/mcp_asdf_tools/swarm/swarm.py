@@ -116,7 +116,8 @@ class Swarm:
         frames += self._estimates(alive, seen)
         frames += self._commanded(seen)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
-        sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
+        if self.faults.babbles:
+            sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
         self._medium.carry(self.ticks)
         for node in alive:
             node.settle()
@@ -209,6 +210,8 @@ def _note_fate(
     decode: Decoder,
 ) -> None:
     """Record how the frames ``leaving`` the robot differ from its own ``frame``, None if it babbles."""
+    if [sent.frame for sent in leaving] == [frame]:
+        return
     own = None if frame is None else decode(frame)
     is_heard = False
     for sent in leaving:

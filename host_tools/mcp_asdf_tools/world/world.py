@@ -60,10 +60,8 @@ class World:
         self._sensors = sensor_model(settings, trial)
         self._arena = _arena_of(settings, trial) if settings.is_dynamic else None
         self._topology = None if settings.is_dynamic else _topology_of(settings, trial)
-        self._is_static = settings.topology in (Topology.FULLY_CONNECTED, Topology.GRAPH)
         self._ahead: Scene | None = None
         self._at = -1
-        self._heard: Sequence[Sequence[int]] = []
 
     def advance(self, steps: int) -> Scene:
         """The next ``steps`` steps. O(steps N^2)."""
@@ -87,15 +85,14 @@ class World:
         if self._ahead is None or self._at + 1 == len(self._ahead.black):
             self._ahead, self._at = self.advance(_STEPS_AT_ONCE), -1
         self._at += 1
-        if not (self._is_static and self._heard):
-            self._heard = [np.flatnonzero(row).tolist() for row in self._ahead.hears[self._at]]
         if not self._ahead.observes[self._at]:
             return [None] * self.settings.robots
         return [_COLOURS[black] for black in self._ahead.black[self._at].tolist()]
 
     def neighbours(self, robot: int) -> Sequence[int]:
         """Ids that ``robot`` hears in the present step, rising. Fails before the first."""
-        return self._heard[robot]
+        near: list[int] = np.flatnonzero(self.hears[robot]).tolist()
+        return near
 
     @property
     def hears(self) -> NDArray[np.bool_]:

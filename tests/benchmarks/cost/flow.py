@@ -1,4 +1,4 @@
-"""Which instruction may follow which in an image, and the longest way through a function."""
+"""Which instruction may follow which in an image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ _TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
 _BRANCH = re.compile(r"(?!bic|bf[ci]|bkpt)b\w+(\.[nw])?|b(\.[nw])?|cbn?z|j|jal|r?jmp|r?call")
 _INDIRECT_CALL = re.compile(r"blx|jalr|e?icall")
 _END = re.compile(r"(ret|reti|jr|bx|ijmp|tb[bh]|udf)\b|(pop|ldm\w*).*\bpc\b|(ldr|mov)(\.w)?\s+pc")
-_TABLE = re.compile(r"tb[bh]|ijmp|mov\s+pc|jr\s+(?!ra)|bx\s+(?!lr)|ldr(\.w)?\s+pc, \[(?!sp)")
 _JUMP = re.compile(r"b(\.[nw])?|j|r?jmp")
 _SKIP = re.compile(r"cpse|sb[ri][cs]")
 
@@ -67,43 +66,3 @@ class SeenFlow(Flow):
         """As of ``Flow``, without the turns that were not seen."""
         ways = super().following(number)
         return ways if len(ways) < 2 else [way for way in ways if (number, way) in self._seen]
-
-
-class LongestWay:
-    """Most instructions that any way through a function can have, whatever the data."""
-
-    def __init__(self, flow: Flow) -> None:
-        self._flow = flow
-        self._known: dict[int, int] = {}
-        self._active: set[int] = set()
-
-    def of(self, name: str) -> int:
-        """Instructions. Raises ValueError if there is no such number: a loop, recursion, a computed jump."""
-        self._active.clear()
-        return self._from(self._flow.start(name))
-
-    def _from(self, start: int) -> int:
-        if start not in self._known:
-            if start in self._active:
-                raise ValueError(f"there is a loop in {self._flow.lines[start].function}")
-            self._active.add(start)
-            self._known[start] = self._walk(start)
-            self._active.remove(start)
-        return self._known[start]
-
-    def _walk(self, start: int) -> int:
-        """Along instructions that can be followed by one only, then the longest of the ways from there."""
-        number, count = start, 0
-        while True:
-            count += 1 + self._called(number)
-            following = self._flow.following(number)
-            if following != [number + 1]:
-                return count + max(map(self._from, following), default=0)
-            number += 1
-
-    def _called(self, number: int) -> int:
-        line = self._flow.lines[number]
-        if _TABLE.match(f"{line.name} {line.operands}"):
-            raise ValueError(f"{line.function} jumps to what a table holds: {line.name} {line.operands}")
-        target = self._flow.target(line)
-        return self._from(target) if target is not None and CALL.fullmatch(line.name) else 0

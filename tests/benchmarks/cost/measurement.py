@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from . import runs
-from .flow import Flow, LongestWay, SeenFlow
+from .flow import Flow, SeenFlow
 from .images import FIRMWARE, HERE, ROOT, TARGETS, Image, Target, build
-from .machines import Cost, Machine, load
+from .machines import Argument, Cost, Machine, load
 from .robots import SHORT, TESTED, UPDATED, Robot
 from .search import seek
 from .stacks import Stacks
+from .timing import TIMINGS
+from .turns import Turns
+from .ways import DIVISIONS, INSTRUCTIONS, TURNS, LongestWay, cycles
 
 Figures = dict[str, Any]
 """Measurements as JSON holds them."""
@@ -27,8 +30,13 @@ STEPS = ("step", SHORT, TESTED, UPDATED)
 """Kinds of a step; the first is that in which the filter is not due."""
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 """Functions of the firmware whose stack is measured."""
+OTHER_CALLS = ("x_bar", *STACK_CALLS[len(TICK_CALLS) :], "encode", "decode")
+"""Those that a tick does not always need."""
+WEIGHTS = ("instructions", "cycles", "divisions", "turns")
+"""Counted on the longest ways."""
 _TABLES = {q: ROOT / "tables" / f"t_table_omega05_q{q}.c" for q in (30, 127)}
 _KEPT = ("bench_start", "bench_set", "bench_updates", "bench_size")
+USUAL_ALPHA = 0x80000012
 _IS_OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
 SETTINGS = {
@@ -41,13 +49,17 @@ SETTINGS = {
 """Of the situations that the robots live through beside their lives; kept with the figures."""
 
 
-def firmware_image(target: Target, level: str, folder: Path) -> Image:
-    """The firmware, ready to be called."""
+def firmware_image(target: Target, level: str, folder: Path, q: int = 30) -> Image:
+    """The firmware with a table of ``q`` entries, ready to be called. It knows which line of C made which
+    instruction; that changes no instruction."""
     names = ("mcp_asdf.c", "mcp_asdf_image.c", "mcp_asdf_frame.c")
-    sources = [HERE / "firmware.c", *(FIRMWARE / name for name in names), _TABLES[30]]
-    calls = [f"mcp_asdf_{name}" for name in (*STACK_CALLS, "encode_estimate", "decode_estimate")]
-    kept = (*_KEPT, *calls, "frame", "format", "estimate", "image")
-    return build(target, folder, sources, level, *_keep(kept))
+    sources = [HERE / "firmware.c", *(FIRMWARE / name for name in names), _TABLES[q]]
+    kept = (*_KEPT, *map(_symbol, (*TICK_CALLS, *OTHER_CALLS)), "frame", "format", "estimate", "image")
+    return build(target, folder, sources, level, f"-DQ={q}", "-gdwarf-4", *_keep(kept))
+
+
+def _symbol(call: str) -> str:
+    return f"mcp_asdf_{call}_estimate" if call in ("encode", "decode") else f"mcp_asdf_{call}"
 
 
 def baseline_image(target: Target, level: str, folder: Path, kind: str) -> Image:
@@ -117,39 +129,68 @@ def firmware(target: Target, level: str, folder: Path) -> Figures:
     painted = robot.deepest | _other_stacks(machine)
     stacks = Stacks(image)
     return {
-        "calls": robot.spans() | _codec(machine),
+        "calls": robot.spans() | _spans(_codec(machine)),
         "ram": machine.call("bench_size").value,
         "series": _series(robot, "cycles" if target.tools.startswith("avr") else "instructions"),
-        "longest": _longest_ways(image),
+        "bounds": _bounds(image),
+        "others": _others(firmware_image(target, level, folder / "others", q=127)),
         "longest seen": _longest_seen(image, robot),
         "stack": {name: [stacks.deepest(f"mcp_asdf_{name}"), painted[name]] for name in STACK_CALLS},
     }
 
 
-def _longest_ways(image: Image) -> dict[str, int | None]:
-    """Instructions of the longest way through each function of a tick; None where the code has a loop."""
-    ways = LongestWay(Flow(image))
-    return {name: _longest(ways, name) for name in TICK_CALLS}
+def _bounds(image: Image) -> dict[str, dict[str, int]]:
+    """The most of each weight that a way through each function has, whatever the data."""
+    flow = Flow(image)
+    turns = Turns(image, flow)
+    counted = (INSTRUCTIONS, cycles(TIMINGS[image.target.name]), DIVISIONS, TURNS)
+    ways = {name: LongestWay(flow, turns, each) for name, each in zip(WEIGHTS, counted, strict=True)}
+    return {
+        call: {name: way.of(_symbol(call)) for name, way in ways.items()}
+        for call in (*TICK_CALLS, *OTHER_CALLS)
+    }
+
+
+def _others(image: Image) -> dict[str, list[int]]:
+    """Most instructions and cycles of the calls that no tick needs, in situations of all kinds."""
+    machine, rng = load(image), random.Random(SETTINGS["seed"])
+    robot = Robot(machine, "mcp_asdf")
+    own, room, config = (_address(machine, name) for name in ("robot", "image", "config"))
+    most: dict[str, list[int]] = {call: [0, 0] for call in OTHER_CALLS}
+
+    def note(call: str, *arguments: Argument) -> None:
+        cost = machine.call(_symbol(call), *arguments)
+        most[call] = [max(most[call][0], cost.instructions), max(most[call][1], cost.cycles)]
+
+    for messages in (0, 1, 2, 10, 127):
+        for _ in range(6):
+            situation = runs.situation(rng, messages)
+            robot.x_in(situation)
+            for message in situation.messages:
+                robot.receive(message)
+            note("x_bar", own)
+            note("save", own, room)
+            note("invariants_hold", own)
+            note("restore", own, config, room)
+            note("init", own, config, ("byte", runs.OWN_ID), ("word", situation.b_hat))
+    for word in (0, 0x100, 0x80000012, 0xFFFFFF1F):
+        for name, cost in _codec(machine, word).items():
+            spent = [max(pair) for pair in zip(most[name], (cost.instructions, cost.cycles), strict=True)]
+            most[name] = spent
+    return most
 
 
 def _longest_seen(image: Image, robot: Robot) -> dict[str, int | None]:
     """Instructions of the longest way through each kind of step, and x, along turns that one of them took.
 
-    None where the code has a loop, or ways were not recorded.
+    None where ways were not recorded.
     """
     longest: dict[str, int | None] = {}
     for name in (*STEPS, "x"):
-        call = "x" if name == "x" else "step"
         seen = robot.ways[name]
-        longest[name] = _longest(LongestWay(SeenFlow(image, seen)), call) if all(seen) else None
+        symbol = _symbol("x" if name == "x" else "step")
+        longest[name] = LongestWay(SeenFlow(image, seen)).of(symbol) if all(seen) else None
     return longest
-
-
-def _longest(ways: LongestWay, call: str) -> int | None:
-    try:
-        return ways.of(f"mcp_asdf_{call}")
-    except ValueError:
-        return None
 
 
 def _series(robot: Robot, unit: str) -> Figures:
@@ -176,20 +217,26 @@ def _other_stacks(machine: Machine) -> dict[str, int]:
     return {name: machine.call(f"mcp_asdf_{name}", *arguments).stack for name, arguments in calls.items()}
 
 
-def _codec(machine: Machine) -> Figures:
+def _codec(machine: Machine, alpha: int = USUAL_ALPHA) -> dict[str, Cost]:
     """Costs of turning an estimate into a frame and back."""
     frame, estimate, form = (_address(machine, name) for name in ("frame", "estimate", "format"))
-    calls = {
-        "encode": machine.call("mcp_asdf_encode_estimate", frame, form, estimate),
-        "decode": machine.call("mcp_asdf_decode_estimate", estimate, ("enum", 3000), frame),
+    last = estimate[1] + int(machine.image.symbols["estimate"]["st_size"]) - 4
+    machine.write(last, alpha.to_bytes(4, "little"))
+    return {
+        "encode": machine.call(_symbol("encode"), frame, form, estimate),
+        "decode": machine.call(_symbol("decode"), estimate, ("enum", 3000), frame),
     }
+
+
+def _spans(costs: dict[str, Cost]) -> Figures:
+    """Of calls that always cost the same."""
     return {
         name: {"instructions": [cost.instructions] * 3, "cycles": [cost.cycles] * 3}
-        for name, cost in calls.items()
+        for name, cost in costs.items()
     }
 
 
-def _address(machine: Machine, name: str) -> tuple[str, int]:
+def _address(machine: Machine, name: str) -> Argument:
     return "pointer", machine.image.address(name)
 
 

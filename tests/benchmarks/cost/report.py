@@ -10,7 +10,7 @@ from pathlib import Path
 from .budgets import AVR, BUDGETS, measured, most, stack_of_tick
 from .demo import CLOCK, FLASH, RAM
 from .images import LEVELS, ROOT
-from .measurement import STEPS, TICK_CALLS, Figures
+from .measurement import OTHER_CALLS, STEPS, TICK_CALLS, Figures
 from .robots import SHORT, UNITS, UPDATED
 
 README, PAGE = (ROOT / name for name in ("README.md", "docs/cost.md"))
@@ -32,7 +32,8 @@ def pages(figures: Figures) -> dict[Path, dict[str, str]]:
             "baselines": _baselines(figures),
             "stack": _stack(figures),
             "bounds": _bounds(figures),
-            "longest ways": _longest(figures),
+            "static bounds": _static_bounds(figures),
+            "static bounds of all calls": _all_bounds(figures),
             "longest steps": _longest_steps(figures),
             "integers on an AVR": _on_avr(figures),
             "whole firmware": _whole_firmware(figures),
@@ -267,23 +268,55 @@ def _bounds(figures: Figures) -> str:
     )
 
 
-def _longest(figures: Figures) -> str:
-    rows = [
-        [name, *(_ways(levels[level]["firmware"], call) for call in TICK_CALLS for level in LEVELS)]
-        for name, levels in figures["targets"].items()
-    ]
-    return _table(["instructions", *(f"{call}, {level}" for call in TICK_CALLS for level in LEVELS)], rows)
+def most_seen(core: Figures, call: str, unit: str) -> int:
+    """Most instructions or cycles of a call that a search found."""
+    if call in core["others"]:
+        return int(core["others"][call][UNITS.index(unit)])
+    kinds = (name for name in core["calls"] if name.split(",")[0].split(" ")[0] == call)
+    return max(most(core["calls"], name, unit) for name in kinds)
 
 
-def _ways(core: Figures, call: str) -> str:
-    seen = max(
-        most(core["calls"], name) for name in core["calls"] if name.split(",")[0].split(" ")[0] == call
-    )
-    return _way(core["longest"][call], seen)
+def _beside(core: Figures, call: str, unit: str) -> str:
+    bound, seen = core["bounds"][call][unit], most_seen(core, call, unit)
+    return f"{bound} : {seen} = {bound / seen:.2f}"
+
+
+def largest_ratio(core: Figures, calls: Iterable[str]) -> float:
+    """The most that a bound is above what was seen."""
+    ratios = [core["bounds"][call][unit] / most_seen(core, call, unit) for call in calls for unit in UNITS]
+    return float(max(ratios))
+
+
+def _static_bounds(figures: Figures) -> str:
+    rows = []
+    for name, levels in figures["targets"].items():
+        for level in LEVELS:
+            core = levels[level]["firmware"]
+            spans = [_beside(core, "step", unit) for unit in UNITS]
+            counts = [core["bounds"]["step"][each] for each in ("divisions", "turns")]
+            rows.append([f"{name}, {level}", *spans, *counts, f"{largest_ratio(core, TICK_CALLS):.2f}"])
+    head = ("step", *UNITS, "divisions", "turns of loops", "largest ratio of a tick's calls")
+    return _table(head, rows)
+
+
+def _all_bounds(figures: Figures) -> str:
+    rows = []
+    for name, levels in figures["targets"].items():
+        for call in (*TICK_CALLS, *OTHER_CALLS):
+            cores = [levels[level]["firmware"] for level in LEVELS]
+            spans = [_beside(core, call, unit) for core in cores for unit in UNITS]
+            counts = [
+                " / ".join(str(core["bounds"][call][each]) for core in cores)
+                for each in ("divisions", "turns")
+            ]
+            rows.append([name, call, *spans, *counts])
+    spans = [f"{unit}, {level}" for level in LEVELS for unit in UNITS]
+    both = " / ".join(LEVELS)
+    return _table(["target", "call", *spans, f"divisions, {both}", f"turns, {both}"], rows)
 
 
 def _way(longest: int | None, seen: int) -> str:
-    return "loops" if longest is None else f"{longest} ({seen})"
+    return "not recorded" if longest is None else f"{longest} ({seen})"
 
 
 def _longest_steps(figures: Figures) -> str:
@@ -293,7 +326,8 @@ def _longest_steps(figures: Figures) -> str:
         return [name, *(_way(core["longest seen"][kind], most(core["calls"], kind)) for kind, core in kinds)]
 
     head = [f"{kind}; {level}" for kind in STEPS for level in LEVELS]
-    return _table(["instructions", *head], (row(*target) for target in figures["targets"].items()))
+    recorded = [target for target in figures["targets"].items() if target[0] != AVR]
+    return _table(["instructions", *head], (row(*target) for target in recorded))
 
 
 def _on_avr(figures: Figures) -> str:

@@ -1,9 +1,10 @@
-"""Cycles of an instruction, for processors whose emulator counts instructions only.
+"""Cycles of an instruction, for bounds, and for processors whose emulator counts instructions only.
 
 The figures are those of the makers' manuals for memory without wait states, and the largest where they give a
 range: an estimate from above. Sources: Arm's technical reference manuals of the Cortex-M0+ (with the
 single-cycle multiplier), M3 and M4, section "Instruction set summary"; for RV32IMC the Ibex manual, section
-"Pipeline Details", with two stages and the single-cycle multiplier.
+"Pipeline Details", with two stages and the single-cycle multiplier; for the ATmega328P Microchip's AVR
+instruction set manual, columns "AVRe".
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 _LIST = re.compile(r"\{(.*)\}")
 _CONDITIONAL = re.compile(
+    r"br(eq|ne|cs|cc|sh|lo|mi|pl|ge|lt|hs|hc|ts|tc|vs|vc|ie|id)|"
     r"b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)(\.[nw])?|cbn?z|(c\.)?b(eq|ne|lt|ge|ltu|geu|gt|le|gtu|leu)z?"
 )
 
@@ -50,6 +52,14 @@ def is_conditional(name: str) -> bool:
 
 _ARM_JUMPS = r"b(\.[nw])?$|bx|blx|bl"
 TIMINGS = {
+    "ATmega328P": Timing(
+        (
+            (r"call$|reti?$", 4),
+            (r"rcall$|icall$|jmp$|e?lpm$", 3),
+            (r"rjmp$|ijmp$|ldd?$|lds$|std?$|sts$|push$|pop$|f?mul|adiw$|sbiw$|[cs]bi$", 2),
+        ),
+        taken=1,
+    ),
     "Cortex-M0+": Timing(((r"bl$", 3), (_ARM_JUMPS, 2), (r"ldr|str", 2)), taken=1, refill=2),
     "Cortex-M3": Timing(
         (

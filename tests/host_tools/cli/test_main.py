@@ -315,7 +315,7 @@ def test_every_example_is_accepted(name: str) -> None:
     examples = [line for line in cli._load(name).EPILOG.splitlines() if line.startswith("  mcp-asdf")]
     assert examples
     for line in examples:
-        _, called, *options = shlex.split(line, comments=True)
+        _, called, *options = shlex.split(line.partition(" > ")[0], comments=True)
         cli._parser_for(called, cli._load(called)).parse_args(options)
 
 

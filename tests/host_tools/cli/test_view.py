@@ -56,7 +56,7 @@ def test_what_cannot_be_shown_is_refused(
         (str(tmp_path / "none.parquet"),): "cannot read",
         (str(results), *html): "2 experiments of",
         (str(results), "--where", "filter=both", *html): "no experiment of",
-        (str(results), "--where", "colour=red", *html): "names no parameter",
+        (str(results), "--where", "colour=red", *html): "--where colour=red: write NAME=VALUE",
         (str(results), "--where", "filter=none", "--trial", "9", *html): "no trial 9; choose one of 0 to 1",
         (str(log), "--trial", "1", *html): "--trial and --where choose from results",
         (str(log), "--export", str(tmp_path / "out.pdf")): "choose a name that ends in .html",

@@ -45,7 +45,7 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from multicast import multicast
 from node_thread import node_in_a_thread
 from support import PATIENCE, slow
-from wire import Wire, record, still
+from wire import CLOCK, Wire, record, still
 from wrong_robots import B_HAT, ID, WRONG, Wrong, right
 
 TICKS = 25
@@ -376,6 +376,20 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
 
 def test_a_verification_may_be_stopped_while_it_waits() -> None:
     verdict = judge(Wire(), wait=1e9, should_stop=lambda: True)
+    assert (verdict.is_interrupted, verdict.difference) == (True, None)
+
+
+def test_a_verification_may_be_stopped_while_others_talk() -> None:
+    class Busy(Wire):
+        frames = 0
+
+        def recv(self, timeout: float | None = None) -> can.Message | None:
+            self.frames += 1
+            assert self.frames < 1000, "nothing ends the wait"
+            CLOCK.now += 0.01
+            return encode_heartbeat(Heartbeat(40, 7, 0))
+
+    verdict = judge(Busy(), wait=1e9, should_stop=lambda: True)
     assert (verdict.is_interrupted, verdict.difference) == (True, None)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import can
 import numpy as np
 import pytest
@@ -113,6 +115,30 @@ def test_what_never_comes_is_named(strangers: list[can.Message], monkeypatch: py
         other.send(estimate(1, 0).frame, timeout=1)
         with pytest.raises(SwarmError, match=r"robot 7 did not hear robot 2, robot 4 within 0\.02 s on"):
             own.take([estimate(1, 0), estimate(2, 0), estimate(4, 0)], None)
+
+
+@pytest.mark.parametrize("patience", [None, 0.02])
+def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(
+    patience: float | None, strangers: list[can.Message], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "TIMEOUT", 0.02)
+    other, own = pair(strangers)
+    with other, own.bus:
+        frames = count()
+        babble = estimate(9, 0).frame
+
+        def receive(timeout: float) -> can.Message:
+            assert timeout > 0 or next(frames) < 10_000, "nothing ends the wait"
+            return babble
+
+        monkeypatch.setattr(own.bus, "recv", receive)
+        missing = estimate(1, 0)
+        if patience is None:
+            with pytest.raises(SwarmError, match=r"robot 7 did not hear robot 1 within 0\.02 s"):
+                own.take([missing], None)
+        else:
+            assert own.take([missing], patience) == []
+            assert own.missed == 1
 
 
 def test_what_comes_late_is_had_with_the_next(strangers: list[can.Message]) -> None:

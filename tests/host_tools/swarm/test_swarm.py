@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
@@ -40,7 +39,6 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_telemetry,
 )
-from mcp_asdf_tools.cli import swarm as command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
@@ -55,7 +53,7 @@ from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.plot import draw
 from mcp_asdf_tools.swarm.run import MAX_SAMPLES, QUANTITIES, SwarmHook, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import parameters, summary, summary_table
+from mcp_asdf_tools.swarm.summary import summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.swarm.watch import Watch
 from mcp_asdf_tools.tables.thresholds import generate
@@ -246,22 +244,6 @@ def test_certain_accuracies_are_kept_inside_what_the_firmware_takes(accuracy: fl
     outcome, _ = record(small(true_accuracy=accuracy, flawed_accuracy=1 - accuracy, steps=20))
     assert outcome.failure is None
     assert all(node.robot.t == 20 for node in outcome.nodes)
-
-
-def test_the_printed_parameters_can_be_typed_again() -> None:
-    settings = small(
-        filter=Filtering.ASDF_MINUS,
-        omega=Decimal("0.15"),
-        memory=128,
-        frames=FrameFormat(17, 2),
-        firmware="mirror",
-        true_accuracy=0.1 + 0.2,
-    )
-    with Swarm(settings, Wiring(open_bus)) as swarm:
-        outcome = run_swarm(swarm)
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    assert command.settings_of(parser.parse_args(shlex.split(parameters(outcome)))) == settings
 
 
 def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -521,12 +503,12 @@ def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
 def test_a_summary_names_the_seed_and_what_is_piped_has_fields(capsys: pytest.CaptureFixture[str]) -> None:
     """One line each, however long, so that cut and grep find what they look for."""
     assert swarm_command(*SMALL, "--seed", "42") == 0
-    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
-    assert rows[-1][0] == "parameters"
-    assert "--seed 42" in rows[-1][1]
+    *lines, again = capsys.readouterr().out.splitlines()
+    assert again.startswith("again: mcp-asdf swarm ") and again.endswith("--seed 42")
+    rows = [line.split("\t") for line in lines]
     names = [name for name, *_ in rows]
-    assert names[-7:-1] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
-    assert set(names[:-8]) <= {"step", "robot"}
+    assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    assert set(names[:-7]) <= {"step", "robot"}
     assert [row[1] for row in rows if row[0] == "step"][-1] == "30"
 
 

@@ -1,0 +1,66 @@
+"""Experiments chosen from results by their parameters: the option ``--where``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mcp_asdf_tools.cli.parsing import offer
+from mcp_asdf_tools.common import UsageError
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments import Trials
+
+
+def add_where(parser: argparse._ActionsContainer) -> None:
+    """The option; ``chosen`` obeys it."""
+    parser.add_argument(
+        "--where",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="only experiments with this parameter, such as filter=none; repeatable",
+    )
+
+
+def chosen(found: list[Trials], conditions: Sequence[str], path: Path) -> list[Trials]:
+    """The experiments that meet all conditions.
+
+    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets.
+    """
+    for condition in conditions:
+        name, equals, value = condition.partition("=")
+        known = found[0].experiment.parameters()
+        if not equals or name not in known:
+            varying = differing(found) or "nothing, there is one experiment"
+            raise UsageError(
+                f"--where {condition}: write NAME=VALUE with a parameter's name{offer(name, known)}; "
+                f"in {path} differ {varying}"
+            )
+        values = {str(each.experiment.parameters()[name]) for each in found}
+        found = [each for each in found if _is(each.experiment.parameters()[name], value)]
+        if not found:
+            raise UsageError(
+                f"--where {condition}: no experiment of {path} has it; {name} is "
+                f"{' or '.join(sorted(values))}"
+            )
+    return found
+
+
+def _is(held: object, value: str) -> bool:
+    """True if a parameter has the value that was typed, a number in any of its spellings."""
+    if str(held) == value:
+        return True
+    try:
+        return isinstance(held, int | float) and float(value) == held
+    except ValueError:
+        return False
+
+
+def differing(found: Sequence[Trials]) -> str:
+    """The parameters in which experiments differ, with their values."""
+    parameters = [each.experiment.parameters() for each in found]
+    values = {name: sorted({str(each[name]) for each in parameters}) for name in parameters[0]}
+    return ", ".join(f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)

@@ -1,0 +1,165 @@
+"""Help texts: they fit a terminal, say each thing once, and their examples run."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.cli.main import main
+from support import ROOT, run
+
+WIDTH = 100
+CAN0 = "--interface socketcan --channel can0"
+NO_CAN = "wants a CAN interface"
+CTRL_C = "ends with Ctrl-C"
+LONG = "takes minutes or hours"
+NOT_RUN = {
+    "swarm --topology dynamic --view": CTRL_C,
+    "swarm --interface socketcan --channel vcan0 --robots 5": NO_CAN,
+    "swarm --slcan 20000": "opens a port that may be in use",
+    "swarm --interface udp_multicast --processes --robots 4 --steps 100": "tests/test_docs.py runs it",
+    "swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001": "wants a controller there",
+    "view run.parquet": CTRL_C,
+    "view grid.parquet --where filter=none --trial 3": CTRL_C,
+    "view run.log": CTRL_C,
+    "view --interface socketcan --channel vcan0": NO_CAN,
+    f"replay run.log {CAN0} --onto-bus --leave-out 3": NO_CAN,
+    "replay run.log --interface socketcan --channel vcan0 --onto-bus --speed 0": NO_CAN,
+    f"radio --id 3 --robots 11 {CAN0}": NO_CAN,
+    f"radio --id 3 --robots 11 {CAN0} --fault loss=0.3": NO_CAN,
+    f"radio --id 3 {CAN0} --verify --wait 60 --report it.md": NO_CAN,
+    "node --id 3 --interface udp_multicast": CTRL_C,
+    f"node --id 3 {CAN0} --b-hat 0.8 --log run.log": NO_CAN,
+    "node --id 3 --interface socketcan --channel vcan0 --lockstep": NO_CAN,
+    "table --verify firmware.elf": "wants an image; tests/host_tools/tables has some",
+    "crosscheck --steps 100000000 --seed 7": LONG,
+    "sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": LONG,
+    "sweep grid.toml --scheduler tcp://head:8786": "wants several machines",
+    "reproduce": LONG,
+    "reproduce --paper": LONG,
+    "reproduce --quick": "tests/host_tools/reproduction/test_study.py runs it",
+    "reproduce --part fully_connected --seed 7 --output other": LONG,
+    "reproduce --redraw": "redraws what others have run",
+    "reproduce --firmware reference --conventions authors --trials 30 --output authors": LONG,
+}
+"""Examples that are parsed alone, and why."""
+
+FIRST = (
+    "simulate --topology dynamic --steps 2000 --trials 1 --record 100 --output run.parquet",
+    "swarm --steps 200 --log run.log",
+    "sweep grid.toml --record 10",
+)
+"""Commands that make what examples read."""
+GRID = """\
+robots = 4
+steps = 700
+trials = 4
+flawed = 2
+filter = ["none", "asdf-plus"]
+fill_ratio = [0.55, 0.95]
+"""
+
+
+def parser_of(name: str) -> argparse.ArgumentParser:
+    return cli._parser_for(name, cli._load(name))
+
+
+def examples(name: str) -> list[str]:
+    """The examples of a command, without the program's name and comments."""
+    lines = (line for line in cli._load(name).EPILOG.splitlines() if line.startswith("  mcp-asdf "))
+    return [re.sub(r"\s+#.*", "", line).removeprefix("  mcp-asdf ").strip() for line in lines]
+
+
+@pytest.fixture
+def helps(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """The help of every command, for a terminal of this width; the overview's is named ''."""
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    texts = {name: parser_of(name).format_help() for name in cli.COMMANDS}
+    return texts | {"": cli._overview_parser().format_help()}
+
+
+def test_every_help_fits_a_terminal(helps: dict[str, str]) -> None:
+    long = [
+        f"{name}: {line}" for name, text in helps.items() for line in text.splitlines() if len(line) > WIDTH
+    ]
+    assert long == []
+
+
+def test_no_default_is_empty(helps: dict[str, str]) -> None:
+    for name, text in helps.items():
+        assert not re.search(r"\(default:? *(None|\[\])?\)", " ".join(text.split())), name
+
+
+def test_no_list_of_interfaces_and_no_option_that_does_nothing(helps: dict[str, str]) -> None:
+    for name, text in helps.items():
+        assert text.count("seeedstudio") == 0, name
+        assert "--fd" not in text and "--data-bitrate" not in text, name
+
+
+def test_prose_is_wrapped_and_examples_are_not(
+    helps: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    narrow = parser_of("replay").format_help()
+    assert "\nexit code: 0 done, 1 a broadcast" in narrow
+    prose = narrow.partition("# flat out\n")[2]
+    assert max(map(len, prose.splitlines())) <= 60
+    for line in examples("replay"):
+        assert f"\n  mcp-asdf {line}" in narrow
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("node --id 3 --interface socketcn", "; did you mean socketcan?"),
+        ("plot a.parquet b.png --kind boxs", "; did you mean boxes?"),
+        ("node --id 3 --fd", "no such option: --fd"),
+        ("node --id 3 --timing f_clock=8000000 data_brp=2", "is no timing of classic CAN: "),
+        ("node --id 3 --timing nonsense", "is no timing of classic CAN: "),
+    ],
+)
+def test_a_word_that_is_no_choice_takes_two_lines(
+    line: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert told in err
+    assert (out, err.count("\n")) == ("", 2)
+
+
+def test_a_timing_is_taken_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    words = shlex.split("--timing f_clock=8_000_000 brp=1 tseg1=5 tseg2=2 sjw=1 nof_samples=1 --id 3")
+    assert parser_of("node").parse_args(words).timing.bitrate == 1_000_000
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("name", ["score", "replay", "plot", "view", "sweep", "simulate"])
+def test_a_missing_file_is_named(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kind = {"replay": "log", "sweep": "toml", "simulate": "toml"}.get(name, "parquet")
+    missing = tmp_path / f"no such file.{kind}"
+    assert main([name, str(missing), *([str(tmp_path / "x.svg")] if name == "plot" else [])]) == 2
+    out, err = capsys.readouterr()
+    assert str(missing) in err and "o such file" in err.replace(str(missing), "")
+    assert (out, err.count("\n")) == ("", 1)
+
+
+def test_what_is_not_run_is_an_example() -> None:
+    assert {*NOT_RUN} <= {line for name in cli.COMMANDS for line in examples(name)}
+
+
+@pytest.mark.slow
+def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for folder in (".local/share/bash-completion/completions", ".zfunc", ".config/fish/completions"):
+        (tmp_path / folder).mkdir(parents=True)
+    shutil.copytree(ROOT / "tables", tmp_path / "tables")
+    (tmp_path / "grid.toml").write_text(GRID)
+    lines = [line for name in cli.COMMANDS for line in examples(name) if line not in NOT_RUN]
+    for line in (*FIRST, *lines):
+        run("sh", "-exc", f"mcp-asdf {line}", cwd=tmp_path, MPLBACKEND="Agg")

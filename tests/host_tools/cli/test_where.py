@@ -1,0 +1,93 @@
+"""Experiments chosen from a sweep by ``--where``, and a sweep that keeps values over time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.experiments import experiments_in, read_table
+
+GRID = """\
+robots = 4
+steps = 40
+filter_period = 10
+trials = 2
+flawed = 2
+filter = ["none", "asdf-plus"]
+fill_ratio = [0.55, 0.95]
+"""
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of four experiments, with values every 10 steps."""
+    folder = tmp_path_factory.mktemp("where")
+    (folder / "grid.toml").write_text(GRID)
+    words = ["sweep", str(folder / "grid.toml"), "--record", "10", "--workers", "1", "--json"]
+    assert main(words) == 0
+    return folder / "grid.parquet"
+
+
+@pytest.mark.parametrize(
+    ("conditions", "count"),
+    [
+        ([], 4),
+        (["filter=none"], 2),
+        (["fill_ratio=0.95"], 2),
+        (["fill_ratio=.950"], 2),
+        (["filter=none", "fill_ratio=0.95"], 1),
+    ],
+)
+def test_rows_are_picked(
+    conditions: list[str], count: int, grid: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    where = [word for condition in conditions for word in ("--where", condition)]
+    assert main(["plot", str(grid), str(tmp_path / "boxes.svg"), "--json", *where]) == 0
+    assert json.loads(capsys.readouterr().out)["experiments"] == count
+
+
+REFUSED = {
+    "--where colour=red": "--where colour=red: write NAME=VALUE with a parameter's name; in ",
+    "--where filte=none": "write NAME=VALUE with a parameter's name; did you mean filter?",
+    "--where filter": "differ fill_ratio=0.55|0.95, filter=asdf-plus|none",
+    "--where filter=both": "has it; filter is asdf-plus or none",
+    "--where filter=none --where filter=asdf-plus": "has it; filter is none",
+    "--kind series": "shows one experiment, and 4 match; choose one with --where fill_ratio=0.55|",
+    "--kind series --where filter=none": "and 2 match; choose one with --where fill_ratio=0.55|0.95",
+}
+
+
+@pytest.mark.parametrize("options", REFUSED)
+def test_what_is_not_there_is_named(
+    options: str, grid: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["plot", str(grid), str(tmp_path / "no.svg"), *options.split()]) == 2
+    out, err = capsys.readouterr()
+    assert REFUSED[options] in err
+    assert (out, err.count("\n")) == ("", 1)
+    assert not (tmp_path / "no.svg").exists()
+
+
+def test_results_are_needed_to_choose_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plot", str(tmp_path / "a.svg"), "--kind", "alpha", "--where", "filter=none"]) == 2
+    assert "there are none; leave it out" in capsys.readouterr().err
+
+
+def test_a_sweep_keeps_values_over_time(grid: Path, tmp_path: Path) -> None:
+    for trials in experiments_in(read_table(grid)):
+        assert trials.records["x"].shape == (2, 5, 4)
+    series = ["--kind", "series", "--where", "filter=none", "--where", "fill_ratio=0.55"]
+    assert main(["plot", str(grid), str(tmp_path / "series.svg"), *series]) == 0
+
+
+@pytest.mark.parametrize("interval", ["-1", "41"])
+def test_an_interval_that_no_trial_has_is_refused(
+    interval: str, grid: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["sweep", str(grid.with_suffix(".toml")), "--record", interval]) == 2
+    assert f"--record is {interval}; choose 1 to 40 steps, or 0 for none" in capsys.readouterr().err
