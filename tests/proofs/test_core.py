@@ -158,9 +158,9 @@ BROKEN = {
     "mean": ("middle << 9 | low >> 23", "middle << 9 | low >> 24"),
     "informed_estimate": ("sum - product >= alpha", "sum - product > alpha"),
     "square_of_ratio": ("divide_24(g >> 1, p >> 1) << 7", "divide_24(g >> 1, p >> 1) << 6"),
-    "alpha_word": ("(0 - exponent) & 31", "(1 - exponent) & 31"),
+    "alpha_word": ("(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     "set_b_hat": ("g < INFORMATIVE ? UINT32_MAX", "g < INFORMATIVE / 2 ? UINT32_MAX"),
-    "estimate": ("sum = join(low_word(sum), 0);\n            exponent -= 32;", ""),
+    "estimate": ("sum = join(low_word(sum), 0);\n            exponent -= 32U;", ""),
     "reestimate": ("robot->t", "robot->t >> robot->n"),
 }
 """Functions, and a change of their code that breaks them."""
