@@ -823,8 +823,11 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
     for axes, quantity, truth in zip(panels, QUANTITIES, (0.95, 0.55, 0.55), strict=True):
         *robots, true_line = axes.lines
         values = outcome.history.values(quantity)
-        drawn = sorted((meaning[line.get_color()], np.asarray(line.get_ydata()).tolist()) for line in robots)
-        own_kinds = ["flawed robots"] * 2 + ["other robots"] * 3
+        count = len(values)  # of b_hat, the last value is drawn on beyond the last step
+        drawn = sorted(
+            (meaning[line.get_color()], np.asarray(line.get_ydata())[:count].tolist()) for line in robots
+        )
+        own_kinds = ["flawed robots"] * 2 + ["healthy robots"] * 3
         kinds = ["all robots, the same"] * 5 if quantity == "x" else own_kinds
         assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
         assert {line.get_drawstyle() for line in robots} == {
