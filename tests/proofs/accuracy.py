@@ -30,7 +30,7 @@ CALLED = (
     *("multiply", "multiply_high", "divide_24", "alpha_word", "square_of_ratio"),
 )
 Claim = tuple[str, Any, list[Any]]
-"""What is claimed, the formula, and of what it follows."""
+"""Name of a claim, its formula, and of what it follows."""
 
 # --- Of the C --------------------------------------------------------------------------------------------
 
@@ -135,7 +135,7 @@ def _inside(run: Run) -> Iterator[Claim]:
 
 
 def _possible(run: Run) -> list[Any]:
-    """What is known of the arguments and of the first results, by lemmas."""
+    """Formulas known of the arguments and of the first results, by lemmas."""
     t, n, c, g_shift = (run.given[name] for name in ("t", "n", "c", "g_shift"))
     total, rarer, *_ = run.results["shift_left"]
     least = run.results["multiply_high"][0]
@@ -226,7 +226,7 @@ def of_square_of_ratio(program: Program) -> Iterator[Claim]:
 # --- Of the numbers --------------------------------------------------------------------------------------
 
 BELOW = (Fraction(1, 2**28), Fraction(1, 2**27), Fraction(1, 2**31))
-"""What (g t)^2, (g t)^2 t and the dividend of alpha lose at most, of themselves."""
+"""Shares that (g t)^2, (g t)^2 t and the dividend of alpha lose at most, of themselves."""
 DIVISOR_LOSES = Fraction(1, 2**30)
 
 
@@ -279,7 +279,7 @@ def _loses(name: str, share: Fraction, exact: Any, floor: Any, known: list[Any])
 
 
 SQUARE_LOSES = (Fraction(1, 2**23), Fraction(1, 2**23), Fraction(1, 2**28))
-"""What a square of a quotient loses at most, of itself: the quotient, twice, and the square."""
+"""Shares that a square of a quotient loses at most, of itself: the quotient, twice, and the square."""
 SUM_LOSES = Fraction(1, 2**28)
 SQUARE_GAINS = Fraction(1, 2**30)
 

@@ -71,18 +71,18 @@ def test_the_code_of_one_target_forms_these_numbers() -> None:
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
-        ("total - 2 * least", "total - least"),
+        ("total - 2U * least", "total - least"),
         ("rarer - least, g_shift", "rarer - least, 0"),
         ("scale >> 1) >> 2", "scale >> 1) >> 3"),
-        ("2 * (16 - g_shift) - shift + spread_shift", "2 * (16 - g_shift) + shift + spread_shift"),
+        ("(16U - g_shift) - shift + spread_shift", "(16U - g_shift) + shift + spread_shift"),
         ("(n - white) ^", "(n + white) ^"),
         ("exponent += excess", "exponent -= excess"),
         ("exponent += accuracy->rare_shift", "exponent -= accuracy->rare_shift"),
-        ("exponent -= 32", "exponent -= 31"),
+        ("exponent -= 32U", "exponent -= 31U"),
         ("multiply(t - part, accuracy->common)", "multiply(t, accuracy->common)"),
-        ("2 * c_shift", "c_shift"),
+        ("2U * c_shift", "c_shift"),
         ("multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
-        ("shift_left(g, g_shift), 0 - c)", "shift_left(g, g_shift), c)"),
+        ("shift_left(g, g_shift), 0U - c)", "shift_left(g, g_shift), c)"),
     ],
 )
 def test_other_numbers_are_noticed(right: str, wrong: str, tmp_path: Path) -> None:
