@@ -14,6 +14,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
@@ -127,6 +128,9 @@ SLOW = {
 }
 """Commands that are for ``make verify``."""
 
+LONG_PAGES = {"socketcan.md", "swarm.md", "targets.md", "threats.md", "view.md"}
+"""Pages with so many commands that they are for ``make verify`` as a whole."""
+
 NEEDED = {
     "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
@@ -174,7 +178,12 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def page_of(page: Path) -> ParameterSet:
+    """A page as a parameter; those whose commands take seconds are for ``make verify``."""
+    return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
+
+
+@pytest.mark.parametrize("page", [page_of(page) for page in PAGES])
 def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
     run_commands(page, workplace, left_out=SLOW)
 
@@ -224,10 +233,13 @@ def test_what_is_not_run_is_shown_and_the_tests_named_are_there() -> None:
 
 def test_a_slow_command_has_a_quick_one_beside_it() -> None:
     """So that every subcommand of a page is run by the tests that are always run, or by the test named."""
-    quick = {c.split()[1] for page in PAGES for c in all_commands(page) if c not in SLOW and is_run(page, c)}
+    short = [page for page in PAGES if page.name not in LONG_PAGES]
+    quick = {c.split()[1] for page in short for c in all_commands(page) if c not in SLOW and is_run(page, c)}
     elsewhere = {"reproduce": "tests/host_tools/reproduction/test_study.py"}
     elsewhere |= {"sweep": "tests/host_tools/experiments/test_sweep.py"}
-    assert {command.split()[1] for command in SLOW} - quick <= set(elsewhere)
+    long = {c for page in PAGES if page not in short for c in all_commands(page)}
+    slow = {command.split()[1] for command in {*SLOW, *long} if command.startswith("mcp-asdf ")}
+    assert slow - quick <= set(elsewhere)
     for name, path in elsewhere.items():
         assert f'"{name}"' in (ROOT / path).read_text(encoding="utf-8")
 
@@ -262,6 +274,7 @@ def test_a_swarm_of_processes_runs() -> None:
     run(*HERE_WITH_MULTICAST[0].split(), CAN_CHANNEL="239.74.163.97", CAN_CONFIG='{"port": 43297}')
 
 
+@pytest.mark.slow
 def test_a_node_on_one_machine_passes_the_verification() -> None:
     """In two terminals: the node is started when the other listens. Few ticks and a short memory will do."""
     multicast(98)

@@ -907,6 +907,7 @@ def rejection_share(omega: float, m: int, distance: float) -> float:
     return float(scipy.integrate.quad(share, 0, 6, points=[1], limit=200)[0])
 
 
+@pytest.mark.slow
 def test_the_rejections_on_the_page() -> None:
     distances = {"1/2 sigma": 0.5, "1 sigma": 1, "3/2 sigma": 1.5, "2 sigma": 2, "3 sigma": 3}
     rows = page_rows("What a choice means for one test")
@@ -920,6 +921,7 @@ def test_the_rejections_on_the_page() -> None:
             assert row[title] == f"{rejection_share(omega, m, distance):.1%}", (m, omega, title)
 
 
+@pytest.mark.slow
 def test_the_costs_on_the_page() -> None:
     rows = page_rows("Choosing q")
     assert len(rows) == 7
