@@ -1,4 +1,4 @@
-"""What would break other systems and compilers needlessly: names of one system used without asking."""
+"""Other systems and compilers: nothing that only one of them has is used without asking."""
 
 from __future__ import annotations
 
