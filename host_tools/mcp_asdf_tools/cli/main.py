@@ -171,7 +171,8 @@ def _show_overview(arguments: Sequence[str]) -> int:
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     (found, _) = parser.parse_known_args(arguments)
     if found.command is not None:
-        parser.error(f"no command is called {found.command!r}{offer(found.command, COMMANDS)}")
+        near = offer(found.command, [*COMMANDS, "--help", "--version"])
+        parser.error(f"no command is called {found.command!r}{near}")
     parser.parse_args(arguments)
     parser.print_help(sys.stderr)
     return 2

@@ -38,7 +38,8 @@ def read_experiments(path: Path) -> list[Experiment]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read {path}: {error}") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(f"cannot read {path}: {reason}") from error
     if path.suffix == ".toml":
         return _read_toml(path, text)
     from mcp_asdf_tools.experiments.authors_formats import read_yaml  # noqa: PLC0415 (an extra)

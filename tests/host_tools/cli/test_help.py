@@ -165,3 +165,23 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     for line in (*FIRST, *lines):
         is_long = line.startswith("swarm") and "--steps" not in line
         run("sh", "-exc", f"mcp-asdf {line}{' --steps 300' * is_long}", cwd=tmp_path, MPLBACKEND="Agg")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("help", "did you mean --help?"),
+        ("simulate none.toml", "cannot read none.toml: No such file or directory\n"),
+        ("node --id 3 --observations none.txt", "from none.txt: No such file or directory\n"),
+        ("plot x.png", "needs results: mcp-asdf plot RESULTS.parquet x.png\n"),
+        ("plot a.parquet x.png --kind alpha", "needs no results; leave out a.parquet\n"),
+    ],
+)
+def test_what_a_stranger_types_is_answered_with_the_fix(
+    line: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert told in err
+    assert out == "" and err.count("\n") <= 2
