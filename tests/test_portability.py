@@ -1,4 +1,4 @@
-"""What would break other systems and compilers needlessly: names of one system used without asking."""
+"""Names of one system, used without asking, would break others needlessly: none is."""
 
 from __future__ import annotations
 
