@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import re
 import shlex
@@ -23,7 +24,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 14 of 38",
+    "FAILED: 17 of 40",
     "(0.000000) vcan0",
     "PASS scenarios",
     "scenario 6",
@@ -298,6 +299,28 @@ def test_the_documentation_is_built(tmp_path: Path) -> None:
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
     run(require(Path(words[0]).name), *words[1:], "--site-dir", tmp_path)
     assert (tmp_path / "index.html").exists()
+    check_generated_pages(tmp_path)
+
+
+def check_generated_pages(site: Path) -> None:
+    """All commands and rooms are there, docstrings are rendered, and formulas are MathML."""
+    commands, api, method = (text_of(site / page / "index.html") for page in ("cli", "api", "method"))
+    for name in cli.COMMANDS:
+        assert f"mcp-asdf {name}" in commands
+    for face in (ROOT / "host_tools/mcp_asdf_tools").glob("*/__init__.pyi"):
+        assert f"mcp_asdf_tools.{face.parent.name}" in (site / "api/index.html").read_text(encoding="utf-8")
+    assert not re.search(r":(class|func|meth|mod):", api)
+    assert not re.search(r"\w\*\*\w", api)
+    assert "$" not in method
+    assert (site / "method/index.html").read_text(encoding="utf-8").count("<math") > 10
+    assert '<iframe src="run.html"' in (site / "index.html").read_text(encoding="utf-8")
+    assert (site / "run.html").stat().st_size > 100_000
+    assert "mcp_asdf_settle(mcp_asdf_t *robot)" in text_of(site / "headers/index.html")
+
+
+def text_of(page: Path) -> str:
+    """What a reader sees."""
+    return html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8")))
 
 
 def anchors(page: Path) -> set[str]:
@@ -312,6 +335,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         target = page.parent / name if name else page
         assert target.exists(), f"{page.name} links to {name}"
         assert not anchor or anchor in anchors(target), f"{page.name} links to {name}#{anchor}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_are_described(page: Path) -> None:
+    """For readers who do not see them: more than the name of a file."""
+    text = page.read_text(encoding="utf-8")
+    described = re.findall(r"!\[([^\]]*)\]\([^)]*\)", text)
+    described += [(re.findall(r'alt="([^"]*)"', tag) or [""])[0] for tag in re.findall(r"<img\b[^>]*>", text)]
+    assert all(len(words.split()) >= 5 for words in described)
 
 
 def test_the_readme_names_what_its_first_commands_need() -> None:

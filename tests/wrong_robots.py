@@ -17,6 +17,7 @@ from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, reje
 from mcp_asdf.robot import Filter, Observation, Status
 from mcp_asdf.table import FRACTION_BITS, Table
 from mcp_asdf_tools.bus.frames import (
+    COMMANDS,
     EVERY_ROBOT,
     Action,
     Command,
@@ -26,8 +27,10 @@ from mcp_asdf_tools.bus.frames import (
     alpha_bits,
     bits_of,
     decode,
+    decode_command,
     word_of,
 )
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickedRobot
@@ -474,6 +477,12 @@ class DropsOlderTransfers(RobotNode):
             super()._receive(message)
 
 
+class DeafTo127(RobotNode):
+    def _receive(self, message: Message) -> None:
+        if message.sender != 127:
+            super()._receive(message)
+
+
 class Lenient(RobotNode):
     """Reads an estimate out of anything with 8 bytes that it should reject for these reasons."""
 
@@ -538,6 +547,54 @@ class ObservesTwice(RobotNode):
         if is_repeated and command.action is not Action.SETTLE and command.target == ID:
             self._bus_robot._ticked.observe(command.action.observation)
         return super()._obey(command)
+
+
+class IgnoresCommandsForAll(RobotNode):
+    action: tuple[Action, ...] = tuple(Action)
+
+    def _obey(self, command: Command) -> Frames:
+        is_ignored = command.target == EVERY_ROBOT and command.action in self.action
+        return [] if is_ignored else super()._obey(command)
+
+
+class IgnoresSettlesForAll(IgnoresCommandsForAll):
+    action = (Action.SETTLE,)
+
+
+class ObeysOneNode(RobotNode):
+    def _obey(self, command: Command) -> Frames:
+        return super()._obey(command) if command.sender == DRIVER_ID else []
+
+
+class ChecksTheSpareByte(RobotNode):
+    def hear(self, frame: can.Message) -> Frames:
+        is_command = not isinstance(decode_command(frame, COMMANDS), Rejection)
+        return [] if is_command and frame.data[6] else super().hear(frame)
+
+
+class ComparesIdentifiers(RobotNode):
+    """Takes frames of a kind with no other than the usual bits of the identifier."""
+
+    subject, bits = 0, 0
+
+    def hear(self, frame: can.Message) -> Frames:
+        usual = {3000: 4 << 26 | 3 << 21, 3002: 3 << 26 | 3 << 21}[self.subject]
+        is_meant = frame.arbitration_id >> 8 & 0x1FFF == self.subject
+        return [] if is_meant and (frame.arbitration_id ^ usual) & self.bits else super().hear(frame)
+
+
+def comparing(subject: int, bits: int) -> type[ComparesIdentifiers]:
+    """A node that compares these bits, too, in the identifiers of a kind."""
+    return type("Comparing", (ComparesIdentifiers,), {"subject": subject, "bits": bits})
+
+
+def numbers_of(bits: int) -> type[RobotNode]:
+    """A node that keeps so many bits of the number of a tick."""
+
+    def obey(self: RobotNode, command: Command) -> Frames:
+        return RobotNode._obey(self, replace(command, tick=command.tick % 2**bits))
+
+    return type("ShortNumbers", (RobotNode,), {"_obey": obey})
 
 
 class CountsNothingAsWhite(RobotNode):
@@ -754,6 +811,13 @@ WRONG: dict[str, Wrong] = {
         "every sender", "message, of robot 8: ids above", firmware=HearsIdsBelow8
     ),
     "hears ids below 100 only": Wrong("every sender", "of robot 100", firmware=HearsIdsBelow100),
+    "does not hear robot 127": Wrong("every sender", "of robot 127", node=DeafTo127),
+    "compares the priority of estimates": Wrong(
+        "unusual identifiers", "messages with priority 0", node=comparing(3000, 7 << 26)
+    ),
+    "compares ignored bits of estimates": Wrong(
+        "unusual identifiers", "bits 22 and 21 clear", node=comparing(3000, 3 << 21)
+    ),
     "a bitmap of 32 senders": Wrong("alike ids", "bitmap of senders heard is too narrow", firmware=Bitmap),
     "at most 5 messages": Wrong("growing rounds", "a round of 10 messages: a bound", firmware=AtMost),
     "at most 100 messages": Wrong("growing rounds", "a round of 126 messages: a bound", firmware=AtMost100),
@@ -800,6 +864,23 @@ WRONG: dict[str, Wrong] = {
     "forgets a round": Wrong("lost commands", "does not end the open tick", node=ForgetsARound),
     "settles in any tick": Wrong("stray commands", "obeys a settle of", node=SettlesInAnyTick),
     "obeys others": Wrong("stray commands", "for another robot", node=ObeysOthers),
+    "ignores commands for every robot": Wrong(
+        "unusual commands", "does not obey commands for every robot", node=IgnoresCommandsForAll
+    ),
+    "ignores settles for every robot": Wrong(
+        "unusual commands", "does not obey commands for every robot", node=IgnoresSettlesForAll
+    ),
+    "obeys one node": Wrong("unusual commands", "commands of another node", node=ObeysOneNode),
+    "checks the spare byte": Wrong("unusual commands", "whose spare byte", node=ChecksTheSpareByte),
+    "compares the priority of commands": Wrong(
+        "unusual commands", "commands with priority 0", node=comparing(3002, 7 << 26)
+    ),
+    "compares ignored bits of commands": Wrong(
+        "unusual commands", "bits 22 and 21 clear", node=comparing(3002, 3 << 21)
+    ),
+    "numbers of 8 bits": Wrong("unusual commands", "in bit 8 alone", node=numbers_of(8)),
+    "numbers of 16 bits": Wrong("unusual commands", "in bit 16 alone", node=numbers_of(16)),
+    "numbers of 31 bits": Wrong("unusual commands", "in bit 31 alone", node=numbers_of(31)),
     "observes twice": Wrong("stray commands", "obeys an observe of the open tick", node=ObservesTwice),
     "hangs": Wrong("every sender", "hangs", node=Hangs),
     "closes a round in every tick": Wrong(

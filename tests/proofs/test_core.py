@@ -121,9 +121,9 @@ def test_a_table_that_is_read_has_at_most_129_words() -> None:
     accepted = z3.And(z3.UGE(head, magic + 2), z3.ULE(head, magic + 127))
     prove(KNOWN["table_valid"]["end"](z3.Extract(7, 0, head + 2)), accepted, about="q + 2")
     text = CORE.read_text(encoding="utf-8")
-    refusal = text.index("if (head < TABLE_MAGIC + 2 || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
+    refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
     assert refusal < text.index("for (uint8_t i = 0; i < end; ++i)")
-    assert "const uint8_t end = (uint8_t)(head + 2);" in text[:refusal]
+    assert "const uint8_t end = (uint8_t)(head + 2U);" in text[:refusal]
 
 
 def test_a_loop_that_turns_more_often_than_stated_is_refused(tmp_path: Path) -> None:

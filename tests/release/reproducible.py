@@ -40,7 +40,7 @@ def copy_of_source(folder: Path) -> Path:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """What a build in this folder needs to forget the time and its place."""
+    """Settings that a build in this folder needs to forget the time and its place."""
     mapped = f"-g -ffile-prefix-map='{folder}'=."
     tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     return {**os.environ, "PATH": tools, "SOURCE_DATE_EPOCH": EPOCH, "CFLAGS": mapped}

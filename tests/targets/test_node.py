@@ -36,10 +36,28 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
 )
 from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
+from mcp_asdf_tools.radio.stage import ControllerBench
+from mcp_asdf_tools.radio.verification import Verification
+from mcp_asdf_tools.radio.verification_report import headline
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from support import PATIENCE, ROOT, require, run, slow
-from targets.c_node import CORTEX_A8, HOST, SOURCES, CNode, Kind, assert_same_robot, built, content, twin
+from targets.c_node import (
+    CORTEX_A8,
+    HOST,
+    SOURCES,
+    TABLE,
+    CNode,
+    Kind,
+    assert_same_robot,
+    built,
+    content,
+    twin,
+)
 from targets.unix_bus import Peer, UnixBus
 
 C_FILES = sorted(SOURCES.glob("*.c"))
@@ -114,6 +132,20 @@ def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
         lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
         lockstep.estimates(robots)
         lockstep.settle(robots)
+
+
+@pytest.mark.parametrize(("memory", "comms_period"), [(64, 1), *slow([(64, 5), (2**31, 1)])])
+def test_a_verdict_on_it_passes(start: Start, bus: UnixBus, memory: int, comms_period: int) -> None:
+    config: dict[str, Any] = {"filter_period": 20, "comms_period": comms_period, "memory": memory}
+    own = RobotRecord(5, "mirror", 0.55, TickConfig(table=TABLE, **config))
+    neighbours = tuple(configured_like(own, robot, 0.95) for robot in choose_ids(5, 4))
+    options = [word for name, value in config.items() for word in (f"--{name.replace('_', '-')}", value)]
+    start(5, "--lockstep", "--b-hat", 0.55, *options)
+    bus.accept()
+    settings = RadioSettings(own, neighbours, SwarmSettings(robots=5), Subjects(), ())
+    verdict = Verification(settings, ControllerBench(bus, 5, PATIENCE)).run()
+    assert verdict.has_passed, headline(verdict.plain())
+    assert verdict.repeated == 0
 
 
 @pytest.mark.parametrize("comms_period", [1, 3])

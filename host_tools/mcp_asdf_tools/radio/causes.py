@@ -154,6 +154,10 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause("it obeys {doing}, or hangs at it", phases=("stray commands",)),
     Cause(
+        "it does not obey {doing}: it looks at what is to be ignored, or at a part of the number",
+        phases=("unusual commands",),
+    ),
+    Cause(
         "it does not broadcast: it is not there or not in lockstep, has another id, other subjects or a "
         "longer broadcast period, or sends no 29-bit identifiers",
         ESTIMATE,
@@ -287,6 +291,10 @@ CAUSES: tuple[Cause, ...] = (
         phases=("same sender",),
     ),
     Cause("it hears messages under its own id, or restarts at them", phases=("its own id",)),
+    Cause(
+        "it does not hear {doing}: it compares bits of the identifier that a receiver ignores",
+        phases=("unusual identifiers",),
+    ),
     Cause("it accepts {doing} as an estimate", phases=("invalid frames",)),
     Cause(
         "a fault shows what the rounds made for the purpose did not: " + _FAULTS,

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from mcp_asdf.robot import Filter
+from mcp_asdf.robot import MAX_ID, Filter
 from mcp_asdf_tools.radio.invalid_frames import INVALID, STRAY
+from mcp_asdf_tools.radio.unusual_frames import UNUSUAL
 from mcp_asdf_tools.robots import TickConfig
 
 CRAFTED_SIZES = (2, 3, 5, 10, 30, 126)
@@ -86,6 +87,7 @@ class Coverage:
         equal: Frames of the controller that equal the model's, by kind.
         invalid: Frames sent that are no estimates, by what is wrong with them.
         commands: Commands sent that must not be obeyed, by what is wrong with them.
+        unusual: Frames sent that must be taken like any others, by what is unusual about them.
         latency: Times to the controller's answers.
     """
 
@@ -102,7 +104,13 @@ class Coverage:
     equal: Counter[str] = field(default_factory=Counter)
     invalid: Counter[str] = field(default_factory=Counter)
     commands: Counter[str] = field(default_factory=Counter)
+    unusual: Counter[str] = field(default_factory=Counter)
     latency: Latency = field(default_factory=Latency)
+
+    @property
+    def re_estimates(self) -> int:
+        """Re-estimates that changed b_hat."""
+        return self.updates.total() - self.updates[Update.KEPT]
 
     def plain(self) -> dict[str, Any]:
         """The counts as plain values, for JSON."""
@@ -117,6 +125,7 @@ class Coverage:
             "equal_frames": dict(sorted(self.equal.items())),
             "invalid_frames": dict(self.invalid),
             "stray_commands": dict(self.commands),
+            "unusual_frames": dict(self.unusual),
             "answers": self.latency.answers,
             "latency_mean": self.latency.mean,
             "latency_maximum": self.latency.maximum,
@@ -175,10 +184,14 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("broadcasts", lambda run: run.equal["estimate"] > 0),
     Claim("answers to settle", lambda run: run.equal["telemetry"] > 0),
     Claim("heartbeats after the first", lambda run: run.equal["heartbeat"] > 1),
-    Claim("a message of every id 0 to 125", lambda run: run.senders | {run.robot} >= set(range(126))),
+    Claim(
+        f"a message of every id 0 to {MAX_ID}",
+        lambda run: run.senders | {run.robot} >= set(range(MAX_ID + 1)),
+    ),
     Claim(f"a round of {FULL_ROUND} messages", lambda run: run.most_messages >= FULL_ROUND),
     Claim("every kind of invalid frame", lambda run: run.invalid.keys() >= set(INVALID)),
     Claim("every kind of stray command", lambda run: run.commands.keys() >= set(STRAY)),
+    Claim("every kind of unusual frame", lambda run: run.unusual.keys() >= set(UNUSUAL)),
     *(
         Claim(f"the test of {m} messages, passed and rejected", _is_tested_both_ways(m), is_adaptive)
         for m in CRAFTED_SIZES
@@ -212,6 +225,10 @@ def not_checked(run: Coverage) -> list[str]:
         (
             not is_halved(config),
             f"forgetting: its memory is {config.memory}, of which {run.observations} observations were made",
+        ),
+        (
+            True,
+            f"counts above {run.re_estimates} re-estimates and {run.equal['heartbeat']} seconds of uptime",
         ),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),

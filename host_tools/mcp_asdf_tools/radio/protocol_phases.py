@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus import Action
 from mcp_asdf_tools.radio.crafted_rounds import EXTREMES, FOREIGN_ALPHAS, any_content
 from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.stage import Stage
+from mcp_asdf_tools.radio.unusual_frames import DISTANT_NUMBERS, UNUSUAL_COMMANDS, UNUSUAL_MESSAGES
 
 _PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)
 MOST_SKIPPED = 10_000
@@ -59,7 +61,7 @@ def lost_settles(stage: Stage) -> None:
 def stray(stage: Stage) -> None:
     """Commands that must not be obeyed, each kind by itself."""
     coverage, subjects = stage.model.coverage, stage.settings.subjects
-    other = stage.draw.choice(stage.others[:-1])
+    other = stage.draw.choice(stage.robots)
     for _ in range(STRAY_REPEATS):
         tick = stage.lockstep.tick
         kinds = stray_commands(stage.draw, subjects.commands, coverage.robot, other, tick)
@@ -72,6 +74,43 @@ def stray(stage: Stage) -> None:
             stage.send(stage.messages({robot: any_content(stage.draw) for robot in stage.others[:2]}))
             stage.settle()
             coverage.commands[name] += 1
+
+
+def unusual_commands(stage: Stage) -> None:
+    """Commands that differ in what makes no difference.
+
+    After each comes the usual one of the same tick, which changes nothing unless the first was not obeyed:
+    then the controller misses an observation, or has a round too many messages.
+    """
+    for name, unusual in UNUSUAL_COMMANDS.items():
+        stage.avoid_test(2)  # the last message is one of the next round
+        stage.doing = name
+        other = stage.draw.choice(stage.robots)
+        stage.send([stage.command(Action.observing(any_observation(stage)), unusual, other)])
+        stage.observe(None)
+        stage.send(stage.messages({robot: any_content(stage.draw) for robot in stage.others[:2]}))
+        settle = stage.command(Action.SETTLE, unusual, other)
+        stage.send([settle, *stage.messages({stage.others[2]: any_content(stage.draw)})])
+        stage.settle()
+        stage.model.coverage.unusual[name] += 1
+    for name, distance in DISTANT_NUMBERS.items():
+        stage.avoid_test()
+        stage.doing = name
+        stage.observe(any_observation(stage))
+        stage.leave_open(distance)
+        stage.tick(any_observation(stage))
+        stage.model.coverage.unusual[name] += 1
+
+
+def unusual_messages(stage: Stage) -> None:
+    """Messages whose identifiers differ in what a receiver ignores."""
+    for name, change in UNUSUAL_MESSAGES.items():
+        stage.avoid_test()
+        stage.doing = name
+        frames = stage.messages({robot: any_content(stage.draw) for robot in stage.others[:3]})
+        change(frames[0])
+        stage.round_of(frames)
+        stage.model.coverage.unusual[name] += 1
 
 
 def heartbeats(stage: Stage) -> None:

@@ -14,15 +14,16 @@ from dataclasses import dataclass
 
 import can
 
-from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import TRANSFER_IDS, Message, encode
+from mcp_asdf.robot import MAX_ID, Observation
+from mcp_asdf_tools.bus import TRANSFER_IDS, Action, Command, Message, encode
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
-from mcp_asdf_tools.radio.coverage import FULL_ROUND, has_quiet_rounds, is_adaptive
+from mcp_asdf_tools.radio.coverage import has_quiet_rounds, is_adaptive
 from mcp_asdf_tools.radio.crafted_rounds import Content, Situation
 from mcp_asdf_tools.radio.model import Model
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
 from mcp_asdf_tools.radio.strangers import Strangers
-from mcp_asdf_tools.robots import Lockstep, LockstepSettings, Recorder, send_all
+from mcp_asdf_tools.radio.unusual_frames import UnusualCommand
+from mcp_asdf_tools.robots import DRIVER_ID, Lockstep, LockstepSettings, Recorder, send_all
 
 SEND_TIMEOUT = 2.0
 BURST = 16
@@ -75,7 +76,7 @@ class Stage:
         neighbours: Emulated robots around the controller, for phases that want them.
         draw: Random numbers, the same in every run with this seed.
         doing: What is done at present, in words.
-        place: Number of the last tick that was settled or is to be.
+        place: Number of ticks before the last that was settled or is to be.
         frames: Frames sent to the controller besides commands.
         strangers: Nodes that have no part in this.
         comparison: The frames compared so far.
@@ -88,7 +89,7 @@ class Stage:
         self.neighbours = Neighbourhood(settings)
         self.draw = random.Random(settings.swarm.seed)
         self.doing = ""
-        self.place = self.frames = 0
+        self.place = self.frames = self._skipped = 0
         self.strangers = Strangers(settings.controller.id, settings.subjects)
         (greeting,) = self.model.start()
         self.comparison = Comparison(settings.subjects, greeting, self.model.coverage.equal)
@@ -105,8 +106,18 @@ class Stage:
 
     @property
     def others(self) -> list[int]:
-        """Ids that messages can have: 0 to 126, the last our own, without the controller's."""
-        return [robot for robot in range(FULL_ROUND + 1) if robot != self._id]
+        """Ids that messages can have: all but the controller's."""
+        return [robot for robot in range(MAX_ID + 1) if robot != self._id]
+
+    @property
+    def robots(self) -> list[int]:
+        """Ids of other robots: neither the controller's nor that which commands it."""
+        return [robot for robot in self.others if robot != DRIVER_ID]
+
+    @property
+    def ticks(self) -> int:
+        """Ticks ended, settled or not."""
+        return self.lockstep.tick - self._skipped
 
     @property
     def situation(self) -> Situation:
@@ -120,7 +131,7 @@ class Stage:
         """Begin a tick, and hear the broadcast if it is due."""
         self._check_stop()
         broadcasts, begin = self.model.sent.estimates, time.perf_counter()
-        self.place = self.lockstep.tick
+        self.place = self.ticks
         self.lockstep.observe({self._id: z})
         if self.model.sent.estimates != broadcasts:
             self.lockstep.estimates({self._id})
@@ -139,11 +150,15 @@ class Stage:
         self.lockstep.settle({self._id})
         self.model.coverage.latency.note(time.perf_counter() - begin)
         self.compare()
-        self.bench.progress(self.lockstep.tick)
+        self.bench.progress(self.ticks)
 
-    def leave_open(self) -> None:
-        """End the tick as if its settle were lost; the controller may complain about it from now on."""
-        self.lockstep.leave_open()
+    def leave_open(self, distance: int = 1) -> None:
+        """End the tick as if its settle were lost; the controller may complain about it from now on.
+
+        The number of the next tick is so much higher.
+        """
+        self.lockstep.leave_open(distance)
+        self._skipped += distance - 1
         self.comparison.may_advise = True
 
     def tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
@@ -163,6 +178,11 @@ class Stage:
                 self.leave_open()
             self.tick(observe())
             ticks -= burst
+
+    def command(self, action: Action, unusual: UnusualCommand, other: int) -> can.Message:
+        """A command of this tick with something unusual about it; ``other`` is another node."""
+        usual = Command(DRIVER_ID, self.lockstep.tick, self._id, action, self.draw.randrange(TRANSFER_IDS))
+        return unusual.frame(usual, other, self.settings.subjects.commands)
 
     def round(self, *contents: Content, senders: Sequence[int] | None = None) -> None:
         """A whole round with these messages, of random neighbours unless ``senders`` are given."""
@@ -197,11 +217,14 @@ class Stage:
         round_begins = config.filter_period - (1 + before) * config.comms_period
         self.skip((round_begins - self.model.ticks) % config.filter_period, observe)
 
-    def avoid_test(self) -> None:
-        """Let a round without messages pass if the next is one with a test, unless all are."""
+    def avoid_test(self, rounds: int = 1) -> None:
+        """Let rounds without messages pass if one of the next ``rounds`` has a test, unless all have."""
         config = self.settings.controller.config
-        if has_quiet_rounds(config) and (self.model.ticks + config.comms_period) % config.filter_period == 0:
-            self.round()
+        if not has_quiet_rounds(config):
+            return
+        for number in range(rounds, 0, -1):
+            if (self.model.ticks + number * config.comms_period) % config.filter_period == 0:
+                self.round()
 
     # --- Comparing ---
 

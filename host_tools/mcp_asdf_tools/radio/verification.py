@@ -195,7 +195,7 @@ class Verification:
         """The figures of a ``PhaseResult`` so far, for all phases together."""
         stage, equal = self._stage, self.verdict.coverage.equal
         return {
-            "ticks": stage.lockstep.tick,
+            "ticks": stage.ticks,
             "frames": stage.frames,
             "injected": sum(figure["injected"] for figure in stage.neighbours.faults.figures()),
             "broadcasts": equal["estimate"],

@@ -91,7 +91,8 @@ def coverage_lines(coverage: dict[str, Any]) -> list[str]:
         f"tests that rejected: {updates or 'none'}",
         f"rounds without a test that it would have rejected: {coverage['rounds_without_a_test']}",
         f"{len(coverage['invalid_frames'])} kinds of invalid frames, "
-        f"{len(coverage['stray_commands'])} kinds of stray commands",
+        f"{len(coverage['stray_commands'])} kinds of stray commands, "
+        f"{len(coverage['unusual_frames'])} kinds of unusual frames",
         f"{coverage['answers']} answers timed: {mean} us on average, {maximum} us at most",
     ]
 

@@ -148,9 +148,12 @@ class Lockstep:
         self.tick += 1
         return {robot: self._telemetry[robot] for robot in robots}
 
-    def leave_open(self) -> None:
-        """End the tick without a *settle*, as if all were lost: robots end it when they observe again."""
-        self.tick += 1
+    def leave_open(self, distance: int = 1) -> None:
+        """End the tick without a *settle*, as if all were lost: robots end it when they observe again.
+
+        The number of the next tick is ``distance``, at least 1, higher.
+        """
+        self.tick += distance
 
     def _check_turn(self, answer: Telemetry) -> None:
         """Check the answer's transfer_id, which counts settles: it reveals stray answers and restarts."""

@@ -189,6 +189,8 @@ def _check_report(folder: Path, claims: int, figures: int) -> None:
     sources = re.findall(r'src="([^"]*)"', page)
     assert len(sources) == len(shown)
     assert all(source.startswith("data:image/") for source in sources)
+    described = [re.findall(r'alt="([^"]*)"', tag) for tag in re.findall(r"<img\b[^>]*>", page)]
+    assert all(len(" ".join(words).split()) >= 5 for words in described)
     assert not re.search(r"(src|href)=\"(?!data:|#)", page)
 
 
