@@ -12,7 +12,7 @@ C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan soak reproducible docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan soak reproducible sbom lowest docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -61,6 +61,12 @@ soak: .venv/ready-to-test ## run everything that goes wrong for HOURS=1 and list
 
 reproducible: .venv/ready-to-test ## build library, tables and wheel twice, in two folders, and compare every byte
 	@PYTHONPATH=tests $(BIN)/python -m release.reproducible
+
+sbom: .venv/ready-to-test ## list what the wheel needs and ships, as CycloneDX, in build/sbom.json
+	@PYTHONPATH=tests $(BIN)/python -m release.sbom
+
+lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml allows, in build/lowest, and run the Python tests
+	@PYTHONPATH=tests $(BIN)/python -m release.lowest
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml
