@@ -317,7 +317,7 @@ def check_generated_pages(site: Path) -> None:
 
 
 def text_of(page: Path) -> str:
-    """What a reader sees."""
+    """Text that a reader sees."""
     return html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8")))
 
 

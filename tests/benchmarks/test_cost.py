@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from support import ROOT, require
@@ -561,7 +562,7 @@ def test_cycles_and_instructions_have_axes_of_their_own() -> None:
             [most for _, _, most in kept["targets"][name]["-O2"]["firmware"]["series"]["step"]]
             for name in names
         ]
-        assert [list(line.get_ydata()) for line in axes.lines] == most
+        assert [np.asarray(line.get_ydata()).tolist() for line in axes.lines] == most
     with pytest.raises(ValueError, match="was measured in words"):
         picture.draw(_in_other_units(kept))
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
+import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
 
 import mcp_asdf_tools as m
@@ -47,7 +47,7 @@ def cases(rows: list[Row]) -> list[str]:
 def knobs(rows: list[Row]) -> list[str]:
     """The lines of the second table. Where no robot is flawed ASDF- has none that filters."""
     usual = {"filter_period": 1000, "omega": 0.05, "density": 1.0}
-    changes = [{"filter_period": period} for period in (100, 1000, 4000)]
+    changes: list[dict[str, float]] = [{"filter_period": period} for period in (100, 1000, 4000)]
     changes += [{"omega": omega} for omega in (0.25, 0.9)] + [{"density": density} for density in (0.25, 4.0)]
     lines = []
     for change in changes:
@@ -64,7 +64,8 @@ def swept(text: str, tmp_path: Path) -> list[Row]:
     file = tmp_path / "advice.toml"
     file.write_text(text)
     table: pa.Table = m.simulate(m.read_experiments(file))
-    return table.to_pylist()
+    rows: list[Row] = table.to_pylist()
+    return rows
 
 
 @pytest.mark.slow

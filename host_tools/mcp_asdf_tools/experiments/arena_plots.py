@@ -138,7 +138,7 @@ def _draw_links(axes: Axes, arena: Arena, pairs: list[Pair], dash: str, width: f
 
 
 def _words(experiment: Experiment, trial: int) -> str:
-    """What is shown."""
+    """Robots, flawed ones, seed and trial that are shown."""
     return f"{experiment.robots} robots, {experiment.flawed} flawed, seed {experiment.seed}, trial {trial}"
 
 

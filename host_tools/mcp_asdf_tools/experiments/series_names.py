@@ -136,7 +136,7 @@ _LETTERS = {
 
 
 def caption_of(experiments: Sequence[Trials], *more: str, limits: LimitsOf | None = None) -> str:
-    """What all experiments have in common, their trials, limits of the scores, and ``more``."""
+    """Parameters that all experiments have in common, their trials, limits of the scores, and ``more``."""
     parameters = [trials.experiment.parameters() for trials in experiments]
     common = [
         words.format(number_in_words(parameters[0][name]))

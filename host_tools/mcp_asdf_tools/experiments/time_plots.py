@@ -55,7 +55,7 @@ def _series_of(trials: Trials, number: int) -> TimeSeries:
 
 
 def _title(experiment: Experiment, number: int) -> str:
-    """What was run."""
+    """Settings of the run."""
     flawed = f"{experiment.flawed} flawed"
     if experiment.flawed:
         flawed += rf" with $\hat{{b}}$ = {experiment.flawed_accuracy:g}"

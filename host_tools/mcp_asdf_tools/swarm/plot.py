@@ -34,7 +34,7 @@ def draw(run: SwarmRun) -> Figure:
 
 
 def _title(settings: SwarmSettings) -> str:
-    """What is run, with its faults."""
+    """Settings of the run, with its faults."""
     deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
     flawed = f"{settings.flawed} flawed"
     if settings.flawed:
