@@ -1,6 +1,7 @@
 """Build of the documentation: pages made from the program itself, formulas as MathML, docstrings as Markdown.
 
 A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``.
+The picture of the first page becomes the run itself, exported by ``mcp-asdf view``.
 Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
 """
 
@@ -10,8 +11,11 @@ import argparse
 import html
 import inspect
 import re
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import griffe
@@ -28,6 +32,10 @@ _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL
 _FACE = re.compile(r"^from \.(\S+) import (\w+) as \2$", re.MULTILINE)
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
+_PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
+_FRAME = r'<iframe src="run.html" title="\1" style="width: 100%; height: 46rem; border: 0"></iframe>'
+_QUIET: Any = {"stdout": subprocess.DEVNULL}
+
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fill in what is generated; keep formulas out of Markdown's way."""
@@ -35,10 +43,25 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         if f"<!-- {comment} -->" in markdown:
             markdown = markdown.replace(f"<!-- {comment} -->", make())
     markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both
+    if page.is_homepage:
+        markdown = _PICTURE.sub(_FRAME, markdown, count=1)
+        page.meta["hide"] = ["toc"]  # room for it
     page.formulas = []
     parts = _CODE.split(markdown)
     parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]
     return "".join(parts)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Export the run that the first page shows: a film of the first trial, in one file."""
+    with TemporaryDirectory() as folder:
+        results = str(Path(folder) / "run.parquet")
+        moving = ["--topology", "dynamic", "--filter", "asdf-minus", "--flawed", "50%"]
+        for words in (
+            ["simulate", *moving, "--trials", "1", "--steps", "10000", "--output", results],
+            ["view", results, "--export", str(Path(config.site_dir) / "run.html")],
+        ):
+            subprocess.run([sys.executable, "-m", "mcp_asdf_tools.cli.main", *words], check=True, **_QUIET)
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:

@@ -313,6 +313,8 @@ def check_generated_pages(site: Path) -> None:
     assert not re.search(r"\w\*\*\w", api)
     assert "$" not in method
     assert (site / "method/index.html").read_text(encoding="utf-8").count("<math") > 10
+    assert '<iframe src="run.html"' in (site / "index.html").read_text(encoding="utf-8")
+    assert (site / "run.html").stat().st_size > 100_000
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in text_of(site / "headers/index.html")
 
 

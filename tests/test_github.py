@@ -22,7 +22,7 @@ FILE = re.compile(r"(?<![\w/.-])(?:docs|tests|c_ref|\.ci)/[\w./-]*\w")
 
 def read(path: os.PathLike[str]) -> dict[str, Any]:
     with open(path, encoding="utf-8") as file:
-        content = yaml.load(file, yaml.BaseLoader)
+        content = yaml.load(file, yaml.BaseLoader)  # of strings only, so "on" stays "on"
     assert isinstance(content, dict)
     return content
 

@@ -2,6 +2,7 @@
 
 from . import extensions as extensions
 from .errors import UsageError as UsageError
+from .extras import missing_extra as missing_extra
 from .figures import COLOURS as COLOURS
 from .figures import DIVERGING as DIVERGING
 from .figures import FLAWED as FLAWED

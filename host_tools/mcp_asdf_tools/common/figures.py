@@ -80,14 +80,14 @@ WITHOUT = GREY
 DIVERGING = LinearSegmentedColormap.from_list("below to above", [COLOURS[1], "#ffffff", COLOURS[0]])
 """Of differences: orange below 0, blue above."""
 
-_OFTEN_TO_SELDOM = LinearSegmentedColormap.from_list("filtering", ["#00402f", COLOURS[2], "#c4e8d3"])
+_OFTEN_TO_SELDOM = LinearSegmentedColormap.from_list("filtering", ["#001f33", COLOURS[2], "#e3f2a8"])
 _FEW_TO_ALL = LinearSegmentedColormap.from_list("flawed", ["#f5c9a6", FLAWED, "#5a2200"])
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
 
 
 def period_colour(period: float) -> str:
     """Of swarms with a filter: the same in every figure for one filtering period."""
-    return to_hex(_OFTEN_TO_SELDOM(0.5 + 0.5 * math.tanh(0.5 * math.log2(period / 1400))))
+    return to_hex(_OFTEN_TO_SELDOM(0.5 + 0.5 * math.tanh(0.4 * math.log2(period / 1400))))
 
 
 def are_distinct(colours: Sequence[str]) -> bool:
@@ -96,7 +96,7 @@ def are_distinct(colours: Sequence[str]) -> bool:
     return all(math.dist(to_rgb(one), to_rgb(other)) >= _LEAST_DISTANCE for one, other in pairs)
 
 
-_LEAST_DISTANCE = 0.15
+_LEAST_DISTANCE = 0.12
 """Of colours whose red, green and blue go to 1."""
 
 

@@ -119,7 +119,7 @@ def curve(
     figure.supylabel(_MEASURE_LABELS[y], fontsize=MEDIUM)
     add_caption(figure, _label(x), caption_of(experiments, MARKS, limits=limits))
     if hue:
-        labels = [f"{_label(hue)} = {_word(hue, chosen)}" for chosen in hues]
+        labels = [f"{_label(hue).removesuffix(', steps')} = {_word(hue, chosen)}" for chosen in hues]
         lines = zip(colours, labels, strict=True)
         add_legend(figure, [Line2D([], [], color=colour, marker="o", label=label) for colour, label in lines])
     return figure

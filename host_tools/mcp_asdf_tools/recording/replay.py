@@ -332,19 +332,23 @@ class Player:
         """Send all frames of ``log``, or until asked to stop."""
         began, first = time.monotonic(), None
         for frame in log:
-            if frame.is_error_frame or (
-                frame.is_extended_id and frame.arbitration_id & 0x7F in self.left_out
-            ):
+            if self._is_left_out(frame):
                 self.playback.skipped += 1
-                continue
-            first = frame.timestamp if first is None else first
-            if not self._wait(began + (frame.timestamp - first) / self.speed if self.speed else began):
-                self.playback.is_stopped = True
+                self.playback.is_stopped = self.should_stop()
+            else:
+                first = frame.timestamp if first is None else first
+                due = began + (frame.timestamp - first) / self.speed if self.speed else began
+                self.playback.is_stopped = not self._wait(due)
+                if not self.playback.is_stopped:
+                    self._send(frame)
+                    self.progress()
+            if self.playback.is_stopped:
                 break
-            self._send(frame)
-            self.progress()
         self.playback.seconds = time.monotonic() - began
         self._come_to_rest()
+
+    def _is_left_out(self, frame: can.Message) -> bool:
+        return frame.is_error_frame or (frame.is_extended_id and frame.arbitration_id & 0x7F in self.left_out)
 
     def _wait(self, due: float) -> bool:
         """Wait until ``due``; returns whether to go on."""

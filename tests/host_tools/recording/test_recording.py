@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import resource
 import shlex
 import signal
@@ -29,7 +30,7 @@ from mcp_asdf_tools.recording.recording import NoRecording, Recording, recording
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, sidecar_of
 from robots import ALPHA_ONE
-from support import PATIENCE, ROOT
+from support import PATIENCE, ROOT, require, slow
 from wire import record
 
 HEADER = SidecarHeader((record(5),), None, FrameFormat())
@@ -273,6 +274,31 @@ def test_a_missing_log_whose_run_was_cut_off_is_found(
 # A full disk
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".log.gz"])
+def test_a_disk_that_is_really_full_ends_the_log_but_not_the_swarm(suffix: str, tmp_path: Path) -> None:
+    """A small one in memory, which log and events share; what is on it is replayed."""
+    disk, swarm = tmp_path / "disk", "swarm --robots 5 --steps 4000 --quiet --log"
+    disk.mkdir()
+    log = disk / f"run{suffix}"
+    script = (
+        f"mount -t tmpfs -o size=512k none {disk} || exit 77\n"
+        f"{sys.executable} -m mcp_asdf_tools.cli.main {swarm} {log}; echo code $?\n"
+        f"{sys.executable} -m mcp_asdf_tools.cli.main replay {log}.part --json"
+    )
+    unshare = [require("unshare", "util-linux"), "--map-root-user", "--mount", "sh", "-c", script]
+    done = subprocess.run(unshare, cwd=ROOT, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    if done.returncode in (1, 77) and "code" not in done.stdout:
+        pytest.skip(f"no disk can be mounted here: {done.stderr.strip()}")
+    line, code, report = done.stdout.split("\n", 2)
+    assert "4000 steps" in line
+    assert code == "code 2"
+    assert done.stderr.count("is not complete: No space left on device") == 1
+    assert json.loads(report)["incomplete"]
+    assert json.loads(report)["verdict"]["reproduced"] > 100
+    assert json.loads(report)["verdict"]["difference"] is None
+
+
 @contextmanager
 def disk_with_room_for(size: int) -> Iterator[None]:
     """Let no file become larger, which fails like a full disk."""
@@ -303,18 +329,21 @@ def test_a_full_disk_ends_the_log_but_not_the_robot(
 # The whole way
 
 
+@pytest.mark.parametrize(("suffix", "seconds"), [(".log", 0), *slow([(each, 3) for each in FORMATS])])
 def test_a_run_that_is_killed_is_replayed_up_to_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    suffix: str, seconds: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = tmp_path / "run.log"
+    """Killed when the first part of it is on disk, or up to ``seconds`` later."""
+    log = tmp_path / f"run{suffix}"
     command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "swarm", "--robots", "5", "--log", str(log)]
-    part = tmp_path / "run.log.part"
+    part = tmp_path / f"run{suffix}.part"
     faults = ["--fault", "liar=0.1", "--fault", "collide=0.1,id=2,robots=1", "--fault", "crash=0.01"]
     with subprocess.Popen([*command, *faults, "--steps", "1000000", "--quiet"], cwd=ROOT) as running:
         deadline = time.monotonic() + PATIENCE
         while not (part.exists() and part.stat().st_size):
             assert time.monotonic() < deadline
             time.sleep(0.05)
+        time.sleep(random.uniform(0, seconds))
         running.send_signal(signal.SIGKILL)
     assert not log.exists()
     assert main(["replay", str(part), "--json"]) == 0

@@ -297,6 +297,14 @@ def test_playing_stops_when_told(clock: Clock) -> None:
     assert playing.playback.seconds == pytest.approx(1.0, abs=0.2)
 
 
+def test_playing_stops_while_all_frames_are_left_out(clock: Clock) -> None:
+    playing = player(clock, left_out=(3,))
+    playing.should_stop = lambda: playing.playback.skipped == 10
+    playing.play(frames_at(*[0.0] * 1000))
+    assert playing.playback.is_stopped
+    assert playing.playback.skipped == 10
+
+
 # The command
 
 

@@ -840,6 +840,15 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
         assert meaning[true_line.get_color()] == "true value"
 
 
+def test_the_picture_names_parameters_and_faults() -> None:
+    outcome, _ = record(small(faults=("loss=0.25", "delay=0.5")))
+    title = draw(outcome).axes[0].get_title("left")
+    assert "5 robots, 2 flawed" in title
+    assert "seed" in title
+    assert "loss=0.25" in title
+    assert "delay=0.5" in title
+
+
 @pytest.mark.parametrize(
     ("suffix", "magic"), [("svg", b"<?xml"), *slow([("png", b"\x89PNG"), ("pdf", b"%PDF")])]
 )
