@@ -1,4 +1,4 @@
-"""What would break other systems and compilers needlessly: names of one system used without asking."""
+"""Code that would break other systems and compilers needlessly: names of one system used without asking."""
 
 from __future__ import annotations
 
