@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import tomllib
-from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -22,14 +22,17 @@ def room_of(path: Path) -> str:
     return path.relative_to(TOOLS).parts[0]
 
 
-def imports_of(path: Path) -> Iterator[tuple[str, str]]:
+@cache
+def imports_of(path: Path) -> list[tuple[str, str]]:
     """Module and name of every ``from module import name`` in a file."""
+    found = list[tuple[str, str]]()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((node.module, alias.name) for alias in node.names)
+            found += [(node.module, alias.name) for alias in node.names]
         assert not isinstance(node, ast.Import) or not any(
             alias.name.startswith("mcp_asdf_tools") for alias in node.names
         ), f"{path}: import names from a room's face"
+    return found
 
 
 def test_imports_run_down_through_the_rooms() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from mcp_asdf_tools.cli import main as cli
 from multicast import multicast
@@ -126,6 +128,9 @@ SLOW = {
 }
 """Commands that are for ``make verify``."""
 
+LONG_PAGES = {"socketcan.md", "swarm.md", "targets.md", "threats.md", "view.md"}
+"""Pages with so many commands that they are for ``make verify`` as a whole."""
+
 NEEDED = {
     "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
@@ -173,7 +178,12 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def page_of(page: Path) -> ParameterSet:
+    """A page as a parameter; those whose commands take seconds are for ``make verify``."""
+    return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
+
+
+@pytest.mark.parametrize("page", [page_of(page) for page in PAGES])
 def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
     run_commands(page, workplace, left_out=SLOW)
 
@@ -223,10 +233,13 @@ def test_what_is_not_run_is_shown_and_the_tests_named_are_there() -> None:
 
 def test_a_slow_command_has_a_quick_one_beside_it() -> None:
     """So that every subcommand of a page is run by the tests that are always run, or by the test named."""
-    quick = {c.split()[1] for page in PAGES for c in all_commands(page) if c not in SLOW and is_run(page, c)}
+    short = [page for page in PAGES if page.name not in LONG_PAGES]
+    quick = {c.split()[1] for page in short for c in all_commands(page) if c not in SLOW and is_run(page, c)}
     elsewhere = {"reproduce": "tests/host_tools/reproduction/test_study.py"}
     elsewhere |= {"sweep": "tests/host_tools/experiments/test_sweep.py"}
-    assert {command.split()[1] for command in SLOW} - quick <= set(elsewhere)
+    long = {c for page in PAGES if page not in short for c in all_commands(page)}
+    slow = {command.split()[1] for command in {*SLOW, *long} if command.startswith("mcp-asdf ")}
+    assert slow - quick <= set(elsewhere)
     for name, path in elsewhere.items():
         assert f'"{name}"' in (ROOT / path).read_text(encoding="utf-8")
 
@@ -261,6 +274,7 @@ def test_a_swarm_of_processes_runs() -> None:
     run(*HERE_WITH_MULTICAST[0].split(), CAN_CHANNEL="239.74.163.97", CAN_CONFIG='{"port": 43297}')
 
 
+@pytest.mark.slow
 def test_a_node_on_one_machine_passes_the_verification() -> None:
     """In two terminals: the node is started when the other listens. Few ticks and a short memory will do."""
     multicast(98)
@@ -298,6 +312,28 @@ def test_the_documentation_is_built(tmp_path: Path) -> None:
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
     run(require(Path(words[0]).name), *words[1:], "--site-dir", tmp_path)
     assert (tmp_path / "index.html").exists()
+    check_generated_pages(tmp_path)
+
+
+def check_generated_pages(site: Path) -> None:
+    """All commands and rooms are there, docstrings are rendered, and formulas are MathML."""
+    commands, api, method = (text_of(site / page / "index.html") for page in ("cli", "api", "method"))
+    for name in cli.COMMANDS:
+        assert f"mcp-asdf {name}" in commands
+    for face in (ROOT / "host_tools/mcp_asdf_tools").glob("*/__init__.pyi"):
+        assert f"mcp_asdf_tools.{face.parent.name}" in (site / "api/index.html").read_text(encoding="utf-8")
+    assert not re.search(r":(class|func|meth|mod):", api)
+    assert not re.search(r"\w\*\*\w", api)
+    assert "$" not in method
+    assert (site / "method/index.html").read_text(encoding="utf-8").count("<math") > 10
+    assert '<iframe src="run.html"' in (site / "index.html").read_text(encoding="utf-8")
+    assert (site / "run.html").stat().st_size > 100_000
+    assert "mcp_asdf_settle(mcp_asdf_t *robot)" in text_of(site / "headers/index.html")
+
+
+def text_of(page: Path) -> str:
+    """What a reader sees."""
+    return html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8")))
 
 
 def anchors(page: Path) -> set[str]:
@@ -312,6 +348,15 @@ def test_links_lead_somewhere(page: Path) -> None:
         target = page.parent / name if name else page
         assert target.exists(), f"{page.name} links to {name}"
         assert not anchor or anchor in anchors(target), f"{page.name} links to {name}#{anchor}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pictures_are_described(page: Path) -> None:
+    """For readers who do not see them: more than the name of a file."""
+    text = page.read_text(encoding="utf-8")
+    described = re.findall(r"!\[([^\]]*)\]\([^)]*\)", text)
+    described += [(re.findall(r'alt="([^"]*)"', tag) or [""])[0] for tag in re.findall(r"<img\b[^>]*>", text)]
+    assert all(len(words.split()) >= 5 for words in described)
 
 
 def test_the_readme_names_what_its_first_commands_need() -> None:

@@ -5,13 +5,15 @@
  */
 #include "mcp_asdf.h"
 
+#include <stddef.h>
+
 #include "mcp_asdf_arithmetic.h"
 
 #define ONE_HALF (UINT32_C(1) << 31) /* as Q32 */
 #define INFORMATIVE                                                                                          \
     (UINT32_C(1) << 20) /* |2 p - 1| = 2^-12 as Q32: closer to 1/2, a probability says nothing */
 #define MANTISSA_MAX UINT32_C(0xFFFFFF)
-#define SHIFT_MAX 31
+#define SHIFT_MAX 31U
 #define TABLE_MAGIC UINT32_C(0x4D435400)     /* its last byte is q */
 #define TABLE_OMEGA_MAX UINT32_C(3865470566) /* 0.9 as Q32 */
 #define K_ONE (UINT32_C(1) << 26)            /* k_m is Q26 in 32 bits: below 64 */
@@ -37,7 +39,7 @@ HOT uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
     const uint64_t middle = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30: the sum from bit 32 up */
     const uint32_t low = low_word(alpha_x_low);
     uint64_t whole = middle << 9 | low >> 23; /* in units of alpha: <= alpha < 2^62 */
-    if (high_word(alpha) == 0) {              /* then alpha_x_low is all, and the fraction is left */
+    if (high_word(alpha) == 0U) {             /* then alpha_x_low is all, and the fraction is left */
         whole = join(low_word(whole), low << 9);
         alpha = join(low_word(alpha), 0);
     }
@@ -50,7 +52,7 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
 {
     const word_pair_t own = units(own_alpha);
     const uint64_t alpha = closed->alpha + join(own.high, own.low); /* of 128 robots: < 2^62 */
-    if (alpha == 0) {
+    if (alpha == 0U) {
         return x_hat;
     }
     const uint64_t alpha_x_low = closed->alpha_x_low + multiply(own.low, x_hat);
@@ -58,7 +60,7 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     const uint32_t x = mean(alpha, alpha_x_low, alpha_x_high) >> 9;
     const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);                    /* modulo 2^64 */
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0); /* the same */
-    return x + (sum - product >= alpha);
+    return x + (uint32_t)(sum - product >= alpha);
 }
 
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
@@ -85,15 +87,15 @@ static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
-    const uint32_t c = b_hat < ONE_HALF ? b_hat : 0 - b_hat;               /* [2^12, 2^31] */
-    const uint32_t g = 0 - 2 * c;                                          /* 2^32 - 2c: [0, 2^32 - 2^13] */
+    const uint32_t c = b_hat < ONE_HALF ? b_hat : 0U - b_hat;              /* [2^12, 2^31] */
+    const uint32_t g = 0U - 2U * c;                                        /* 2^32 - 2c: [0, 2^32 - 2^13] */
     const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE ? UINT32_MAX : c;
-    accuracy->common = square_of_ratio(shift_left(g, g_shift), 0 - c);
+    accuracy->common = square_of_ratio(shift_left(g, g_shift), 0U - c);
     accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
     accuracy->g_shift = g_shift;
-    accuracy->rare_shift = 2 * c_shift;
+    accuracy->rare_shift = 2U * c_shift;
 }
 
 typedef struct {
@@ -109,7 +111,7 @@ HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
             mantissa = MANTISSA_MAX;
             exponent = SHIFT_MAX;
         } else { /* negative, by at most 22 */
-            mantissa = shift_right(mantissa, (0 - exponent) & 31);
+            mantissa = shift_right(mantissa, (0U - exponent) & 31U);
             exponent = 0;
         }
     }
@@ -134,46 +136,46 @@ HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accura
             return nothing;
         }
         uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
-        exponent = 2 * (17 - g_shift);
-        if (part != 0) {
+        exponent = 2U * (17U - g_shift);
+        if (part != 0U) {
             sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
             exponent += accuracy->rare_shift;
         }
-        if (high_word(sum) == 0) {
+        if (high_word(sum) == 0U) {
             sum = join(low_word(sum), 0);
-            exponent -= 32;
+            exponent -= 32U;
         }
         const uint32_t sum_shift = leading_zeros(high_word(sum));
         mantissa = upper(sum, sum_shift) >> 8;
         exponent -= sum_shift;
     } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) */
-        const uint32_t scale = shift_left(total - 2 * least, g_shift); /* g t: [2^30, 2^32) */
-        const uint32_t above = shift_left(rarer - least, g_shift);     /* <= scale / 2, where x is 1/2 */
+        const uint32_t scale = shift_left(total - 2U * least, g_shift); /* g t: [2^30, 2^32) */
+        const uint32_t above = shift_left(rarer - least, g_shift);      /* <= scale / 2, where x is 1/2 */
         x = divide_24(above, scale >> 1) >> 2;
         const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
         const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
         const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-        exponent = 2 * (16 - g_shift) - shift + spread_shift - square_shift;
+        exponent = 2U * (16U - g_shift) - shift + spread_shift - square_shift;
         mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-        const uint32_t excess = mantissa >> 24 & 1; /* the quotient is in [2^23, 2^25) */
-        mantissa >>= excess;                        /* a shift by at most 1 */
+        const uint32_t excess = mantissa >> 24 & 1U; /* the quotient is in [2^23, 2^25) */
+        mantissa >>= excess;                         /* a shift by at most 1 */
         exponent += excess;
     }
     const bool mirrored =
-        ((n - white) ^ accuracy->b_hat) >> 31 != 0; /* either white is rarer or b_hat < 1/2 */
+        ((n - white) ^ accuracy->b_hat) >> 31 != 0U; /* either white is rarer or b_hat < 1/2 */
     const message_t found = {mirrored ? MCP_ASDF_ONE - x : x, alpha_word(mantissa, exponent)};
     return found;
 }
 
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
-    if ((uint32_t)z > MCP_ASDF_BLACK) {
+    if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {
         return MCP_ASDF_ERR_OBSERVATION;
     }
-    uint32_t t = robot->t + 1, n = robot->n + (uint32_t)z; /* <= 2^31 */
+    uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
     if (t >= robot->config->memory) {
         t >>= 1;
-        n = (n + (n >> 1 & 1)) >> 1; /* to nearest, ties to even */
+        n = (n + (n >> 1 & 1U)) >> 1; /* to nearest, ties to even */
     }
     robot->t = t;
     robot->n = n;
@@ -198,18 +200,18 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 {
     mcp_asdf_open_t *const open = &robot->open;
     /* The own id wraps to the largest number. */
-    const bool is_neighbour = (uint32_t)(sender ^ robot->id) - 1 < MCP_ASDF_MAX_ID;
+    const bool is_neighbour = (uint32_t)(sender ^ robot->id) - 1U < MCP_ASDF_MAX_ID;
     if (!is_neighbour || x_hat > MCP_ASDF_ONE) {
         return count(&robot->counters.rejected, is_neighbour ? MCP_ASDF_ERR_X_HAT : MCP_ASDF_ERR_SENDER);
     }
     uint8_t *const heard = &robot->heard.of[(sender & MCP_ASDF_MAX_ID) >> 3];
-    const uint32_t before = *heard, after = before | UINT32_C(1) << (sender & 7);
+    const uint32_t before = *heard, after = before | UINT32_C(1) << (sender & 7U);
     if (before == after) {
         return count(&robot->counters.repeated, MCP_ASDF_REPEATED);
     }
     ++robot->counters.accepted;
     *heard = (uint8_t)after;
-    if (alpha >> 8 == 0) {
+    if (alpha >> 8 == 0U) {
         return MCP_ASDF_OK;
     }
     const word_pair_t said = units(alpha);
@@ -230,8 +232,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 static bool test_rejects(const mcp_asdf_t *robot)
 {
     const uint32_t *const table = robot->config->table;
-    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFF, m = robot->open.count;
-    const uint32_t k = MCP_ASDF_READ_WORD(&table[m <= q ? m : q + 1]);
+    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU, m = robot->open.count;
+    const uint32_t k = MCP_ASDF_READ_WORD(&table[m <= q ? m : q + 1U]);
     const uint32_t x = robot->open.x, own = m * robot->x_hat; /* < 2^30 */
     const uint32_t difference = x > own ? x - own : own - x;  /* < 2^30 */
     const uint64_t spread =
@@ -251,13 +253,14 @@ static bool reestimate(mcp_asdf_t *robot)
         a = ~a; /* 1 - a, and 2^-32 less */
         n = t - n;
     }
-    const uint32_t g = 2 * a; /* 2a - 1 as Q32 */
+    const uint32_t g = 2U * a; /* 2a - 1 as Q32 */
     if (g < INFORMATIVE) {
         return false;
     }
-    const uint64_t span = multiply(t, g);                              /* t (2a - 1): < 2^63 */
-    const int64_t excess = (int64_t)(join(n, 0) - multiply(t, 0 - a)); /* n - t (1 - a): within 2^63 of 0 */
-    const uint64_t above = excess > 0 ? (uint64_t)excess : 0;
+    const uint64_t span = multiply(t, g);                         /* t (2a - 1): < 2^63 */
+    const uint64_t difference = join(n, 0) - multiply(t, 0U - a); /* n - t (1 - a): within 2^63 of 0 */
+    const int64_t excess = (int64_t)difference;
+    const uint64_t above = excess > 0 ? (uint64_t)excess : 0U;
     uint32_t b_hat = quotient(above < span ? above : span, span);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
     set_b_hat(robot, b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX);
@@ -267,7 +270,7 @@ static bool reestimate(mcp_asdf_t *robot)
 NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
 {
     const uint8_t mode = robot->config->filter;
-    if (mode == MCP_ASDF_OFF || robot->t == 0 || robot->open.count < (mode == MCP_ASDF_ADAPTIVE ? 2 : 1)) {
+    if (mode == MCP_ASDF_OFF || robot->t == 0U || robot->open.count < (mode == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
         return MCP_ASDF_OK;
     }
     if (mode == MCP_ASDF_ADAPTIVE) {
@@ -294,7 +297,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
     robot->closed.alpha = open->alpha;
     robot->closed.alpha_x_low = open->alpha_x_low;
     robot->closed.alpha_x_high = open->alpha_x_high;
-    if (--robot->filter_left == 0) {
+    if (--robot->filter_left == 0U) {
         robot->filter_left = robot->config->filter_period;
         status = filter(robot);
     }
@@ -323,31 +326,31 @@ mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 static bool table_valid(const uint32_t *table)
 {
     const uint32_t head = MCP_ASDF_READ_WORD(&table[0]);
-    const uint8_t end = (uint8_t)(head + 2); /* q + 2, where the hash is */
-    if (head < TABLE_MAGIC + 2 || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {
+    const uint8_t end = (uint8_t)(head + 2U); /* q + 2, where the hash is */
+    if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {
         return false;
     }
     uint32_t hash = HASH_START, previous = 0;
     for (uint8_t i = 0; i < end; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
-        if (word >= previous && i > 2) {
+        if (word >= previous && i > 2U) {
             return false;
         }
         previous = word;
         hash = (hash ^ word) * HASH_FACTOR; /* modulo 2^32 */
     }
     return previous > K_ONE && hash == MCP_ASDF_READ_WORD(&table[end]) &&
-           MCP_ASDF_READ_WORD(&table[1]) - 1 < TABLE_OMEGA_MAX;
+           MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }
 
 static mcp_asdf_status_t check(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
     /* Less 1, a memory of 0 or above 2^31 is negative. */
-    if (config->filter_period == 0 || (int32_t)(config->memory - 1) < (int32_t)MCP_ASDF_MEMORY_MIN - 1 ||
-        config->memory % 4 != 0 || config->filter > MCP_ASDF_OFF) {
+    if (config->filter_period == 0U || (int32_t)(config->memory - 1U) < (int32_t)MCP_ASDF_MEMORY_MIN - 1 ||
+        config->memory % 4U != 0U || config->filter > MCP_ASDF_OFF) {
         return MCP_ASDF_ERR_CONFIG;
     }
-    if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == 0 || !table_valid(config->table))) {
+    if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == NULL || !table_valid(config->table))) {
         return MCP_ASDF_ERR_TABLE;
     }
     if (id > MCP_ASDF_MAX_ID) {

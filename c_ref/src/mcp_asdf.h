@@ -49,7 +49,7 @@ extern "C" {
 #define MCP_ASDF_VERSION_MINOR 2
 #define MCP_ASDF_VERSION_PATCH 0
 
-#define MCP_ASDF_MAX_ID 127
+#define MCP_ASDF_MAX_ID 127U
 #define MCP_ASDF_ONE (UINT32_C(1) << 23)  /* 1.0 as x_hat, x_bar or x */
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)

@@ -162,7 +162,7 @@ ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 /* The same as below, in counts of a byte. Lemmas shift_left_by, shift_right_by. */
 NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
 {
-    for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
+    for (; count >= 8U; count = (uint8_t)(count - 8U)) { /* at most 3 turns */
         value <<= 8;
     }
     return value << count; /* a shift by at most 7 */
@@ -170,7 +170,7 @@ NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
 
 NOINLINE uint32_t shift_right_by(uint32_t value, uint8_t count)
 {
-    for (; count >= 8; count = (uint8_t)(count - 8)) { /* at most 3 turns */
+    for (; count >= 8U; count = (uint8_t)(count - 8U)) { /* at most 3 turns */
         value >>= 8;
     }
     return value >> count; /* a shift by at most 7 */
@@ -195,11 +195,11 @@ ALWAYS_INLINE uint32_t shift_right(uint32_t value, uint32_t count) { return valu
 /* floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma shift_right_64. */
 ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
 {
-    if ((count & 32) != 0) {
+    if ((count & 32U) != 0U) {
         value = high_word(value);
     }
-    count &= 31;
-    const uint32_t high = high_word(value), crossing = shift_left(high << 1, count ^ 31);
+    count &= 31U;
+    const uint32_t high = high_word(value), crossing = shift_left(high << 1, count ^ 31U);
     return join(shift_right(high, count), shift_right(low_word(value), count) | crossing);
 }
 
@@ -211,11 +211,11 @@ typedef struct {
 /* value 2^count, count in [0, 31]; of other counts the lower 5 bits. Lemma shift_left_wide. */
 ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 {
-    const uint32_t masked = count & 31;
+    const uint32_t masked = count & 31U;
 #ifdef __riscv /* whose shifts take the lower 5 bits of any count */
-    const uint32_t complement = ~count & 31;
+    const uint32_t complement = ~count & 31U;
 #else
-    const uint32_t complement = masked ^ 31;
+    const uint32_t complement = masked ^ 31U;
 #endif
     const word_pair_t shifted = {shift_right(value >> 1, complement), shift_left(value, masked)};
     return shifted;
@@ -224,32 +224,33 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 /* Upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
-    return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31);
+    return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31U);
 }
 
 /* Leading zeros of value > 0: [0, 31]; 31 for value = 0. Lemma leading_zeros. */
 #if MCP_ASDF_HAS_CLZ
-ALWAYS_INLINE uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value | 1); }
+ALWAYS_INLINE uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value | 1U); }
 #elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
 /* From the exponent of a binary32, without an instruction that AVX2 lacks. Where bit 31 is not set, clearing
  * each bit that follows another one keeps the number from being rounded up to the next power of two. */
 ALWAYS_INLINE uint32_t leading_zeros(uint32_t value)
 {
+    const uint32_t sparse = (value | 1U) & ~(value >> 1);
     const union {
         float number;
         int32_t bits;
-    } as = {(float)(int32_t)((value | 1) & ~(value >> 1))};
+    } as = {(float)(int32_t)sparse};
     const int32_t zeros = 158 - (as.bits >> 23 & 0x1FF); /* negative numbers, with bit 31 set: below 0 */
-    return (uint32_t)(zeros > 0 ? zeros : 0) & 31;       /* which is there for analysers only */
+    return (uint32_t)(zeros > 0 ? zeros : 0) & 31U;      /* which is there for analysers only */
 }
 #elif MCP_ASDF_SHIFT_BYTES
 WARM uint32_t leading_zeros(uint32_t value)
 {
     uint8_t zeros = 0;
-    for (value |= 1; (uint8_t)(value >> 24) == 0; value <<= 8) { /* at most 3 turns */
-        zeros = (uint8_t)(zeros + 8);
+    for (value |= 1U; (uint8_t)(value >> 24) == 0U; value <<= 8) { /* at most 3 turns */
+        zeros = (uint8_t)(zeros + 8U);
     }
-    for (uint8_t top = (uint8_t)(value >> 24); top < 0x80; top = (uint8_t)(top << 1)) { /* at most 7 turns */
+    for (uint8_t top = (uint8_t)(value >> 24); top < 0x80U; top = (uint8_t)(top << 1)) { /* at most 7 turns */
         ++zeros;
     }
     return zeros;
@@ -264,21 +265,21 @@ HOT
     leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
-    if (value >> 16 == 0) {
+    if (value >> 16 == 0U) {
         value <<= 16;
         zeros = 16;
     }
-    if (value >> 24 == 0) {
+    if (value >> 24 == 0U) {
         value <<= 8;
-        zeros += 8;
+        zeros += 8U;
     }
-    if (value >> 28 == 0) {
+    if (value >> 28 == 0U) {
         value <<= 4;
-        zeros += 4;
+        zeros += 4U;
     }
-    if (value >> 30 == 0) {
+    if (value >> 30 == 0U) {
         value <<= 2;
-        zeros += 2;
+        zeros += 2U;
     }
     return zeros + (~value >> 31);
 }
@@ -289,21 +290,21 @@ HOT
 #if MCP_ASDF_SPLIT_MULTIPLY
 WARM uint64_t multiply(uint32_t a, uint32_t b)
 {
-    const uint32_t a0 = a & 0xFFFF, a1 = a >> 16, b0 = b & 0xFFFF, b1 = b >> 16;
-    const uint32_t low = a0 * b0;                         /* (2^16 - 1)^2 < 2^32, as are the others */
-    const uint32_t middle = a1 * b0 + (low >> 16);        /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
-    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFF); /* the same */
+    const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
+    const uint32_t low = a0 * b0;                          /* (2^16 - 1)^2 < 2^32, as are the others */
+    const uint32_t middle = a1 * b0 + (low >> 16);         /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
+    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFFU); /* the same */
     const uint32_t high = a1 * b1 + (middle >> 16) + (middle2 >> 16); /* upper word of a product < 2^64 */
-    return join(high, middle2 << 16 | (low & 0xFFFF));
+    return join(high, middle2 << 16 | (low & 0xFFFFU));
 }
 
 WARM uint32_t multiply_high(uint32_t a, uint32_t b)
 {
     const uint32_t a1 = a >> 16, b1 = b >> 16;
-    a &= 0xFFFF; /* in place: gcc then finds registers for all */
-    b &= 0xFFFF;
+    a &= 0xFFFFU; /* in place: gcc then finds registers for all */
+    b &= 0xFFFFU;
     const uint32_t middle = a1 * b + (a * b >> 16);
-    const uint32_t middle2 = a * b1 + (middle & 0xFFFF);
+    const uint32_t middle2 = a * b1 + (middle & 0xFFFFU);
     return a1 * b1 + (middle >> 16) + (middle2 >> 16);
 }
 #else
@@ -336,12 +337,12 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
  * prepare(d) what all digits share. The rest is below 2 d before and after. Lemmas prepare, estimate_digit,
  * take_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
-ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1; } /* > d / 2^15 */
+ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; } /* > d / 2^15 */
 
 /* rest 2^bits / d, as (rest / 2^(15 - bits)) / (d / 2^15). */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
-    return (rest >> (15 - bits)) / prepared;
+    return (rest >> (15U - bits)) / prepared;
 }
 #elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
@@ -356,24 +357,25 @@ static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
  * r) from below, as y = d / 2^31 is rounded up. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
-    const uint32_t step = (d >> 24) - 64; /* above 64 only where memory is damaged */
-    const uint32_t r = 255 + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64 ? step : 64]); /* Q8 */
-    const uint32_t y_r = ((d >> 8) + 1) * r; /* r is in [256, 508], so this is 1 +- 2^-6 as Q31 */
-    return (r * ((0 - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
+    const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
+    const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64U ? step : 64U]); /* Q8 */
+    const uint32_t y_r = ((d >> 8) + 1U) * r; /* r is in [256, 508], so this is 1 +- 2^-6 as Q31 */
+    return (r * ((0U - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
 #else
 /* 2^46 / d, at most 0.252 2^-13 of it too small, never too large: all d were tried. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
-    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)(y + 2));
+    const uint32_t above = y + 2U;
+    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)above);
 }
 #endif
 
 /* rest 2^bits / d, as (rest / 2^15) (2^46 / d) / 2^(31 - bits); the product is < 2^32 for rest < 2 d. */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
-    return ((rest >> 15) * prepared) >> (31 - bits);
+    return ((rest >> 15) * prepared) >> (31U - bits);
 }
 #endif
 
@@ -383,14 +385,14 @@ ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t
 NOINLINE uint32_t divide_by_bits(uint32_t a, uint32_t d, uint8_t bits)
 {
     uint32_t quotient = 0;
-    uint8_t turns = (uint8_t)((bits & 7) + 1);
-    for (uint8_t bytes = (uint8_t)(bits / 8 + 1); bytes != 0; --bytes) { /* at most 4 */
+    uint8_t turns = (uint8_t)((bits & 7U) + 1U);
+    for (uint8_t bytes = (uint8_t)(bits / 8U + 1U); bytes != 0U; --bytes) { /* at most 4 */
         uint8_t byte = 0;
-        for (; turns != 0; --turns) { /* at most 8 */
+        for (; turns != 0U; --turns) { /* at most 8 */
             byte = (uint8_t)(byte << 1);
             if (a >= d) {
                 a -= d;
-                byte |= 1;
+                byte |= 1U;
             }
             a <<= 1; /* < 2 d */
         }
@@ -414,13 +416,13 @@ ALWAYS_INLINE uint32_t take_digit(uint32_t *rest, uint32_t d, uint32_t prepared,
  * divide_24. */
 SHARED uint32_t divide_24(uint32_t a, uint32_t d)
 {
-    if (MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0) {
+    if (MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U) {
         a <<= 1;
         d <<= 1;
     }
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12);
-    return (first << 12) + second + (a >= d);
+    return (first << 12) + second + (uint32_t)(a >= d);
 }
 
 /* floor(2^31 a / d) for a < 2 d and 2^30 <= d <= 2^31: below 2^32. Lemma divide_31. */
@@ -428,7 +430,7 @@ ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 {
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12), third = take_digit(&a, d, prepared, 7);
-    return (first << 19) + (second << 7) + third + (a >= d);
+    return (first << 19) + (second << 7) + third + (uint32_t)(a >= d);
 }
 #endif
 
@@ -437,12 +439,12 @@ ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
  * 2^-31 + 2^-30 a / d less than a / d, and never more. Lemma ratio. */
 ALWAYS_INLINE uint64_t ratio(uint64_t a, uint64_t d)
 {
-    if (high_word(d) == 0) {
+    if (high_word(d) == 0U) {
         a = join(low_word(a), 0);
         d = join(low_word(d), 0);
     }
     const uint32_t shift = leading_zeros(high_word(d));
-    return join(upper(a, shift), (upper(d, shift) >> 1) + 1);
+    return join(upper(a, shift), (upper(d, shift) >> 1) + 1U);
 }
 
 /* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. Lemma quotient. */

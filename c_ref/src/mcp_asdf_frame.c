@@ -68,30 +68,30 @@ static void seal(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, ui
 /* Why a frame with a flag or of another identifier is none of ours. */
 static status_t what_is_special(const mcp_asdf_frame_t *frame)
 {
-    if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0) {
+    if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0U) {
         return MCP_ASDF_FRAME_ERR_ERROR_FRAME;
     }
-    if ((frame->flags & MCP_ASDF_FRAME_REMOTE) != 0) {
+    if ((frame->flags & MCP_ASDF_FRAME_REMOTE) != 0U) {
         return MCP_ASDF_FRAME_ERR_REMOTE_FRAME;
     }
-    if ((frame->flags & MCP_ASDF_FRAME_FD) != 0) {
+    if ((frame->flags & MCP_ASDF_FRAME_FD) != 0U) {
         return MCP_ASDF_FRAME_ERR_FD_FRAME;
     }
-    if ((frame->flags & MCP_ASDF_FRAME_STANDARD) != 0) {
+    if ((frame->flags & MCP_ASDF_FRAME_STANDARD) != 0U) {
         return MCP_ASDF_FRAME_ERR_STANDARD_ID;
     }
-    if ((frame->id & SERVICE) != 0) {
+    if ((frame->id & SERVICE) != 0U) {
         return MCP_ASDF_FRAME_ERR_SERVICE;
     }
-    if ((frame->id & ANONYMOUS) != 0) {
+    if ((frame->id & ANONYMOUS) != 0U) {
         return MCP_ASDF_FRAME_ERR_ANONYMOUS;
     }
-    return (frame->id & RESERVED) != 0 ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
+    return (frame->id & RESERVED) != 0U ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
 }
 
 static status_t open_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
 {
-    if ((frame->flags & ANY_FLAG) != 0 ||
+    if ((frame->flags & ANY_FLAG) != 0U ||
         (frame->id & (MCP_ASDF_FRAME_MASK | NOT_IN_IDENTIFIER)) != MCP_ASDF_FRAME_FILTER(subject)) {
         return what_is_special(frame);
     }
@@ -115,7 +115,7 @@ static uint8_t transfer_id_of(const mcp_asdf_frame_t *frame)
 static uint32_t binary32_of(uint32_t alpha)
 {
     uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT + (alpha & ALPHA_SHIFT_MAX);
-    if (mantissa == 0) {
+    if (mantissa == 0U) {
         return 0;
     }
     while (mantissa < BINARY32_IMPLICIT) { /* at most 23 turns, so the exponent stays above 102 */
@@ -133,7 +133,7 @@ static uint32_t word_of(uint32_t binary32)
     const uint32_t mantissa = (binary32 & BINARY32_FRACTION) | BINARY32_IMPLICIT;
     if (exponent < BINARY32_UNIT) { /* subnormal numbers lose everything, too */
         const uint32_t lost = BINARY32_UNIT - exponent;
-        return lost < 24 ? mantissa >> lost << 8 : 0;
+        return lost < 24U ? mantissa >> lost << 8 : 0U;
     }
     const uint32_t shift = exponent - BINARY32_UNIT;
     return shift <= ALPHA_SHIFT_MAX ? mantissa << 8 | shift : ALPHA_MAX;

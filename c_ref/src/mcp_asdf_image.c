@@ -3,6 +3,8 @@
  */
 #include "mcp_asdf_image.h"
 
+#include <stddef.h>
+
 #define IMAGE_MAGIC (UINT32_C(0x4D435300) | MCP_ASDF_IMAGE_VERSION)
 #define HASH_START UINT32_C(0x811C9DC5)
 #define HASH_FACTOR UINT32_C(0x01000193)
@@ -19,9 +21,9 @@ static bool form_anew(const mcp_asdf_t *robot, const mcp_asdf_config_t *unfilter
         mcp_asdf_init(fresh, unfiltered, robot->id, robot->accuracy.b_hat) != MCP_ASDF_OK) {
         return false;
     }
-    if (robot->t != 0) {
-        const mcp_asdf_observation_t last = robot->n != 0 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
-        fresh->t = robot->t - 1;
+    if (robot->t != 0U) {
+        const mcp_asdf_observation_t last = robot->n != 0U ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
+        fresh->t = robot->t - 1U;
         fresh->n = robot->n - (uint32_t)last;
         (void)mcp_asdf_observe(fresh, last);
     }
@@ -31,7 +33,7 @@ static bool form_anew(const mcp_asdf_t *robot, const mcp_asdf_config_t *unfilter
 /* A word that a robot forms: bits 7..5 zero, and the smallest shift. */
 static bool is_canonical(uint32_t alpha)
 {
-    return (alpha & 0xE0) == 0 && (alpha >> 31 != 0 || (alpha & 0x1F) == 0);
+    return (alpha & 0xE0U) == 0U && (alpha >> 31 != 0U || (alpha & 0x1FU) == 0U);
 }
 
 /* I4 and I5, with room for another robot: the caller's, since a stack may have room for few. */
@@ -44,9 +46,9 @@ static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
            held->c == fresh->accuracy.c && held->common == fresh->accuracy.common &&
            held->rare == fresh->accuracy.rare && held->g_shift == fresh->accuracy.g_shift &&
            held->rare_shift == fresh->accuracy.rare_shift &&
-           ((robot->updated == 1 && robot->t != 0 && robot->x_hat <= MCP_ASDF_ONE &&
+           ((robot->updated == 1U && robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE &&
              is_canonical(robot->alpha)) ||
-            (robot->updated == 0 && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
+            (robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
 }
 
 /* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0. */
@@ -88,7 +90,7 @@ static bool state_possible(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
     const mcp_asdf_config_t *const config = robot->config;
     return estimate_current(robot, fresh) && /* checks the id, too */
            mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
-           open_possible(&robot->open) && senders_possible(robot) && robot->filter_left != 0 &&
+           open_possible(&robot->open) && senders_possible(robot) && robot->filter_left != 0U &&
            robot->filter_left <= config->filter_period;
 }
 
@@ -111,9 +113,9 @@ typedef struct {
 /* Pass a word through the image: writing returns value itself, reading the image's next word. */
 static uint32_t pass(image_t *image, uint32_t value)
 {
-    uint32_t passed = image->target == 0 ? 0 : value;
-    for (uint8_t shift = 0; shift < 32; shift = (uint8_t)(shift + 8)) { /* at most 4 turns */
-        if (image->target == 0) {
+    uint32_t passed = image->target == NULL ? 0U : value;
+    for (uint8_t shift = 0; shift < 32U; shift = (uint8_t)(shift + 8U)) { /* at most 4 turns */
+        if (image->target == NULL) {
             passed |= (uint32_t)*image->source++ << shift;
         } else {
             *image->target++ = (uint8_t)(value >> shift);
@@ -140,11 +142,11 @@ static void pass_pair(image_t *image, uint16_t *first, uint16_t *second)
 static void pass_bytes(image_t *image, uint8_t *bytes)
 {
     uint32_t word = 0;
-    for (uint8_t i = 0; i < 4; ++i) { /* at most 4 turns */
+    for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
         word |= (uint32_t)bytes[i] << 8 * i;
     }
     word = pass(image, word);
-    for (uint8_t i = 0; i < 4; ++i) { /* at most 4 turns */
+    for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
         bytes[i] = (uint8_t)(word >> 8 * i);
     }
 }
@@ -160,7 +162,7 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot)
     pass_double(image, &robot->open.x_squared);
     robot->open.x = pass(image, robot->open.x);
     robot->open.count = pass(image, robot->open.count);
-    for (uint8_t i = 0; i < 16; i = (uint8_t)(i + 4)) { /* at most 4 turns */
+    for (uint8_t i = 0; i < 16U; i = (uint8_t)(i + 4U)) { /* at most 4 turns */
         pass_bytes(image, &robot->heard.of[i]);
     }
 }
@@ -186,7 +188,7 @@ static void pass_state(image_t *image, mcp_asdf_t *robot)
 
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t out = {0, image, HASH_START};
+    image_t out = {NULL, image, HASH_START};
     mcp_asdf_t copy = *robot;
     (void)pass(&out, IMAGE_MAGIC);
     pass_state(&out, &copy);
@@ -196,7 +198,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t in = {image, 0, HASH_START};
+    image_t in = {image, NULL, HASH_START};
     mcp_asdf_t read = {0}, fresh;
     const bool magic = pass(&in, 0) == IMAGE_MAGIC;
     pass_state(&in, &read);

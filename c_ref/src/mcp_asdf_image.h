@@ -9,7 +9,7 @@
 extern "C" {
 #endif
 
-#define MCP_ASDF_IMAGE_VERSION 2
+#define MCP_ASDF_IMAGE_VERSION 2U
 #define MCP_ASDF_IMAGE_SIZE 124 /* bytes */
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.

@@ -5,7 +5,7 @@ measured against. Names and cases are the paper's, with w_hat = b_hat; equation 
 numbered rows in order, so the hypothesis test is eq. 12. Sums are correctly rounded (``math.fsum``,
 ``statistics``): no result depends on the order of the messages.
 
-Where the equations divide by zero a :class:`Conventions` decides. Arguments outside the ranges
+Where the equations divide by zero a `Conventions` decides. Arguments outside the ranges
 that a function names, NaN among them, raise ValueError.
 """
 
@@ -232,7 +232,7 @@ def _weighted_mean(messages: Sequence[Message], undefined: float) -> float:
 
 
 class ReferenceRobot:
-    """A robot in float64; see :class:`mcp_asdf.robot.Robot`.
+    """A robot in float64; see `mcp_asdf.robot.Robot`.
 
     ``settle`` is O(m), as the messages of a round are kept to be summed exactly; m <= 127. The t-scores
     are computed for the table's omega, or for ``omega`` in (0, 0.9] if it is given; the table's entries

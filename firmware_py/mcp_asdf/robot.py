@@ -1,8 +1,8 @@
 """The interface of a robot's firmware, whichever arithmetic runs inside.
 
-Three firmwares implement :class:`Robot`: the paper's equations in float64 (``reference``), plain
+Three firmwares implement `Robot`: the paper's equations in float64 (``reference``), plain
 integers (``mirror``) and the C itself (``native``). A tool written against this module runs on any
-of them. The two fixed-point ones also implement :class:`FixedPointRobot`, whose ``*_raw`` members
+of them. The two fixed-point ones also implement `FixedPointRobot`, whose ``*_raw`` members
 are the firmware's own integers; the step's exact meaning is in ``docs/design.md``.
 """
 
@@ -139,8 +139,8 @@ class Sums:
 class Robot(Protocol):
     """One robot's MCP-ASDF firmware. Estimates and confidences are floats here.
 
-    Constructors take ``(config, robot_id, b_hat)``: a :class:`Config`, an id in 0..127 and the
-    initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise :class:`FirmwareError`.
+    Constructors take ``(config, robot_id, b_hat)``: a `Config`, an id in 0..127 and the
+    initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise `FirmwareError`.
 
     An ``int`` may be any integer, NumPy's included, and a ``float`` any real number; another type raises
     TypeError and changes nothing.

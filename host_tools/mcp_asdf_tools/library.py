@@ -118,21 +118,27 @@ class PlotChoice:
 
 def plot_trials(experiments: Sequence[Trials], choice: PlotChoice, limits: LimitsOf = paper_limits) -> Figure:
     """``plot`` of trials that are read already, with scores for any ``limits``."""
-    from mcp_asdf_tools.experiments import arena_plots, curves, plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import (  # noqa: PLC0415 (matplotlib loads slowly)
+        arena_plots,
+        curves,
+        plots,
+        scatter_plots,
+        time_plots,
+    )
 
     kind = choice.kind
     if kind not in PLOTS:
         raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
     if kind in ("boxes", "strips", "scatter"):
-        draw = {"boxes": plots.boxes, "strips": plots.strips, "scatter": plots.scatter}[kind]
+        draw = {"boxes": plots.boxes, "strips": plots.strips, "scatter": scatter_plots.scatter}[kind]
         return draw(experiments, limits)
     if kind == "bands":
-        return plots.bands(experiments)
+        return time_plots.bands(experiments)
     if kind == "curve":
         return curves.curve(experiments, choice.x, choice.hue, choice.y, limits)
     if len(experiments) != 1:
         raise UsageError(f"there are {len(experiments)} experiments; {kind} shows one: choose it")
     if kind == "series":
-        return plots.series(experiments[0], choice.trial)
+        return time_plots.series(experiments[0], choice.trial)
     in_arena = arena_plots.network if kind == "network" else arena_plots.trajectories
     return in_arena(experiments[0].experiment, choice.trial, choice.step)

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from support import ROOT, require
@@ -23,7 +24,7 @@ from support import ROOT, require
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
 from unicorn import UC_HOOK_CODE
 
-from benchmarks.cost import figures, measurement, report, runs, turns
+from benchmarks.cost import figures, measurement, picture, report, runs, turns
 from benchmarks.cost.budgets import (
     AVR,
     AVR_CYCLES_BEFORE,
@@ -548,6 +549,28 @@ def test_the_picture_is_drawn_from_what_was_kept(tmp_path: Path) -> None:
     done = command("--draw", "cost.png", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "cost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_cycles_and_instructions_have_axes_of_their_own() -> None:
+    kept = figures.kept()
+    panels = picture.draw(kept).axes
+    assert [axes.get_ylabel() for axes in panels[::2]] == ["cycles of a call", "instructions of a call"]
+    for axes, names in zip(
+        panels[::2], (["ATmega328P"], ["Cortex-M0+", "RV32IMC", "Cortex-M3", "Cortex-M4"]), strict=True
+    ):
+        most = [
+            [most for _, _, most in kept["targets"][name]["-O2"]["firmware"]["series"]["step"]]
+            for name in names
+        ]
+        assert [np.asarray(line.get_ydata()).tolist() for line in axes.lines] == most
+    with pytest.raises(ValueError, match="was measured in words"):
+        picture.draw(_in_other_units(kept))
+
+
+def _in_other_units(kept: measurement.Figures) -> measurement.Figures:
+    changed: measurement.Figures = copy.deepcopy(kept)
+    changed["targets"]["Cortex-M3"]["-O2"]["firmware"]["series"]["unit"] = "words"
+    return changed
 
 
 def test_bad_usage_is_told(tmp_path: Path) -> None:

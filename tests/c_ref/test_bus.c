@@ -3,6 +3,8 @@
 
 #include "check.h"
 
+#include <linux/can.h>
+#include <linux/can/error.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -20,6 +22,14 @@ static void check_that_a_call_takes_one_packet(void)
     for (uint32_t taken = 1; taken <= 5; ++taken) {
         CHECK(bus_receive(&bus, &frame) == BUS_OTHER);
         CHECK(bus.counts.received == taken && bus.counts.odd_packets == taken);
+    }
+    const struct can_frame error = {.can_id = CAN_ERR_FLAG | CAN_ERR_BUSOFF, .can_dlc = CAN_ERR_DLC};
+    for (int i = 0; i < 3; ++i) {
+        CHECK(send(ends[1], &error, sizeof error, 0) == (ssize_t)sizeof error);
+    }
+    for (uint32_t taken = 1; taken <= 3; ++taken) {
+        CHECK(bus_receive(&bus, &frame) == BUS_OTHER);
+        CHECK(bus.counts.received == 5 + taken && bus.counts.error_frames == taken);
     }
     CHECK(bus_receive(&bus, &frame) == BUS_NOTHING);
     (void)close(ends[1]);

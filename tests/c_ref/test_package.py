@@ -10,6 +10,7 @@ import re
 import shutil
 import site
 import sys
+import tomllib
 import zipfile
 from importlib import metadata
 from pathlib import Path
@@ -35,6 +36,9 @@ FetchContent_Declare(mcp_asdf SOURCE_DIR "{}")
 FetchContent_MakeAvailable(mcp_asdf)
 """
 FIND = "find_package(mcp_asdf {} REQUIRED)"
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+TESTED_WHEELS = SETTINGS["tool"]["cibuildwheel"]["test-command"]
+"""Commands with which cibuildwheel tests what it makes."""
 
 
 @pytest.fixture
@@ -355,6 +359,48 @@ def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
     core = {f"mcp_asdf/core/{path.name}" for path in (ROOT / "c_ref/src").glob("*.[ch]")}
     assert core == {name for name in names if name.endswith((".c", ".h"))}
     assert f"mcp_asdf-{version_of_header()}-" in wheel.name
+
+
+def test_the_description_on_an_index_of_packages_has_no_link_into_the_repository(wheel: Path) -> None:
+    """It is the README, with links and pictures of the web alone."""
+    (name,) = (each for each in zipfile.ZipFile(wheel).namelist() if each.endswith(".dist-info/METADATA"))
+    head, _, shown = zipfile.ZipFile(wheel).read(name).decode().partition("\n\n")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert re.search(r"\]\((?!https?:)", readme), "nothing to replace"
+    assert re.findall(r"\]\((?!https?:)[^)]*\)", shown) == []
+    assert re.findall(r"\]\((https?:[^)]*)\)", shown) == re.findall(r"\]\((https?:[^)]*)\)", readme)
+    assert shown.split("\n\n")[1] == readme.split("\n\n")[1]
+    assert shown.count("```") == readme.count("```")
+    assert "Project-URL: Paper, https://arxiv.org/abs/" in head
+    assert "Author: The mcp-asdf authors" in head
+
+
+@pytest.mark.slow
+def test_the_wheel_is_installed_by_pip_and_used(wheel: Path, tmp_path: Path) -> None:
+    """In a fresh environment, which borrows only the libraries from that of the tests."""
+    run(sys.executable, "-m", "venv", tmp_path / "venv")
+    python = tmp_path / "venv/bin/python"
+    where = Path(run(python, "-c", "import site; print(*site.getsitepackages())").strip())
+    (where / "borrowed.pth").write_text("\n".join(site.getsitepackages()))
+    run(python, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
+    program = tmp_path / "venv/bin/mcp-asdf"
+    assert run(program, "--version") == f"mcp-asdf {version_of_header()}\n"
+    for command in TESTED_WHEELS:
+        run(program, *command.replace("{project}", str(ROOT)).split()[1:], cwd=tmp_path)
+    code = "import mcp_asdf, mcp_asdf_tools; print(mcp_asdf.__file__, mcp_asdf_tools.__file__)"
+    assert all(Path(each).is_relative_to(where) for each in run(python, "-c", code).split())
+
+
+def test_wheels_are_made_for_all_that_is_claimed() -> None:
+    """cibuildwheel reads its part of pyproject.toml; the classifiers name the same versions."""
+    lines = run(require("cibuildwheel"), "--print-build-identifiers", "--platform", "linux").split()
+    pythons = [f"cp3{minor}" for minor in (11, 12, 13, 14)]
+    systems = [
+        f"{libc}_{machine}" for libc in ("manylinux", "musllinux") for machine in ("x86_64", "aarch64")
+    ]
+    assert set(lines) == {f"{python}-{system}" for python in pythons for system in systems}
+    versions = re.findall(r"Python :: 3\.(\d+)", "\n".join(SETTINGS["project"]["classifiers"]))
+    assert [f"cp3{minor}" for minor in versions] == pythons
 
 
 def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> None:

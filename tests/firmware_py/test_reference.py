@@ -169,6 +169,7 @@ def test_the_firmware_stays_within_its_error_of_the_authors_values(name: str) ->
     assert sum(robot.counters.updates for robot in robots) == out["filter_updates"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "block", "conventions"),
     [

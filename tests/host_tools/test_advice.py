@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import mcp_asdf_tools as m
@@ -47,15 +46,14 @@ def cases(rows: list[Row]) -> list[str]:
 def knobs(rows: list[Row]) -> list[str]:
     """The lines of the second table. Where no robot is flawed ASDF- has none that filters."""
     usual = {"filter_period": 1000, "omega": 0.05, "density": 1.0}
-    changes = [{"filter_period": period} for period in (100, 1000, 4000)]
-    changes += [{"omega": omega} for omega in (0.25, 0.9)] + [{"density": density} for density in (0.25, 4.0)]
+    changes: list[tuple[str, float]] = [("filter_period", period) for period in (100, 1000, 4000)]
+    changes += [("omega", omega) for omega in (0.25, 0.9)] + [("density", density) for density in (0.25, 4.0)]
     lines = []
-    for change in changes:
-        (name,) = change
-        part = [row for row in rows if all(row[key] == v for key, v in (usual | change).items())]
+    for name, value in changes:
+        part = [row for row in rows if all(row[key] == v for key, v in (usual | {name: value}).items())]
         helped = cells([r for r in part if r["filter"] != "none"], flawed=6)
         healthy = cells([r for r in part if r["filter"] == "asdf-plus"], flawed=0)
-        lines.append(f"| {name} {change[name]} | {helped} | {healthy} |")
+        lines.append(f"| {name} {value} | {helped} | {healthy} |")
     return lines
 
 
@@ -63,8 +61,8 @@ def swept(text: str, tmp_path: Path) -> list[Row]:
     """Results of a sweep that the page shows."""
     file = tmp_path / "advice.toml"
     file.write_text(text)
-    table: pa.Table = m.simulate(m.read_experiments(file))
-    return table.to_pylist()
+    rows: list[Row] = m.simulate(m.read_experiments(file)).to_pylist()
+    return rows
 
 
 @pytest.mark.slow

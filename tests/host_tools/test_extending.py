@@ -71,6 +71,7 @@ def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         del sys.modules[name]
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
     (script,) = blocks("sh")
     commands = script.splitlines()

@@ -204,7 +204,7 @@ HOSTILE = [
         b"\xff\xff\xff\x7f",
     ),
 ]
-"""What stands where it should not."""
+"""Values that stand where they should not."""
 
 
 @st.composite
@@ -282,7 +282,7 @@ PATTERNS = [
     b"const uint32_t mcp_asdf_t_table_omega05_q30[33] MCP_ASDF_ROM = {",
     b"(0.000000) vcan0 106BB82A#0000400000803FE0\n",
 ]
-"""What a file may consist of for a long time."""
+"""Lines that a file may consist of for a long time."""
 SMALL, FACTOR = 30_000, 4
 
 
@@ -316,7 +316,7 @@ def effort(parser: Parser, path: Path, data: bytes) -> tuple[float, int]:
 
 @given(st.binary(max_size=30), st.integers(0, 2**29 - 1), st.integers(0, 8))
 def test_lines_of_frames_are_read_or_not(noise: bytes, identifier: int, length: int) -> None:
-    """What is taken is written again in the same letters."""
+    """Each frame that is taken is written again in the same letters."""
     sound = line_of(can.Message(arbitration_id=identifier, data=bytes(length)))[:-1]
     for line in (
         noise,

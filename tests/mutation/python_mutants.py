@@ -171,7 +171,7 @@ def _without(statement: ast.Assign | ast.AugAssign | ast.Expr) -> Change:
 
 
 def dies(mutant: Mutant) -> bool:
-    """Whether its tests fail, in a process of its own."""
+    """True if its tests fail, in a process of its own."""
     child = os.fork()
     if child == 0:
         status = 1
@@ -194,7 +194,7 @@ def _quiet() -> None:
 
 @dataclass(frozen=True)
 class _Importer(MetaPathFinder, Loader):
-    """What imports the mutant in the place of its module."""
+    """Importer of the mutant in the place of its module."""
 
     mutant: Mutant
 

@@ -13,6 +13,7 @@ NOTICED = 0.75
 """At least this share. Some changes make no difference, and of the mirror's not all are listed."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", SAMPLE)
 def test_each_mutant_has_a_name_of_its_own_and_other_code(module: str) -> None:
     found = list(mutants(module))
@@ -20,6 +21,7 @@ def test_each_mutant_has_a_name_of_its_own_and_other_code(module: str) -> None:
     assert all(" => " in each.name for each in found)
 
 
+@pytest.mark.slow
 def test_each_equivalent_mutant_is_a_mutant() -> None:
     assert set(equivalents()) <= {each.name for module in SAMPLE for each in mutants(module)}
 

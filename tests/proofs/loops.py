@@ -23,7 +23,7 @@ def loops_in(program: Program, name: str) -> list[Any]:
 KNOWN: dict[str, dict[str, Callable[[Any], Any]]] = {
     "table_valid": {"end": lambda end: z3.ULE(end, 129)}  # q + 2, as a head with another q is refused before
 }
-"""What a function's earlier lines leave of variables that bound its loop."""
+"""Limits that a function's earlier lines leave to variables that bound its loop."""
 
 
 def prove_ends(program: Program, name: str, loop: Any) -> None:

@@ -423,7 +423,7 @@ class Machine:
         return self.arithmetic.binary(operator, *self._common(left, right))
 
     def _claim_stated(self, node: Any, operator: str, count: Number) -> None:
-        """What the comment beside a shift says of its count."""
+        """Claim that a shift's count is at most that of the comment beside it."""
         most = stated_shift(node) if operator in ("<<", ">>") else None
         if most is not None:
             limit = self.arithmetic.constant(most, count.type)

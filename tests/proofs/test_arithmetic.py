@@ -78,17 +78,17 @@ def test_what_a_ratio_loses() -> None:
 # --- Broken code has no proof ----------------------------------------------------------------------------
 
 BROKEN = {
-    "shift_left_wide": ("1000", "complement = masked ^ 31", "complement = masked ^ 15"),
-    "shift_right_64": ("1000", "(count & 32) != 0", "(count & 16) != 0"),
+    "shift_left_wide": ("1000", "complement = masked ^ 31U", "complement = masked ^ 15U"),
+    "shift_right_64": ("1000", "(count & 32U) != 0U", "(count & 16U) != 0U"),
     "leading_zeros": ("1000", "value >> 28 == 0", "value >> 27 == 0"),
-    "shift_left_by": ("1010", "count >= 8;", "count >= 9;"),
-    "shift_right_by": ("1010", "count >= 8; count = (uint8_t)(count - 8)", "count >= 8; count = count"),
+    "shift_left_by": ("1010", "count >= 8U;", "count >= 9U;"),
+    "shift_right_by": ("1010", "count >= 8U; count = (uint8_t)(count - 8U)", "count >= 8U; count = count"),
     "multiply": ("1100", "middle2 << 16 |", "middle2 << 15 |"),
-    "prepare": ("1000", "(d >> 15) + 1", "(d >> 15)"),
+    "prepare": ("1000", "(d >> 15) + 1U", "(d >> 15)"),
     "take_digit": ("1000", "- digit * d", "- (digit + 1) * d"),
     "divide_by_bits": ("3000", "if (a >= d)", "if (a > d)"),
-    "divide_24": ("1000", "second + (a >= d)", "second + (a > d)"),
-    "ratio": ("1000", "(upper(d, shift) >> 1) + 1", "(upper(d, shift) >> 1)"),
+    "divide_24": ("1000", "second + (uint32_t)(a >= d)", "second + (uint32_t)(a > d)"),
+    "ratio": ("1000", "(upper(d, shift) >> 1) + 1U", "(upper(d, shift) >> 1)"),
     "quotient": ("1000", "divide_31(high_word(found)", "divide_31(high_word(found) / 2"),
 }
 """Functions, a variant, and a change of its code that breaks it."""

@@ -121,9 +121,9 @@ def test_a_table_that_is_read_has_at_most_129_words() -> None:
     accepted = z3.And(z3.UGE(head, magic + 2), z3.ULE(head, magic + 127))
     prove(KNOWN["table_valid"]["end"](z3.Extract(7, 0, head + 2)), accepted, about="q + 2")
     text = CORE.read_text(encoding="utf-8")
-    refusal = text.index("if (head < TABLE_MAGIC + 2 || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
+    refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
     assert refusal < text.index("for (uint8_t i = 0; i < end; ++i)")
-    assert "const uint8_t end = (uint8_t)(head + 2);" in text[:refusal]
+    assert "const uint8_t end = (uint8_t)(head + 2U);" in text[:refusal]
 
 
 def test_a_loop_that_turns_more_often_than_stated_is_refused(tmp_path: Path) -> None:
@@ -158,9 +158,9 @@ BROKEN = {
     "mean": ("middle << 9 | low >> 23", "middle << 9 | low >> 24"),
     "informed_estimate": ("sum - product >= alpha", "sum - product > alpha"),
     "square_of_ratio": ("divide_24(g >> 1, p >> 1) << 7", "divide_24(g >> 1, p >> 1) << 6"),
-    "alpha_word": ("(0 - exponent) & 31", "(1 - exponent) & 31"),
+    "alpha_word": ("(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     "set_b_hat": ("g < INFORMATIVE ? UINT32_MAX", "g < INFORMATIVE / 2 ? UINT32_MAX"),
-    "estimate": ("sum = join(low_word(sum), 0);\n            exponent -= 32;", ""),
+    "estimate": ("sum = join(low_word(sum), 0);\n            exponent -= 32U;", ""),
     "reestimate": ("robot->t", "robot->t >> robot->n"),
 }
 """Functions, and a change of their code that breaks them."""

@@ -211,6 +211,7 @@ def slow_tick(image_of: Builder, monkeypatch: pytest.MonkeyPatch) -> SlowTick:
     return install
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("late", "code"), [(0, 0), (2, 0), (3, 1), (20, 1)], ids=["none", "two in 20", "three in 20", "all"]
 )
@@ -687,6 +688,7 @@ def test_a_board_whose_program_has_gone_can_be_left(
 PAGE = ROOT / "docs/firmware_in_the_loop.md"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verdict", [False, *slow([True])])
 def test_the_commands_of_the_page_work(verdict: bool, tmp_path: Path) -> None:
     """The verdict takes minutes on a busy machine."""

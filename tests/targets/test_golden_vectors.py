@@ -25,6 +25,7 @@ HERE = Path(__file__).parent
 SCENARIOS = edge_scenarios() + run_scenarios()
 
 
+@pytest.mark.slow
 def test_the_committed_files_are_what_the_mirror_gives() -> None:
     for name, data in golden_vectors.golden_vectors().items():
         assert (HERE / name).read_bytes() == data, f"{name}: see tests/targets/golden_vectors.py"

@@ -80,6 +80,7 @@ def check_contents(image: Path) -> None:
     assert ours - OUR_SOURCES <= {path.name for path in PORTS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "choice",
     ["divide by bits", *slow(choice for choice in CHOICES if choice not in ("own", "divide by bits"))],
@@ -186,6 +187,7 @@ def test_the_compiler_refuses_a_setting(name: str, value: int) -> None:
         run("cc", "-fsyntax-only", f"-I{CORE.parent}", f"-D{name}={value}", SLCAN / "slcan_robot.c")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("b_hat", ["0", "1.0", "9.5e-7", "0.9999991", "high"])
 def test_an_accuracy_that_the_firmware_refuses_is_refused_before(b_hat: str, tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match=f"ROBOT_B_HAT={b_hat} is outside"):
@@ -276,6 +278,7 @@ FAULTS = [
 """A piece of the core, a wrong one to replace it, and the first call that shows the difference."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("right", "wrong", "first"),
     [*FAULTS[:2], *slow(FAULTS[2:])],
@@ -293,6 +296,7 @@ def test_a_planted_fault_is_found_at_its_first_call(
     assert told[1][11:] != told[2][11:]
 
 
+@pytest.mark.slow
 def test_a_fault_in_the_vectors_is_found(tmp_path: Path) -> None:
     spoilt = tmp_path / "spoilt.bin"
     edges = EDGES.read_bytes()
@@ -335,6 +339,7 @@ def test_an_image_that_plays_everything_passes() -> None:
     assert re.fullmatch(r" *\d+ bytes", details)
 
 
+@pytest.mark.slow
 def test_an_image_that_plays_too_little_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     verdict, details = cell_with(str(EDGES), monkeypatch)
     assert (verdict, details.splitlines()[-1]) == ("FAILED", f"instead of {matrix.verdict_of(*VECTORS)}")

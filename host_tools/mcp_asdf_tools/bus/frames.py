@@ -3,7 +3,7 @@
 Each is one classic CAN frame with a 29-bit identifier and 8 bytes, and at the same time one OpenCyphal
 v1 single-frame message; ``docs/frame.md`` gives every bit. Values are the firmware's own integers:
 x_hat in units of 2**-23, alpha as a word (``mcp_asdf.fixed_point``), which a frame carries as IEEE
-binary32. Decoding never raises: a frame that is not a legal message decodes to the :class:`Rejection` that
+binary32. Decoding never raises: a frame that is not a legal message decodes to the `Rejection` that
 gives the reason. All in O(1). ``c_ref/src/mcp_asdf_frame.h`` is the same codec in C, with the same verdict
 on every frame.
 """

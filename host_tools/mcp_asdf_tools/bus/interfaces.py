@@ -135,7 +135,7 @@ class BusChoice:
             return f"{cause}; see --interface, --channel and --bus-kwargs"
         channel = self.channel or "can0"
         ways = _VIRTUAL if channel.startswith("vcan") else _REAL
-        return f"{cause}; as root, create it with\n" + "\n".join(f"  {way.format(channel)}" for way in ways)
+        return f"{cause}; as root, create it with: " + " && ".join(way.format(channel) for way in ways)
 
 
 def wrapped(interface: str, bus: can.BusABC, name: str) -> can.BusABC:

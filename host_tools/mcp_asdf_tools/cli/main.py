@@ -13,7 +13,15 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from mcp_asdf_tools.cli.parsing import Parser, offer
-from mcp_asdf_tools.common import INTERRUPTED, ReaderLeft, UsageError, interruptible, screen, stopping
+from mcp_asdf_tools.common import (
+    INTERRUPTED,
+    ReaderLeft,
+    UsageError,
+    interruptible,
+    missing_extra,
+    screen,
+    stopping,
+)
 
 PROGRAM = "mcp-asdf"
 GROUPS = {
@@ -83,13 +91,22 @@ def _attempt(title: str, work: Callable[[], int]) -> int:
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
     except UsageError as error:
-        print(f"{title}: error: {error}", file=sys.stderr)
-        return 2
+        return _refuse(title, error)
+    except ImportError as error:
+        told = missing_extra(error)
+        if told is None:
+            raise
+        return _refuse(title, told)
     except KeyboardInterrupt:
         print(f"{title}: interrupted", file=sys.stderr)
         return INTERRUPTED
     except ReaderLeft:
         return 141
+
+
+def _refuse(title: str, error: UsageError) -> int:
+    print(f"{title}: error: {error}", file=sys.stderr)
+    return 2
 
 
 def _flush() -> int:
@@ -131,12 +148,20 @@ def _overview_parser() -> argparse.ArgumentParser:
 def whole_parser(
     prepared: Callable[[argparse.ArgumentParser], argparse.ArgumentParser],
 ) -> argparse.ArgumentParser:
-    """The parser of the program with those of all commands in it, each as ``prepared``; loads all of them."""
+    """The parser of the program with those of all commands in it, each as ``prepared``; loads all of them.
+
+    A command whose extra is not installed has no options.
+    """
     parser = _overview_parser()
     commands = parser.add_subparsers(parser_class=argparse.ArgumentParser)
     for name, text in COMMANDS.items():
-        own = prepared(_parser_for(name, _load(name)))
-        commands.add_parser(name, help=text, description=text, parents=[own], add_help=False)
+        try:
+            parents = [prepared(_parser_for(name, _load(name)))]
+        except ImportError as error:
+            if missing_extra(error) is None:
+                raise
+            parents = []
+        commands.add_parser(name, help=text, description=text, parents=parents, add_help=not parents)
     return parser
 
 
@@ -146,7 +171,8 @@ def _show_overview(arguments: Sequence[str]) -> int:
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     (found, _) = parser.parse_known_args(arguments)
     if found.command is not None:
-        parser.error(f"no command is called {found.command!r}{offer(found.command, COMMANDS)}")
+        near = offer(found.command, [*COMMANDS, "--help", "--version"])
+        parser.error(f"no command is called {found.command!r}{near}")
     parser.parse_args(arguments)
     parser.print_help(sys.stderr)
     return 2

@@ -72,8 +72,11 @@ def run(args: argparse.Namespace) -> int:
 def _experiments_of(args: argparse.Namespace) -> list[Trials]:
     """Contents of the file, if the picture needs one."""
     if (args.file is None) != (args.kind == "alpha"):
-        needs = "no results" if args.kind == "alpha" else "results"
-        raise UsageError(f"a picture of kind {args.kind} needs {needs}; see --help")
+        if args.kind == "alpha":
+            raise UsageError(f"a picture of kind alpha needs no results; leave out {args.file}")
+        raise UsageError(
+            f"a picture of kind {args.kind} needs results: mcp-asdf plot RESULTS.parquet {args.picture}"
+        )
     if args.file is None:
         if args.where:
             raise UsageError("--where chooses from results, and there are none; leave it out")

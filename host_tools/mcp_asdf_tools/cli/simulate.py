@@ -17,7 +17,6 @@ from mcp_asdf_tools.experiments import (
     metadata_of,
     read_experiments,
     run_sweep,
-    write_authors_json,
 )
 
 EPILOG = """\
@@ -66,6 +65,8 @@ def run(args: argparse.Namespace) -> int:
     experiments = experiments_in(table)
     limits = options.limits_of(args)
     if args.authors_json is not None:
+        from mcp_asdf_tools.experiments import write_authors_json  # noqa: PLC0415 (an extra)
+
         write_authors_json(args.authors_json, experiments[0])
     if args.json:
         print(json.dumps({**metadata_of(table), **options.summary(experiments, limits)[0]}, indent=2))

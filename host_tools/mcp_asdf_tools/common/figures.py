@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import io
+import math
+import textwrap
+from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -48,20 +53,61 @@ def image_of(figure: Figure, path: Path, has_text: bool = False) -> bytes:
     return image.getvalue()
 
 
-# The first eight stay apart for the colour-blind.
-GREY = "#999999"
+# --- One style for all -----------------------------------------------------------------------------------
 
+WIDTH = 9.0
+"""Inches of a figure with several panels, so that letters are of one size on a page."""
+SMALL, MEDIUM = 8, 10
+"""Sizes of letters: of ticks, legends and captions; of titles and labels."""
+
+GREY = "#999999"
 
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222"),
     *(GREY, "#f0e442", "#6a3d9a", "#7a5230"),
 )
-
+"""For what has no colour of its own; the first eight stay apart for the colour-blind."""
 
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
+"""Flawed robots, healthy ones, the truth."""
+
+TOGETHER = COLOURS[6]
+"""Robots whose values are one and the same."""
+
+WITHOUT = GREY
+"""No filter; a filter is green, darker the more often it runs."""
 
 DIVERGING = LinearSegmentedColormap.from_list("below to above", [COLOURS[1], "#ffffff", COLOURS[0]])
 """Of differences: orange below 0, blue above."""
+
+_OFTEN_TO_SELDOM = LinearSegmentedColormap.from_list("filtering", ["#001f33", COLOURS[2], "#e3f2a8"])
+_FEW_TO_ALL = LinearSegmentedColormap.from_list("flawed", ["#f5c9a6", FLAWED, "#5a2200"])
+_LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
+
+
+def period_colour(period: float) -> str:
+    """Of swarms with a filter: the same in every figure for one filtering period."""
+    return to_hex(_OFTEN_TO_SELDOM(0.5 + 0.5 * math.tanh(0.4 * math.log2(period / 1400))))
+
+
+def are_distinct(colours: Sequence[str]) -> bool:
+    """True if all can be told from each other."""
+    pairs = combinations(set(colours), 2)
+    return all(math.dist(to_rgb(one), to_rgb(other)) >= _LEAST_DISTANCE for one, other in pairs)
+
+
+_LEAST_DISTANCE = 0.12
+"""Of colours whose red, green and blue go to 1."""
+
+
+def share_colour(share: float) -> str:
+    """Of swarms with this share of flawed robots, 0 to 1: the same in every figure."""
+    return to_hex(_FEW_TO_ALL(float(share))) if share else OTHER
+
+
+def ordered_colours(count: int) -> list[str]:
+    """Colours from dark to light for values in order."""
+    return [to_hex(_LOW_TO_HIGH(index / max(1, count - 1))) for index in range(count)]
 
 
 def empty_figure(width: float, height: float) -> Figure:
@@ -75,5 +121,45 @@ def clean(axes: Axes) -> None:
     """Light lines to read values by, and no frame."""
     axes.grid(axis="y", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
+    axes.tick_params(labelsize=SMALL)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+_MOST_COLUMNS = 6
+
+
+def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """A legend above everything, in as many columns as the figure's width has room for."""
+    for columns in range(min(len(handles), _MOST_COLUMNS), 0, -1):
+        legend = figure.legend(
+            handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=SMALL
+        )
+        if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
+            return
+        legend.remove()
+
+
+def add_caption(figure: Figure, axis: str, words: str) -> None:
+    """The name of the common x axis, and below it what one has to know to read the figure."""
+    together = words.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+    lines = textwrap.wrap(together, round(_LETTERS_PER_INCH * figure.get_figwidth()))
+    figure.supxlabel("\n".join([axis, *lines] if axis else lines), fontsize=SMALL)
+
+
+_LETTERS_PER_INCH = 15.5
+
+
+def number_in_words(value: float | str) -> str:
+    """A value for a legend or title: whole numbers in full, large powers of two as such."""
+    if isinstance(value, str):
+        return value.replace("_", " ")
+    if value != int(value):
+        return f"{value:g}"
+    whole = int(value)
+    if whole >= _LARGE and whole & (whole - 1) == 0:
+        return f"2^{whole.bit_length() - 1}"
+    return f"{whole}"
+
+
+_LARGE = 1 << 16

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -12,6 +11,12 @@ from typing import BinaryIO
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, explaining
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
 
 PART = ".part"
 """Suffix, behind all others, of a file that is not complete."""
@@ -100,8 +105,10 @@ def _numbered(part: Path, number: int) -> Path:
 def _lock(file: BinaryIO) -> bool:
     """Lock an open file as long as its program lives; returns whether no other program has it.
 
-    Some network file systems have no locks: there the answer is always yes.
+    Some network file systems, and Windows, have no such locks: there the answer is always yes.
     """
+    if fcntl is None:
+        return True
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

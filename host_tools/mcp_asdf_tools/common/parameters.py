@@ -1,6 +1,6 @@
 """Parameters: dataclass fields with a meaning and a range, whose values are coerced and checked in one place.
 
-A class of parameters declares each field with :func:`parameter` and calls :func:`check_parameters` in its
+A class of parameters declares each field with `parameter` and calls `check_parameters` in its
 ``__post_init__``. Values that are unambiguous become those of the field's type (an enum by its value, a whole
 number written as a float); everything else is refused with the field, the value and what is allowed.
 """

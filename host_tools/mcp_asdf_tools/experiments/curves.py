@@ -8,12 +8,30 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import COLOURS, UsageError, clean, empty_figure
+from mcp_asdf_tools.common import (
+    COLOURS,
+    INK,
+    MEDIUM,
+    WIDTH,
+    WITHOUT,
+    UsageError,
+    add_caption,
+    add_legend,
+    are_distinct,
+    clean,
+    empty_figure,
+    number_in_words,
+    ordered_colours,
+    period_colour,
+    share_colour,
+)
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
+from mcp_asdf_tools.experiments.series_names import caption_of
 
 LETTERS = {
     "f": "fill_ratio",
@@ -51,6 +69,14 @@ _WIDE = 30
 """Ratio of an axis' ends from which it is logarithmic."""
 _MOST_PANELS = 16
 _CONFIDENCE = 0.95
+MARKS = "points are medians over the trials, bands their 95 % intervals"
+_MEASURE_LABELS = {
+    "H": "score $H$",
+    "h_K": "convergence score $h_K$",
+    "h_e": "accuracy score $h_e$",
+    "K": "convergence step $K$",
+    "e": "absolute error $e$",
+}
 
 
 def curve(
@@ -74,26 +100,47 @@ def curve(
         raise UsageError(f"{len(hues)} values of {hue} do not fit a picture; choose at most {len(COLOURS)}")
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    figure = empty_figure(1.0 + 4.0 * columns, 1.0 + 3.0 * rows)
+    figure = empty_figure(WIDTH if columns > 1 else 0.7 * WIDTH, 1.4 + 2.8 * rows)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    colours = _colours_of(hue, hues)
     for axes, panel in zip(grid.flat, panels, strict=False):
         own = [trials for trials in experiments if _panel(trials, x, hue) == panel]
-        for colour, chosen in zip(COLOURS, hues, strict=False):
+        for colour, chosen in zip(colours, hues, strict=True):
             shown = [each for each in own if hue == "" or value_of(each.experiment, hue) == chosen]
             points = {value_of(each.experiment, x): MEASURES[y](each, limits) for each in shown}
-            _draw(axes, points, colour, f"{_label(hue)} = {_word(hue, chosen)}" if hue else "")
-        axes.set_title(", ".join(f"${LETTER_OF[name]} = {value:g}$" for name, value in panel), fontsize=10)
+            _draw(axes, points, colour)
+        axes.set_title(
+            ", ".join(f"${LETTER_OF[name]} = {value:g}$" for name, value in panel), fontsize=MEDIUM
+        )
         clean(axes)
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     _scale(grid.flat[0], x, [value_of(trials.experiment, x) for trials in experiments])
-    figure.supxlabel(_label(x), fontsize=10)
-    figure.supylabel(f"${y}$", fontsize=10)
+    figure.supylabel(_MEASURE_LABELS[y], fontsize=MEDIUM)
+    add_caption(figure, _label(x), caption_of(experiments, MARKS, limits=limits))
     if hue:
-        handles, labels = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+        labels = [f"{_label(hue).removesuffix(', steps')} = {_word(hue, chosen)}" for chosen in hues]
+        lines = zip(colours, labels, strict=True)
+        add_legend(figure, [Line2D([], [], color=colour, marker="o", label=label) for colour, label in lines])
     return figure
 
+
+def _colours_of(hue: str, hues: Sequence[Any]) -> list[str]:
+    """Those of their meaning where they have one, from dark to light where they have an order."""
+    if not hue:
+        return [INK]
+    if hue == "filter_period" and are_distinct(periods := [period_colour(each) for each in hues]):
+        return periods
+    if hue == "flawed":
+        return [share_colour(each) for each in hues]
+    if hue == "filter":
+        return [_FILTER_COLOURS[each] for each in hues]
+    if any(isinstance(each, str) for each in hues):
+        return list(COLOURS[: len(hues)])
+    return ordered_colours(len(hues))
+
+
+_FILTER_COLOURS = {"none": WITHOUT, "asdf-minus": period_colour(2000), "asdf-plus": period_colour(500)}
 
 LETTER_OF = {name: letter for letter, name in LETTERS.items()}
 
@@ -131,12 +178,12 @@ def _check(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None:
         )
 
 
-def _draw(axes: Axes, points: dict[Any, NDArray[np.float64]], colour: str, label: str) -> None:
+def _draw(axes: Axes, points: dict[Any, NDArray[np.float64]], colour: str) -> None:
     values = sorted(points)
     summaries = np.array([median_interval(points[value]) for value in values]).reshape(-1, 3).T
     places = values if all(isinstance(value, int | float) for value in values) else [str(v) for v in values]
     axes.fill_between(places, summaries[1], summaries[2], color=colour, alpha=0.2, linewidth=0)
-    axes.plot(places, summaries[0], "o-", color=colour, markersize=3.5, linewidth=1.4, label=label)
+    axes.plot(places, summaries[0], "o-", color=colour, markersize=3.5, linewidth=1.4)
 
 
 def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -156,7 +203,7 @@ def _label(name: str) -> str:
 def _word(name: str, value: Any) -> str:
     if name == "flawed":
         return f"{value:.0%}"
-    return value if isinstance(value, str) else f"{value:g}"
+    return number_in_words(value)
 
 
 def _scale(axes: Axes, x: str, values: Sequence[Any]) -> None:

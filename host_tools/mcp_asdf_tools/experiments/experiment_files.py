@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.common import ParameterError, UsageError
-from mcp_asdf_tools.experiments.authors_formats import read_yaml
 from mcp_asdf_tools.experiments.experiment import Experiment, combinations
 
 STUDIES = Path(__file__).with_name("studies")
@@ -39,8 +38,13 @@ def read_experiments(path: Path) -> list[Experiment]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read {path}: {error}") from error
-    return _read_toml(path, text) if path.suffix == ".toml" else read_yaml(path, text)
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(f"cannot read {path}: {reason}") from error
+    if path.suffix == ".toml":
+        return _read_toml(path, text)
+    from mcp_asdf_tools.experiments.authors_formats import read_yaml  # noqa: PLC0415 (an extra)
+
+    return read_yaml(path, text)
 
 
 def _shipped(name: Path) -> Path:

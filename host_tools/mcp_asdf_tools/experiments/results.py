@@ -22,12 +22,9 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa  # type: ignore[import-untyped]
-import pyarrow.compute as pc  # type: ignore[import-untyped]
-import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import UsageError, software_versions, write_atomically
@@ -35,18 +32,28 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
 from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
 
+if TYPE_CHECKING:
+    import pyarrow as pa  # type: ignore[import-untyped]
+else:
+    from mcp_asdf_tools.experiments import arrow as pa
+
 FORMAT = 5
 _KEY = b"mcp-asdf"
 SCORES = ("H", "h_K", "h_e")
 _LISTS = {
-    "k": pa.int32(),
-    "e": pa.float64(),
-    "b_hat": pa.float64(),
-    "tests": pa.int32(),
-    "updates": pa.int32(),
+    "k": "int32",
+    "e": "float64",
+    "b_hat": "float64",
+    "tests": "int32",
+    "updates": "int32",
 }
 _RECORDS = tuple(f"record_{quantity}" for quantity in QUANTITIES)
 _PARAMETERS = tuple(Experiment().parameters())
+
+
+def require_arrow() -> None:
+    """Load the library that results need. Raises ModuleNotFoundError where it is not installed."""
+    pa.array([])
 
 
 def table_of(experiment: Experiment, measured: Measured, sampling_interval: int = 0) -> pa.Table:
@@ -60,7 +67,7 @@ def table_of(experiment: Experiment, measured: Measured, sampling_interval: int 
     columns |= dict(zip(SCORES, scores.values, strict=True))
     values = (measured.convergence_steps, measured.errors, measured.b_hat, measured.tests, measured.updates)
     for (name, kind), array in zip(_LISTS.items(), values, strict=True):
-        columns[name] = _rows(array, kind)
+        columns[name] = _rows(array, getattr(pa, kind)())
     for name, array in zip(_RECORDS, measured.records, strict=True):
         columns[name] = _rows(array, pa.float64())
     description = {
@@ -87,7 +94,7 @@ def _rows(array: NDArray[Any], kind: Any) -> Any:
 def write_table(path: Path, table: pa.Table) -> None:
     """Write a table as Parquet, whole or not at all. Raises UsageError if that cannot be done."""
     sink = io.BytesIO()
-    pq.write_table(table, sink, compression="zstd")
+    pa.parquet.write_table(table, sink, compression="zstd")
     write_atomically(path, sink.getvalue())
 
 
@@ -102,7 +109,7 @@ def read_table(path: Path) -> pa.Table:
     Raises UsageError for any other file.
     """
     try:
-        table = pq.read_table(path, partitioning=None)
+        table = pa.parquet.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:
         parts = parts_of(path)
         hint = f"; its sweep is not finished, {parts} has what there is" if parts.is_dir() else ""
@@ -178,7 +185,7 @@ def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
 
     def matrix(name: str) -> NDArray[Any]:
         """A row for each trial, whose lists are all of one length."""
-        values: NDArray[Any] = pc.list_flatten(table[name]).to_numpy()
+        values: NDArray[Any] = pa.compute.list_flatten(table[name]).to_numpy()
         return values.reshape(len(table), -1)
 
     def steps(name: str) -> NDArray[np.float64]:

@@ -20,14 +20,25 @@ from itertools import groupby, islice
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from threading import Thread
-
-import pyarrow as pa  # type: ignore[import-untyped]
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import metadata_of, parts_of, read_table, table_of, write_table
+from mcp_asdf_tools.experiments.results import (
+    metadata_of,
+    parts_of,
+    read_table,
+    require_arrow,
+    table_of,
+    write_table,
+)
 from mcp_asdf_tools.experiments.simulation import Job
+
+if TYPE_CHECKING:
+    import pyarrow as pa  # type: ignore[import-untyped]
+else:
+    from mcp_asdf_tools.experiments import arrow as pa
 
 _MOST_TRIALS = 32
 """Of a job: twice as many as the engine runs side by side."""
@@ -59,6 +70,7 @@ class Store:
 
         Raises UsageError if the files hold other results, which would be lost, or cannot be written.
         """
+        require_arrow()  # before anything is run
         self.output = output
         self.parts = parts_of(output)
         self._interval = sampling_interval
@@ -248,8 +260,11 @@ def _interrupts_held() -> Iterator[None]:
     """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
 
     They inherit the signal mask before Python starts in them. In this process another thread may still
-    receive the signal, so its handler waits, too.
+    receive the signal, so its handler waits, too. Windows has no such mask.
     """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     with stopping() as is_asked:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:

@@ -1,7 +1,7 @@
 """Sidecar of a log: the events of each robot in a run, enough to run every robot again.
 
 The sidecar of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
-run (:class:`SidecarHeader`). Every other line is either
+run (`SidecarHeader`). Every other line is either
 
 - ``[robot, event, ...]``: the next events of one robot, in order. Lines of different robots may come in
   any order, for robots share no state. An event is

@@ -7,7 +7,17 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import E_MAX, FILTER_NAMES, Experiment, Trials, arena_plots, plots
+from mcp_asdf_tools.experiments import (
+    E_MAX,
+    FILTER_NAMES,
+    Experiment,
+    Trials,
+    arena_plots,
+    plots,
+    scatter_plots,
+    time_plots,
+    trials_in_words,
+)
 from mcp_asdf_tools.reproduction.comparisons import (
     BOTH,
     DYNAMIC,
@@ -85,13 +95,15 @@ class ReportFigure:
 def _trials_in_words(shown: Sequence[Trials]) -> str:
     if not shown:
         return ""
-    counts = {len(trials.numbers) for trials in shown}
-    trials = f"{min(counts)} to {max(counts)}" if len(counts) > 1 else f"{min(counts)}"
     k_max = " and ".join(f"{steps}" for steps in sorted({trials.experiment.steps for trials in shown}))
-    return f"{trials} trials of each experiment; K_max = {k_max}, e_max = {E_MAX:g}."
+    return f"{trials_in_words(shown)}; K_max = {k_max}, e_max = {E_MAX:g}."
 
 
-_WHISKERS = f"{plots.WHISKERS[0].upper()}{plots.WHISKERS[1:]}, points beyond; the line is the median."
+def _sentence(words: str) -> str:
+    return words[0].upper() + words[1:]
+
+
+_WHISKERS = f"{_sentence(plots.BOXES)}."
 
 
 def _of(part: Part, filters: Sequence[Filtering], *periods: int) -> Callable[[Drawn], list[Trials]]:
@@ -132,7 +144,7 @@ def _boxes(part: Part, own: Filtering, paper: str) -> ReportFigure:
     )
 
 
-_POINTS = "A point is a trial, a line the median"
+_POINTS = _sentence(plots.POINTS)
 
 
 def _physical_scores() -> ReportFigure:
@@ -176,10 +188,10 @@ def _points(part: Part, paper: str) -> ReportFigure:
         f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {PERIODS[0]}",
         paper,
         frozenset({part}),
-        lambda drawn: plots.scatter(shown(drawn)),
+        lambda drawn: scatter_plots.scatter(shown(drawn)),
         shown,
-        "A point is a trial: blue where flawed robots are overconfident, red or orange where they are "
-        "underconfident.",
+        f"{_sentence(scatter_plots.POINTS)}. Without flawed robots ASDF- is no filter, where all are flawed "
+        "it is ASDF+.",
     )
 
 
@@ -214,10 +226,9 @@ def _bands(part: Part) -> ReportFigure:
         f"b_hat of all robots of {PART_NAMES[part]} swarms with ASDF+, tau = {PERIODS[0]}",
         "",
         frozenset({part}),
-        lambda drawn: plots.bands(shown(drawn)),
+        lambda drawn: time_plots.bands(shown(drawn)),
         shown,
-        "Lines are medians over robots and trials, bands the middle 50 and 90 %. Titles say how many robots "
-        "that began with the right accuracy end more than 0.05 off.",
+        f"{_sentence(time_plots.BANDS)}.",
     )
 
 
@@ -257,7 +268,7 @@ FIGURES = (
         f"tau = {PERIODS[0]}",
         "6",
         frozenset({FULLY_CONNECTED}),
-        lambda drawn: plots.series_beside(drawn.series, _TRIAL),
+        lambda drawn: time_plots.series_beside(drawn.series, _TRIAL),
     ),
     ReportFigure(
         "physical_paths",

@@ -57,3 +57,5 @@ from .record import RobotRecord as RobotRecord
 from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
 from .rounds import TickedRobot as TickedRobot
+from .series_plot import TimeSeries as TimeSeries
+from .series_plot import draw_time_series as draw_time_series

@@ -61,7 +61,7 @@ class LineSource:
             # Unbuffered: select() would not see input that Python has read ahead.
             self._fd = os.open(Path(name), os.O_RDONLY) if self._is_own else standard_input()
         except OSError as error:
-            raise UsageError(f"cannot read observations from {self._name}: {error}") from error
+            raise UsageError(f"cannot read observations from {self._name}: {error.strerror}") from error
         self._lines: deque[bytes] = deque()
         self._rest = b""
         self._has_ended = False

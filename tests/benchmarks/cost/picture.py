@@ -3,48 +3,71 @@
 from __future__ import annotations
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mcp_asdf_tools.common.figures import (
+    COLOURS,
+    MEDIUM,
+    WIDTH,
+    add_caption,
+    add_legend,
+    clean,
+    empty_figure,
+)
 
 from .images import ROOT
 from .measurement import Figures
 
 PATH = ROOT / "docs" / "images" / "cost.png"
 
-# Colours that stay apart for the colour-blind.
+_TARGETS = {
+    "cycles": ("ATmega328P",),
+    "instructions": ("Cortex-M0+", "RV32IMC", "Cortex-M3", "Cortex-M4"),
+}
+"""A row of panels for each unit: on the AVR cycles are counted."""
 _COLOURS = dict(
     zip(
-        ("ATmega328P", "Cortex-M0+", "RV32IMC", "Cortex-M3", "Cortex-M4"),
-        ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#222222"),
+        [name for names in _TARGETS.values() for name in names],
+        (COLOURS[i] for i in (1, 0, 2, 3, 7)),
         strict=True,
     )
 )
 
+_WIDTHS = {"Cortex-M3": 4.5}
+"""Of lines below others, here almost the same, so that both are seen."""
+
 
 def draw(figures: Figures) -> Figure:
-    """Two panels at -O2: lines are the most that was seen; of a step, shades reach down to the least."""
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    by_age, by_messages = figure.subplots(1, 2, sharey=True)
-    for name, colour in _COLOURS.items():
-        series = figures["targets"][name]["-O2"]["firmware"]["series"]
-        label = f"{name} ({series['unit']})"
-        at, least, _ = zip(*series["step"], strict=True)
-        most = _line(by_age, series["step"], colour, "-", label)
-        by_age.fill_between(at, least, most, color=colour, alpha=0.12, linewidth=0)
-        _line(by_messages, series["receive"], colour, ".-", label)
-        _line(by_messages, series["settle"], colour, ".--", label)
-    by_age.set(title="step", xlabel="observations t", ylabel="instructions or cycles of a call", yscale="log")
-    by_age.set_xscale("log", base=2)
-    by_messages.set(title="receive (solid) and settle (dashed)", xlabel="messages in the round m")
-    for axes in (by_age, by_messages):
-        axes.grid(color="#dddddd", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(*by_age.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    """Two panels for each unit at -O2: lines are the maximum; of a step, shades reach down to the minimum."""
+    figure = empty_figure(WIDTH, 6.4)
+    grid = figure.subplots(len(_TARGETS), 2, sharex="col", sharey="row")
+    for (unit, names), (by_age, by_messages) in zip(_TARGETS.items(), grid, strict=True):
+        for name in names:
+            series = figures["targets"][name]["-O2"]["firmware"]["series"]
+            if series["unit"] != unit:
+                raise ValueError(f"{name} was measured in {series['unit']}, not in {unit}")
+            _draw_target(by_age, by_messages, series, _COLOURS[name], _WIDTHS.get(name, 1.4))
+        by_age.set_ylabel(f"{unit} of a call", fontsize=MEDIUM)
+        by_age.set_xscale("log", base=2)
+        for axes in (by_age, by_messages):
+            axes.set_ylim(0, None)
+            clean(axes)
+    grid[0, 0].set_title("step", fontsize=MEDIUM)
+    grid[0, 1].set_title("receive (solid) and settle (dashed)", fontsize=MEDIUM)
+    grid[1, 0].set_xlabel("observations $t$", fontsize=MEDIUM)
+    grid[1, 1].set_xlabel("messages in the round $m$", fontsize=MEDIUM)
+    add_caption(
+        figure, "", "Lines are the maximum that was seen; of a step, shades reach down to the minimum."
+    )
+    add_legend(figure, [Line2D([], [], color=colour, label=name) for name, colour in _COLOURS.items()])
     return figure
 
 
-def _line(axes: Axes, points: list[list[int]], colour: str, style: str, label: str) -> tuple[int, ...]:
-    at, _, most = zip(*points, strict=True)
-    axes.plot(at, most, style, color=colour, linewidth=1.4, markersize=5, label=label)
-    return most
+def _draw_target(by_age: Axes, by_messages: Axes, series: Figures, colour: str, width: float) -> None:
+    at, least, most = zip(*series["step"], strict=True)
+    by_age.plot(at, most, color=colour, linewidth=width)
+    by_age.fill_between(at, least, most, color=colour, alpha=0.12, linewidth=0)
+    for call, style in (("receive", ".-"), ("settle", ".--")):
+        at, _, most = zip(*series[call], strict=True)
+        by_messages.plot(at, most, style, color=colour, linewidth=width, markersize=3.5 + width)

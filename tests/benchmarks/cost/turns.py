@@ -19,7 +19,7 @@ from .images import FIRMWARE, PORTS, Image, Instruction
 from .ways import Entries, Loop, parts
 
 _STATED = re.compile(r"\b(?:for|while) \(.*/\* at most (\d+)")
-_SHIFT = re.compile(r"(?:<<|>>)=? *(?:(\d+)(?! *\*)|\([\w>-]+ & (\d+)\))?")
+_SHIFT = re.compile(r"(?:<<|>>)=? *(?:(\d+)(?! *\*)|\([\w>-]+ & (\d+)U?\))?")
 _SHIFT_STATED = re.compile(r"/\* .*shift by at most (\d+)")
 _LONGEST_SHIFT = 31
 """Of a shift of a word that is not by a constant: no lemma allows the width."""

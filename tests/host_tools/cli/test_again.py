@@ -39,7 +39,7 @@ SETTINGS: dict[str, Callable[[argparse.Namespace], Any]] = {
     "simulate": simulate.settings_of,
     "reproduce": reproduce.scale_of,
 }
-"""What decides a run, where more does than the options as they were parsed."""
+"""Everything that decides a run, where more does than the options as they were parsed."""
 
 RUNS = [
     f"swarm {SHORT} --flawed 50% --omega 0.15 --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1",
@@ -61,7 +61,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """What to type again, the last line of a run."""
+    """Command to type again, the last line of a run."""
     assert cli.main(words) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if "on the same seed" not in line]
     assert lines[-1].startswith(PRINTED)
@@ -69,7 +69,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def decided_by(*words: str) -> Any:
-    """What decides the run of a command line."""
+    """Settings that decide the run of a command line."""
     name, *options = words
     args = cli._parser_for(name, cli._load(name)).parse_args(options)
     settings = SETTINGS[name](args) if name in SETTINGS else None

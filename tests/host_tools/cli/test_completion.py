@@ -24,7 +24,7 @@ def scripts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def offered(script: Path, line: str) -> set[str]:
-    """What bash offers for the last word of ``line``, in a folder with a file and a folder."""
+    """Words that bash offers for the last word of ``line``, in a folder with a file and a folder."""
     place = script.parent / "place"
     (place / "folder").mkdir(parents=True, exist_ok=True)
     (place / "run.toml").touch()

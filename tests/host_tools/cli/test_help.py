@@ -155,6 +155,7 @@ def test_what_is_not_run_is_an_example() -> None:
 
 @pytest.mark.slow
 def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As they stand, but for the length of swarms."""
     monkeypatch.setenv("HOME", str(tmp_path))
     for folder in (".local/share/bash-completion/completions", ".zfunc", ".config/fish/completions"):
         (tmp_path / folder).mkdir(parents=True)
@@ -162,4 +163,25 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (tmp_path / "grid.toml").write_text(GRID)
     lines = [line for name in cli.COMMANDS for line in examples(name) if line not in NOT_RUN]
     for line in (*FIRST, *lines):
-        run("sh", "-exc", f"mcp-asdf {line}", cwd=tmp_path, MPLBACKEND="Agg")
+        is_long = line.startswith("swarm") and "--steps" not in line
+        run("sh", "-exc", f"mcp-asdf {line}{' --steps 300' * is_long}", cwd=tmp_path, MPLBACKEND="Agg")
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("help", "did you mean --help?"),
+        ("simulate none.toml", "cannot read none.toml: No such file or directory\n"),
+        ("node --id 3 --observations none.txt", "from none.txt: No such file or directory\n"),
+        ("plot x.png", "needs results: mcp-asdf plot RESULTS.parquet x.png\n"),
+        ("plot a.parquet x.png --kind alpha", "needs no results; leave out a.parquet\n"),
+    ],
+)
+def test_what_a_stranger_types_is_answered_with_the_fix(
+    line: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert told in err
+    assert out == "" and err.count("\n") <= 2

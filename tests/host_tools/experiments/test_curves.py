@@ -11,11 +11,13 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import WITHOUT, ordered_colours, period_colour, share_colour
 from mcp_asdf_tools.experiments.curves import LETTERS, MEASURES, curve, median_interval
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
 from mcp_asdf_tools.experiments.scores import paper_limits
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.robots.population import Filtering
 
 BASE = {"robots": 6, "flawed": "50%", "steps": 300, "filter_period": 100, "trials": 8, "topology": "dynamic"}
 GRID = grid(**BASE, omega=[0.02, 0.05, 0.9], density=[0.5, 2.0], fill_ratio=[0.55, 0.95])
@@ -108,3 +110,18 @@ def test_too_many_curves_are_refused(results: list[Trials]) -> None:
     many = [replace(results[0], experiment=replace(GRID[0], seed=seed)) for seed in range(13)]
     with pytest.raises(UsageError, match="13 values of seed do not fit a picture"):
         curve(many, "omega", "seed")
+
+
+def test_curves_have_the_colours_of_their_meaning(results: list[Trials]) -> None:
+    """Those of a filtering period and of a share are the same in every picture."""
+
+    def colours(hue: str, values: list[object]) -> list[object]:
+        own = [replace(results[0].experiment, **{hue: value, "omega": 0.05}) for value in values]  # type: ignore[arg-type]
+        trials = [replace(results[0], experiment=each) for each in own]
+        return [line.get_color() for line in curve(trials, "omega", hue).axes[0].lines]
+
+    assert colours("filter_period", [250, 1000]) == [period_colour(250), period_colour(1000)]
+    assert colours("flawed", [0, 3, 6]) == [share_colour(share) for share in (0, 0.5, 1)]
+    assert colours("filter", [Filtering.NONE, Filtering.ASDF_PLUS])[1] == WITHOUT
+    assert colours("density", [0.5, 2.0]) == ordered_colours(2)
+    assert len(set(colours("filter_period", [100, 110, 120]))) == 3

@@ -15,12 +15,16 @@ from matplotlib.patches import Circle, PathPatch
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import WITHOUT, are_distinct, number_in_words, period_colour
 from mcp_asdf_tools.experiments.arena_plots import BODY_RADIUS, network, trajectories
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import bands, boxes, confidence, scatter, series_beside, strips
+from mcp_asdf_tools.experiments.plots import boxes, confidence, falls_into_two_groups, strips
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
+from mcp_asdf_tools.experiments.scatter_plots import scatter
 from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.experiments.series_names import by_series, styles_of
 from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.time_plots import bands, series_beside
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.arenas import make_arena
 from mcp_asdf_tools.world.settings import Topology
@@ -100,6 +104,86 @@ def test_series_are_named_by_what_varies(grid: list[Trials]) -> None:
     assert [text.get_text() for text in legend.get_texts()] == ["all of them"]
 
 
+def test_a_series_has_its_colour_by_meaning(grid: list[Trials]) -> None:
+    """Grey without filter, the green of the period with one; two of one colour are hollow and filled."""
+    periods = [
+        replace(grid[0], experiment=replace(GRID[0], filter=mode, filter_period=period))
+        for mode, period in (
+            (Filtering.NONE, 1000),
+            (Filtering.ASDF_MINUS, 1000),
+            (Filtering.ASDF_PLUS, 1000),
+            (Filtering.ASDF_PLUS, 4000),
+        )
+    ]
+    looks = list(styles_of(by_series(periods, None)).values())
+    assert [look.colour for look in looks] == [WITHOUT, *map(period_colour, (1000, 1000, 4000))]
+    assert [look.is_hollow for look in looks] == [False, True, False, False]
+    assert are_distinct([look.colour for look in looks])
+    near = [
+        replace(each, experiment=replace(each.experiment, filter_period=100 + i))
+        for i, each in enumerate(periods)
+    ]
+    assert are_distinct([look.colour for look in styles_of(by_series(near, None)).values()])
+
+
+@pytest.mark.parametrize("series", [1, 4, 8])
+def test_legends_are_not_cut_off(grid: list[Trials], series: int) -> None:
+    many = [replace(grid[0], experiment=replace(GRID[0], seed=10**9 + seed)) for seed in range(series)]
+    figure = boxes(many, lambda _: LIMITS)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+    assert len(legend.get_texts()) == series
+
+
+def test_panels_begin_at_0_and_what_is_near_100_is_magnified(grid: list[Trials]) -> None:
+    def with_scores(flawed: int, k: int) -> Trials:
+        steps = np.full((5, 4), k)
+        errors = np.zeros((5, 4))
+        return replace(
+            grid[0], experiment=replace(GRID[0], flawed=flawed), convergence_steps=steps, errors=errors
+        )
+
+    (axes,) = boxes(
+        [with_scores(flawed, k) for flawed, k in ((0, 0), (1, 3), (2, 290))], lambda _: LIMITS
+    ).axes
+    assert axes.get_ylim()[0] == 0
+    (inset,) = axes.child_axes
+    assert inset.get_ylim()[0] > 80
+    assert inset.get_xlim() == (-0.5, 1.5)
+    (axes,) = boxes([with_scores(flawed, k) for flawed, k in ((0, 290), (1, 3))], lambda _: LIMITS).axes
+    assert not axes.child_axes
+
+
+def test_cells_of_two_groups_have_points(grid: list[Trials]) -> None:
+    draws = np.random.default_rng(3)
+    assert falls_into_two_groups(np.append(draws.normal(40, 3, 20), draws.normal(80, 3, 10)))
+    assert not falls_into_two_groups(draws.normal(60, 10, 300))
+    assert not falls_into_two_groups(draws.uniform(0, 100, 300))
+    assert not falls_into_two_groups(np.append(np.full(28, 90.0), [20, 21]))
+    assert not falls_into_two_groups(np.repeat([98.0, 99.0], 15))
+    assert not falls_into_two_groups(np.full(30, 5.0))
+    errors = np.repeat([0.0, 0.45], [12, 18])[:, np.newaxis] * np.ones(4)
+    steps = np.full((30, 4), 10)
+    two = replace(grid[0], numbers=list(range(30)), convergence_steps=steps, errors=errors)
+    (axes,) = boxes([two], lambda _: LIMITS).axes
+    assert not [patch for patch in axes.patches if isinstance(patch, PathPatch)]
+    (points,) = [line for line in axes.lines if line.get_marker() == "."]
+    assert len(np.asarray(points.get_ydata())) == 30
+
+
+def test_captions_say_how_to_read_a_figure(grid: list[Trials]) -> None:
+    words = boxes(grid, lambda _: LIMITS)._supxlabel.get_text().replace("\N{NO-BREAK SPACE}", " ")  # type: ignore[attr-defined]
+    words = " ".join(words.split())
+    assert "4 robots, fully-connected, 300 steps" in words
+    assert "5 trials of each experiment" in words
+    assert "$K_{max}$ = 300, $e_{max}$ = 0.45" in words
+    assert "whiskers to the last trial within 1.5" in words
+    assert number_in_words(2**32) == "2^32"
+    assert number_in_words(40_000.0) == "40000"
+
+
 def test_strips_have_every_trial(grid: list[Trials]) -> None:
     axes = panels(strips(grid, lambda _: LIMITS))["$f = 0.95$, $b = 0.95$"]
     clouds = [np.array(line.get_xydata()) for line in axes.lines if line.get_marker() == "."]
@@ -143,7 +227,7 @@ def test_bands_hold_all_robots_of_all_trials(grid: list[Trials]) -> None:
     lows = [np.asarray(band.get_paths()[0].vertices)[:, 1].min() for band in axes.collections]
     assert lows[0] == np.percentile(trials.b_hat[..., :2], 5, axis=(0, 2)).min()
     off = np.mean(abs(trials.b_hat[:, -1, 2:] - 0.95) > 0.05)
-    assert axes.get_title().endswith(f"{off:.0%} of unflawed robots end off")
+    assert axes.get_title().endswith(f"{off:.0%} of healthy robots end off")
     with pytest.raises(UsageError, match="there is no filter step"):
         bands([results_of(replace(BASE, filter_period=1000))])
 
@@ -167,8 +251,8 @@ def test_series_beside_each_other_show_their_records() -> None:
     for column, trials in zip(grid.T, runs, strict=True):
         for axes, quantity in zip(column, ("b_hat", "x_hat", "x"), strict=True):
             drawn = np.array([line.get_ydata() for line in axes.lines[:4]])
-            assert np.array_equal(drawn[::-1].T, trials.records[quantity][0])
-            assert np.array_equal(axes.lines[0].get_xdata(), np.arange(0, 301, 10))
+            assert np.array_equal(drawn[::-1, :31].T, trials.records[quantity][0])
+            assert np.array_equal(axes.lines[0].get_xdata()[:31], np.arange(0, 301, 10))
 
 
 def test_confidence_is_the_papers_equation() -> None:
@@ -196,23 +280,56 @@ def test_paths_lead_from_start_to_end() -> None:
     start = arena.positions
     arena.step(300)
     figure = trajectories(MOVING, 1, 300)
-    paths = [np.array(line.get_xydata()) for line in figure.axes[0].lines[:12]][::-1]
+    fading = [each for each in figure.axes[0].collections if isinstance(each, LineCollection)]
+    pieces = [np.array(each.get_segments()) for each in fading][::-1]
+    paths = [np.concatenate([each[:, 0], each[-1:, 1]]) for each in pieces]
     assert np.array_equal([path[0] for path in paths], start)
     assert np.array_equal([path[-1] for path in paths], arena.positions)
     assert np.array_equal(robots_drawn(figure), arena.positions)
     assert all(np.hypot(*np.diff(path, axis=0).T).max() < 0.015 for path in paths)
+    for each in fading:
+        strength = np.asarray(each.get_colors())[:, 3]
+        assert strength[0] < 0.2
+        assert strength[-1] == 1
+        assert (np.diff(strength) > 0).all()
+    moments = np.array(figure.axes[0].lines[0].get_xydata())
+    assert moments.tolist() == [path[step].tolist() for step in range(50, 300, 50) for path in paths]
 
 
 def test_a_network_shows_who_hears_whom() -> None:
     arena = make_arena(MOVING, 0)
     arena.step(200)
     figure = network(MOVING, 0, 200)
-    (links,) = [each for each in figure.axes[0].collections if isinstance(each, LineCollection)]
+    links, _ = [each for each in figure.axes[0].collections if isinstance(each, LineCollection)]
     drawn = np.array([np.ravel(segment) for segment in links.get_segments()])
     assert len(drawn) == len(arena.links) > 0
-    assert np.array_equal(drawn, arena.positions[arena.links.astype(int)].reshape(-1, 4))
+    expected = arena.positions[np.sort(arena.links.astype(int), axis=1)].reshape(-1, 4)
+    assert sorted(drawn.tolist()) == sorted(expected.tolist())
     assert np.hypot(drawn[:, 2] - drawn[:, 0], drawn[:, 3] - drawn[:, 1]).max() < MOVING.radio_range
     assert np.array_equal(robots_drawn(figure), arena.positions)
+
+
+def test_circles_overlap_where_two_hear_each_other_or_a_third_stands_between() -> None:
+    crowded = replace(MOVING, density=6.0)
+    figure = network(crowded, 0, 200)
+    links, blocked = [each for each in figure.axes[0].collections if isinstance(each, LineCollection)]
+    rings = [patch for patch in figure.axes[0].patches if isinstance(patch, Circle)]
+    rings = [ring for ring in rings if ring.radius == crowded.radio_range / 2]
+    overlapping = {
+        frozenset(tuple(map(float, each.center)) for each in (one, other))
+        for index, one in enumerate(rings)
+        for other in rings[:index]
+        if np.hypot(*np.subtract(one.center, other.center)) < one.radius + other.radius
+    }
+    drawn = [
+        {frozenset(map(tuple, np.asarray(segment).tolist())) for segment in each.get_segments()}
+        for each in (links, blocked)
+    ]
+    assert drawn[0] | drawn[1] == overlapping
+    assert drawn[0]
+    assert drawn[1]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "a third stands between" in labels
 
 
 @pytest.mark.parametrize(

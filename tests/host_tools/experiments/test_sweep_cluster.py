@@ -69,6 +69,7 @@ def worker_processes(address: str) -> list[int]:
         return list(client.run(os.getpid).values())
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(cluster: str, tmp_path: Path) -> None:
     here, there = Store(tmp_path / "here.parquet", [SLOW]), Store(tmp_path / "there.parquet", [SLOW])
     victim, other = worker_processes(cluster)

@@ -87,6 +87,7 @@ def test_more_confidence_is_a_wider_interval() -> None:
     assert wide.low < narrow.low < narrow.high < wide.high
 
 
+@pytest.mark.slow
 def test_rank_correlations_are_spearmans() -> None:
     x, noise = sample(1, trials=60), sample(2, trials=60)
     found = rank_correlation(x, noise - x, 0.95)
@@ -102,6 +103,7 @@ def test_what_does_not_vary_is_exact() -> None:
     assert difference(np.full(30, 4.0), np.full(30, 1.0)) == exactly(3) == Estimate(3, 3, 3)
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_promise() -> None:
     """The true difference is 0; a 95 % interval should miss it in about one of twenty cases."""
     missed = 0

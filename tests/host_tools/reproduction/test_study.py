@@ -189,9 +189,12 @@ def _check_report(folder: Path, claims: int, figures: int) -> None:
     sources = re.findall(r'src="([^"]*)"', page)
     assert len(sources) == len(shown)
     assert all(source.startswith("data:image/") for source in sources)
+    described = [re.findall(r'alt="([^"]*)"', tag) for tag in re.findall(r"<img\b[^>]*>", page)]
+    assert all(len(" ".join(words).split()) >= 5 for words in described)
     assert not re.search(r"(src|href)=\"(?!data:|#)", page)
 
 
+@pytest.mark.slow
 def test_figures_say_what_they_show(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -249,6 +252,7 @@ def _files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_trials_are_added_where_comparisons_are_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -276,6 +280,7 @@ def test_efforts_count_their_looks() -> None:
     assert [Effort(60, most, 1).looks for most in (60, 120, 240)] == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_the_study_is_scored_as_the_paper_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -290,6 +295,7 @@ def test_the_study_is_scored_as_the_paper_does(
             assert np.array_equal(found.sample(cell, measure), values)
 
 
+@pytest.mark.slow
 def test_another_firmware_can_run_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -328,6 +328,7 @@ def test_loss_has_its_share(rate: float) -> None:
     assert counts(faults) == [lost]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "length"), [(0.1, 5.0), (0.3, 20.0), (0.5, 1.0)])
 def test_bursts_have_their_share_and_length(rate: float, length: float) -> None:
     """Runs of lost ticks on a link: their mean, and how much of the time they take (wide bounds)."""

@@ -823,8 +823,11 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
     for axes, quantity, truth in zip(panels, QUANTITIES, (0.95, 0.55, 0.55), strict=True):
         *robots, true_line = axes.lines
         values = outcome.history.values(quantity)
-        drawn = sorted((meaning[line.get_color()], np.asarray(line.get_ydata()).tolist()) for line in robots)
-        own_kinds = ["flawed robots"] * 2 + ["other robots"] * 3
+        count = len(values)  # of b_hat, the last value is drawn on beyond the last step
+        drawn = sorted(
+            (meaning[line.get_color()], np.asarray(line.get_ydata())[:count].tolist()) for line in robots
+        )
+        own_kinds = ["flawed robots"] * 2 + ["healthy robots"] * 3
         kinds = ["all robots, the same"] * 5 if quantity == "x" else own_kinds
         assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
         assert {line.get_drawstyle() for line in robots} == {
@@ -835,6 +838,15 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
         assert low < min(truth, values[-1].min())
         assert high > max(truth, values[-1].max())
         assert meaning[true_line.get_color()] == "true value"
+
+
+def test_the_picture_names_parameters_and_faults() -> None:
+    outcome, _ = record(small(faults=("loss=0.25", "delay=0.5")))
+    title = draw(outcome).axes[0].get_title("left")
+    assert "5 robots, 2 flawed" in title
+    assert "seed" in title
+    assert "loss=0.25" in title
+    assert "delay=0.5" in title
 
 
 @pytest.mark.parametrize(

@@ -427,6 +427,7 @@ DIFFERENT = {"degree without blocking", "time between contacts", "largest coordi
 """Not measured here, or measured otherwise: docs/arena.md."""
 
 
+@pytest.mark.slow
 def test_the_motion_has_the_statistics_of_the_reference() -> None:
     """Within 5 %, and what the sampling error of short trials and the reference's last digit add to it."""
     with ThreadPoolExecutor(2) as pool:

@@ -45,8 +45,7 @@ FOR_EACH_TARGET static void draw(block_t *block, uint32_t group)
 }
 
 /* Sums over all robots of each trial but the first. */
-static inline __attribute__((always_inline)) void add_up(uint32_t robots, const uint64_t *restrict of_robots,
-                                                         uint64_t *restrict sums)
+ENGINE_INLINE void add_up(uint32_t robots, const uint64_t *restrict of_robots, uint64_t *restrict sums)
 {
     uint64_t all[LANES_OF_TRIALS] = {0};
     for (uint32_t j = 1; j < robots; ++j) {

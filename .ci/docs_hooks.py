@@ -1,0 +1,143 @@
+"""Build of the documentation: pages made from the program itself, formulas as MathML, docstrings as Markdown.
+
+A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``.
+The picture of the first page becomes the run itself, exported by ``mcp-asdf view``.
+Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import inspect
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import griffe
+from latex2mathml.converter import convert
+
+from mcp_asdf_tools.cli import main as cli
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ROOT / "host_tools/mcp_asdf_tools"
+HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_image")
+
+_CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
+_FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
+_FACE = re.compile(r"^from \.(\S+) import (\w+) as \2$", re.MULTILINE)
+_POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
+
+_PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
+_FRAME = r'<iframe src="run.html" title="\1" style="width: 100%; height: 46rem; border: 0"></iframe>'
+_QUIET: Any = {"stdout": subprocess.DEVNULL}
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Fill in what is generated; keep formulas out of Markdown's way."""
+    for comment, make in (("commands", commands), ("headers", headers), ("rooms", rooms)):
+        if f"<!-- {comment} -->" in markdown:
+            markdown = markdown.replace(f"<!-- {comment} -->", make())
+    markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both
+    if page.is_homepage:
+        markdown = _PICTURE.sub(_FRAME, markdown, count=1)
+        page.meta["hide"] = ["toc"]  # room for it
+    page.formulas = []
+    parts = _CODE.split(markdown)
+    parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Export the run that the first page shows: a film of the first trial, in one file."""
+    with TemporaryDirectory() as folder:
+        results = str(Path(folder) / "run.parquet")
+        moving = ["--topology", "dynamic", "--filter", "asdf-minus", "--flawed", "50%"]
+        for words in (
+            ["simulate", *moving, "--trials", "1", "--steps", "10000", "--output", results],
+            ["view", results, "--export", str(Path(config.site_dir) / "run.html")],
+        ):
+            subprocess.run([sys.executable, "-m", "mcp_asdf_tools.cli.main", *words], check=True, **_QUIET)
+
+
+def on_page_content(content: str, page: Any, **_: Any) -> str:
+    """Put the formulas in."""
+    for number, formula in enumerate(page.formulas):
+        content = content.replace(f"formula{number}formula", formula)
+    return content
+
+
+def _keep(found: re.Match[str], formulas: list[str]) -> str:
+    block, inline = found.groups()
+    formulas.append(convert(block or inline, display="block" if block else "inline"))
+    return f"formula{len(formulas) - 1}formula"
+
+
+def commands() -> str:
+    """Every command with its options, from the parsers."""
+    groups = (
+        f"## {title}\n\n" + "\n".join(_command(name) for name in names) for title, names in cli.GROUPS.items()
+    )
+    return "\n".join(groups)
+
+
+def _command(name: str) -> str:
+    parser = cli._parser_for(name, cli._load(name))
+    parts = [f"### {name}\n\n{parser.description}\n"]
+    for group in parser._action_groups:
+        actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]
+        if actions:
+            rows = "\n".join(_option(parser, action) for action in actions)
+            parts.append(f"\n**{group.title}**\n\n| option | meaning |\n|---|---|\n{rows}\n")
+    return "".join(parts) + f"\n```text\n{parser.epilog}\n```\n"
+
+
+def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
+    formatter = parser._get_formatter()
+    words = formatter._format_action_invocation(action)
+    if len(words) > 80:  # twenty interfaces
+        words = ", ".join(action.option_strings)
+    meaning = formatter._expand_help(action) if action.help else ""
+    return f"| `{_cell(words)}` | {html.escape(_cell(meaning), quote=False)} |"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def headers() -> str:
+    """The C headers, which document themselves."""
+    texts = ((name, (ROOT / f"c_ref/src/{name}.h").read_text(encoding="utf-8")) for name in HEADERS)
+    return "\n".join(f"## {name}.h\n\n```c\n{text}```\n" for name, text in texts)
+
+
+def rooms() -> str:
+    """Classes and functions that each room of the tools offers to others: those named in its face."""
+    return "\n".join(_room(face) for face in sorted(ROOMS.glob("*/__init__.pyi")))
+
+
+def _room(face: Path) -> str:
+    text, room = face.read_text(encoding="utf-8"), face.parent.name
+    title = text.partition('"""')[2].partition('"""')[0].strip()
+    offered = import_module(f"mcp_asdf_tools.{room}")
+    names = [
+        f"::: mcp_asdf_tools.{room}.{module}.{name}\n"
+        for module, name in _FACE.findall(text)
+        if inspect.isclass(getattr(offered, name)) or inspect.isfunction(getattr(offered, name))
+    ]
+    return f"## {room}\n\n{title}\n\n" + "\n".join(names)
+
+
+class Docstrings(griffe.Extension):
+    """Powers in docstrings are written as in Python; in Markdown their stars would make text bold."""
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Rewrite the docstring of each object that is documented."""
+        if obj.docstring:
+            parts = _CODE.split(obj.docstring.value)
+            parts[::2] = [_POWER.sub(r"<sup>\1</sup>", part) for part in parts[::2]]
+            obj.docstring.value = "".join(parts)

@@ -1,0 +1,72 @@
+"""Figures of the assurance case in docs/trust.md, counted where the evidence is.
+
+PYTHONPATH=tests python -m assurance
+
+Writes them into the page; nothing is measured.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+
+from benchmarks.cost import figures
+from benchmarks.cost.measurement import OTHER_CALLS, TICK_CALLS
+from benchmarks.cost.report import fill, largest_ratio
+from mutation.c_mutants import mutants
+from proofs import accuracy, arithmetic, core
+from proofs.source import VARIANTS, program
+from support import ROOT
+
+PAGE = ROOT / "docs/trust.md"
+MARKER = "assurance figures"
+MUTATED = ("mcp_asdf.c", "mcp_asdf_arithmetic.h", "mcp_asdf_image.c", "mcp_asdf_frame.c")
+
+
+def _of_proofs() -> Iterator[tuple[str, str]]:
+    named = {each for variant in VARIANTS for room in (arithmetic, core) for each in room.contracts(variant)}
+    yield "functions with a lemma, and variants of the code", f"{len(named)}, {len(VARIANTS)}"
+    code = program(VARIANTS[0], core.CORE)
+    claims = [*accuracy.of_estimate(code), *accuracy.of_set_b_hat(code), *accuracy.of_square_of_ratio(code)]
+    roundings = [accuracy.of_x_hat, accuracy.of_alpha, accuracy.of_squares, accuracy.of_alpha_at_an_end]
+    inequalities = sum(1 for each in roundings for _ in each())
+    yield "claims of the errors' proof: of the code, of the numbers", f"{len(claims)}, {inequalities}"
+
+
+def _of_cost() -> Iterator[tuple[str, str]]:
+    targets = figures.kept()["targets"]
+    cores = [(name, levels[level]["firmware"]) for name, levels in targets.items() for level in levels]
+    ratios = [f"{name} {largest_ratio(each, TICK_CALLS):.2f}" for name, each in cores[1::2]]
+    yield "a tick's calls, bound / most that was seen, at -O2", ", ".join(ratios)
+    other = max(largest_ratio(each, OTHER_CALLS) for _, each in cores)
+    yield "the same of all other calls, at most", f"{other:.1f}"
+
+
+def _of_tests() -> Iterator[tuple[str, str]]:
+    count = sum(1 for file in MUTATED for _ in mutants(file))
+    listed = tomllib.loads((ROOT / "tests/mutation/equivalent.toml").read_text(encoding="utf-8"))
+    equivalent = sum(len(each["mutants"]) for each in listed["group"])
+    yield "mistakes made in the C, and those of them that make no difference", f"{count}, {equivalent}"
+    corpora = sorted((ROOT / "tests/fuzz/corpus").glob("*.txt"))
+    kept = [f"{each.stem} {len(each.read_text(encoding='ascii').split())}" for each in corpora]
+    yield "fuzzers' inputs that every test run replays", ", ".join(kept)
+
+
+def section() -> str:
+    """The table between the markers."""
+    rows = (*_of_proofs(), *_of_cost(), *_of_tests())
+    return "\n".join(["| counted | |", "|---|---|", *(f"| {what} | {count} |" for what, count in rows)])
+
+
+def filled(page: str) -> str:
+    """The page's text with the figures as they are now."""
+    return fill(page, {MARKER: section()})
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""MISRA C:2012, by cppcheck's addon: no finding but those that ``misra.toml`` lists with a reason."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from support import CORE, require
+
+SOURCES = CORE.parent
+RECORD = Path(__file__).with_name("misra.toml")
+NAMES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+ON_AN_AVR = ("-D__AVR__", "--platform=avr8", "-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_BYTE(at)=(*(at))")
+TARGETS = {
+    "1001": (),
+    "2100": (),
+    "1000": ("-D__riscv", "--platform=unix32"),
+    "3010": (*ON_AN_AVR, "-DMCP_ASDF_READ_WORD(at)=(*(at))"),
+    "4000": (),
+    "2000": ("-D__OPTIMIZE_SIZE__", "--platform=unix32"),
+}
+"""Choices of the targets that tests/c_ref/CMakeLists.txt names, and what else tells them apart."""
+WHOLE = ("1001", "3010")
+"""Targets for which all files are checked: choices change only the core, the width of an int all of them."""
+HEADERS = ("-D__GNUC__=12", "-DUINT32_C(v)=((uint32_t)v##U)", "-DUINT64_C(v)=((uint64_t)v##ULL)")
+"""From headers of the system, which cppcheck does not read: constants have the type they are asked for."""
+
+MANDATORY = frozenset(
+    {"9.1", "12.5", "13.6", "17.3", "17.4", "17.6", "19.1", "22.2", "22.4", "22.5", "22.6"}
+    | {f"21.{number}" for number in (13, 17, 18, 19, 20)}
+)
+ADVISORY = frozenset(
+    {
+        "1.2",
+        "4.2",
+        "5.9",
+        "8.7",
+        "8.9",
+        "8.11",
+        "8.13",
+        "10.5",
+        "11.4",
+        "11.5",
+        "17.5",
+        "17.8",
+        "18.4",
+        "18.5",
+    }
+    | {f"2.{number}" for number in range(3, 8)}
+    | {"12.1", "12.3", "12.4", "13.3", "13.4", "15.1", "15.4", "15.5", "17.5", "17.8", "19.2"}
+    | {"20.1", "20.5", "20.10", "21.12"}
+)
+"""Rules by category; all others are required."""
+FINDING = re.compile(r"^([^:\n]+):(\d+) misra-c2012-([\d.]+)$", re.MULTILINE)
+COMMENT = re.compile(r"/\*.*?(\*/|$)")
+
+
+def findings(target: str, sources: Path) -> dict[str, set[str]]:
+    """Places of each rule's findings under a target's choices: file and line of code, without its number.
+
+    Beside the sources cppcheck writes files of its own, so these are a copy.
+    """
+    choices = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(NAMES, target, strict=True)]
+    files = sorted(sources.glob("*.c")) if target in WHOLE else [sources / CORE.name]
+    command = ["cppcheck", "--addon=misra", "--std=c99", "--quiet", "--template={file}:{line} {id}"]
+    done = subprocess.run(
+        [*command, *HEADERS, *choices, *TARGETS[target], *map(str, files)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    lines = {path.name: path.read_text(encoding="utf-8").splitlines() for path in sources.glob("*.[ch]")}
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    for path, line, rule in FINDING.findall(done.stderr):
+        name = Path(path).name
+        found[rule].add(f"{name}: {' '.join(COMMENT.sub('', lines[name][int(line) - 1]).split())}")
+    assert not FINDING.sub("", done.stderr).strip(), done.stderr
+    return found
+
+
+def record() -> tuple[dict[str, set[str]], set[str]]:
+    """Places of each required rule, and the advisory rules, that the record excepts."""
+    read = tomllib.loads(RECORD.read_text(encoding="utf-8"))
+    assert all(len(entry["reason"].split()) > 5 for group in read.values() for entry in group)
+    places = [(entry["rule"], place) for entry in read["required"] for place in entry["places"]]
+    rules = [entry["rule"] for entry in read["advisory"]]
+    assert len(set(places)) == len(places) and len(set(rules)) == len(rules), "an entry twice"
+    required: defaultdict[str, set[str]] = defaultdict(set)
+    for rule, place in places:
+        required[rule].add(place)
+    return required, set(rules)
+
+
+def test_the_record_excepts_no_mandatory_rule() -> None:
+    required, advisory = record()
+    assert advisory <= ADVISORY
+    assert required.keys().isdisjoint(ADVISORY | MANDATORY)
+
+
+def copied(folder: Path, right: str = "", wrong: str = "") -> Path:
+    """A copy of the sources in this folder, with a change."""
+    for path in SOURCES.glob("*.[ch]"):
+        (folder / path.name).write_text(
+            path.read_text(encoding="utf-8").replace(right, wrong), encoding="utf-8"
+        )
+    return folder
+
+
+def test_misra_finds_what_the_record_lists_and_nothing_else(tmp_path: Path) -> None:
+    """A new finding fails, and so does an entry without a finding."""
+    require("cppcheck", "cppcheck")
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    sources = copied(tmp_path)
+    for target in TARGETS:
+        for rule, places in findings(target, sources).items():
+            found[rule] |= places
+    required, advisory = record()
+    assert {rule: places for rule, places in found.items() if rule not in ADVISORY} == required
+    assert found.keys() & ADVISORY == advisory
+
+
+@pytest.mark.parametrize(
+    ("rule", "good", "bad"),
+    [
+        ("10.4", "high_word(d) == 0U", "high_word(d) == 0"),
+        ("13.6", "++robot->counters.updates;", "(void)sizeof(++robot->counters.updates);"),
+    ],
+)
+def test_a_planted_departure_is_found(rule: str, good: str, bad: str, tmp_path: Path) -> None:
+    require("cppcheck", "cppcheck")
+    new = findings("2000", copied(tmp_path, good, bad))[rule] - record()[0].get(rule, set())
+    assert len(new) == 1 and bad in new.pop()
