@@ -6,6 +6,7 @@ Most are mistakes that one makes when porting the firmware or writing a node fro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -477,6 +478,62 @@ class DropsOlderTransfers(RobotNode):
             super()._receive(message)
 
 
+class ReadsWhat(RobotNode):
+    """Reads an estimate out of frames that its codec should reject, as a check was left out."""
+
+    def hear(self, frame: can.Message) -> Frames:
+        return super().hear(self.mended(frame))
+
+    def mended(self, frame: can.Message) -> can.Message:
+        """The frame as a right codec must see it to take what this one takes."""
+        raise NotImplementedError
+
+
+def reading(mend: Callable[[can.Message], None], reason: Rejection) -> type[ReadsWhat]:
+    """A node that reads frames which are rejected for a reason as if they were mended."""
+
+    def mended(self: ReadsWhat, frame: can.Message) -> can.Message:
+        if decode(frame, FrameFormat()) is not reason:
+            return frame
+        other = copy(frame)
+        other.data = bytearray(frame.data)
+        mend(other)
+        return other
+
+    return type("Reading", (ReadsWhat,), {"mended": mended})
+
+
+def set_tail(bit: int) -> Callable[[can.Message], None]:
+    """Sets a bit of the tail byte."""
+
+    def mend(frame: can.Message) -> None:
+        frame.data[7] |= bit
+
+    return mend
+
+
+def lengthen(frame: can.Message) -> None:
+    """Add the tail byte that is missing."""
+    if len(frame.data) == 7:
+        frame.data, frame.dlc = frame.data + b"\xe0", 8
+
+
+def lower_x_hat(frame: can.Message) -> None:
+    """Take an estimate one unit above 1 for 1."""
+    if frame.data[:3] == b"\x01\x00\x80":
+        frame.data[0] = 0
+
+
+def as_subject(mask: int) -> Callable[[can.Message], None]:
+    """Compares these bits of the subject alone."""
+
+    def mend(frame: can.Message) -> None:
+        if (frame.arbitration_id >> 8 & 0x1FFF ^ 3000) & mask == 0:
+            frame.arbitration_id = frame.arbitration_id & ~(0x1FFF << 8) | 3000 << 8
+
+    return mend
+
+
 class DeafTo127(RobotNode):
     def _receive(self, message: Message) -> None:
         if message.sender != 127:
@@ -848,7 +905,7 @@ WRONG: dict[str, Wrong] = {
         for reason, doing in (
             (Rejection.X_HAT, "x_hat above 1"),
             (Rejection.ALPHA, "alpha"),
-            (Rejection.LENGTH, "fewer than 8 bytes"),
+            (Rejection.LENGTH, "7 bytes"),
             (Rejection.MULTI_FRAME, "no single-frame tail byte"),
             (Rejection.REMOTE_FRAME, "a remote frame"),
             (Rejection.STANDARD_ID, "an 11-bit identifier"),
@@ -857,6 +914,28 @@ WRONG: dict[str, Wrong] = {
             (Rejection.RESERVED_BITS, "reserved bit"),
         )
     },
+    "does not look at the start bit": Wrong(
+        "invalid frames", "tail byte", node=reading(set_tail(1 << 7), Rejection.MULTI_FRAME)
+    ),
+    "does not look at the end bit": Wrong(
+        "invalid frames", "tail byte", node=reading(set_tail(1 << 6), Rejection.MULTI_FRAME)
+    ),
+    "does not look at the toggle bit": Wrong(
+        "invalid frames", "tail byte", node=reading(set_tail(1 << 5), Rejection.MULTI_FRAME)
+    ),
+    "takes 7 bytes": Wrong("invalid frames", "accepts 7 bytes", node=reading(lengthen, Rejection.LENGTH)),
+    "x_hat one unit too large": Wrong(
+        "invalid frames", "x_hat one unit above 1", node=reading(lower_x_hat, Rejection.X_HAT)
+    ),
+    "subjects of 8 bits": Wrong(
+        "invalid frames", "accepts another subject", node=reading(as_subject(0xFF), Rejection.SUBJECT)
+    ),
+    "leaves out bit 4 of subjects": Wrong(
+        "invalid frames", "of the same upper bits", node=reading(as_subject(0x1FEF), Rejection.SUBJECT)
+    ),
+    "leaves out bit 8 of subjects": Wrong(
+        "invalid frames", "of the same lower bits", node=reading(as_subject(0x1EFF), Rejection.SUBJECT)
+    ),
     # Commands
     "takes no observation for white": Wrong("alone", "without an observation", node=CountsNothingAsWhite),
     "stays in a tick": Wrong("lost commands", "waits for that settle", node=StaysInATick),

@@ -86,17 +86,30 @@ def _remote(frame: can.Message, draw: Draw) -> None:
     frame.data = bytearray()
 
 
-def _short(frame: can.Message, draw: Draw) -> None:
-    frame.dlc = draw.randrange(8)
-    frame.data = frame.data[: frame.dlc]
+def _short(longest: int) -> Breaker:
+    def spoil(frame: can.Message, draw: Draw) -> None:
+        frame.dlc = draw.randint(0, longest) if longest < _LONGEST else longest
+        frame.data = frame.data[: frame.dlc]
+
+    return spoil
 
 
 def _tail(frame: can.Message, draw: Draw) -> None:
     frame.data[7] = draw.randrange(0xE0)
 
 
-def _x_hat(frame: can.Message, draw: Draw) -> None:
-    frame.data[:3] = draw.randint(ONE + 1, 0xFF_FFFF).to_bytes(3, "little")
+def _without(bit: int) -> Breaker:
+    def spoil(frame: can.Message, draw: Draw) -> None:
+        frame.data[7] &= ~bit
+
+    return spoil
+
+
+def _x_hat(low: int, high: int) -> Breaker:
+    def spoil(frame: can.Message, draw: Draw) -> None:
+        frame.data[:3] = draw.randint(low, high).to_bytes(3, "little")
+
+    return spoil
 
 
 def _alpha(low: int, high: int) -> Breaker:
@@ -106,12 +119,20 @@ def _alpha(low: int, high: int) -> Breaker:
     return spoil
 
 
+_LONGEST = 7
+"""Bytes of the longest frame that is too short."""
+
 _WAYS: dict[str, Breaker] = {
     "an 11-bit identifier": _standard,
     "a remote frame": _remote,
-    "fewer than 8 bytes": _short,
+    "7 bytes": _short(_LONGEST),
+    "fewer than 7 bytes": _short(_LONGEST - 1),
     "no single-frame tail byte": _tail,
-    "x_hat above 1": _x_hat,
+    "a tail byte without the start bit": _without(1 << 7),
+    "a tail byte without the end bit": _without(1 << 6),
+    "a tail byte without the toggle bit": _without(1 << 5),
+    "x_hat above 1": _x_hat(ONE + 2, 0xFF_FFFF),
+    "x_hat one unit above 1": _x_hat(ONE + 1, ONE + 1),
     "alpha infinite": _alpha(0x7F80_0000, 0x7F80_0000),
     "alpha not a number": _alpha(0x7F80_0001, 0x7FFF_FFFF),
     "alpha -0": _alpha(0x8000_0000, 0x8000_0000),
@@ -121,6 +142,8 @@ _WAYS: dict[str, Breaker] = {
     "reserved bit 23 set": _set_id(1 << 23),
     "reserved bit 7 set": _set_id(1 << 7),
     "another subject": _set_id(1 << 20),
+    "another subject of the same upper bits": _set_id(1 << 12),
+    "another subject of the same lower bits": _set_id(1 << 16),
 }
 _TELEMETRY, _HEARTBEAT = "telemetry of another robot", "a heartbeat of another robot"
 INVALID = (*_WAYS, _TELEMETRY, _HEARTBEAT)
