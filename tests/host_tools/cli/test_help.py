@@ -41,6 +41,9 @@ NOT_RUN = {
     "crosscheck --steps 100000000 --seed 7": LONG,
     "sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": LONG,
     "sweep grid.toml --scheduler tcp://head:8786": "wants several machines",
+    "plot grid.parquet curves.svg --kind curve --x omega --hue density --y e": (
+        "wants a sweep over both; tests/host_tools/experiments/test_curves.py draws such curves"
+    ),
     "reproduce": LONG,
     "reproduce --paper": LONG,
     "reproduce --quick": "tests/host_tools/reproduction/test_study.py runs it",
@@ -58,7 +61,7 @@ FIRST = (
 """Commands that make what examples read."""
 GRID = """\
 robots = 4
-steps = 700
+steps = 2000
 trials = 4
 flawed = 2
 filter = ["none", "asdf-plus"]
@@ -163,6 +166,9 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (tmp_path / "grid.toml").write_text(GRID)
     lines = [line for name in cli.COMMANDS for line in examples(name) if line not in NOT_RUN]
     for line in (*FIRST, *lines):
+        if line in ("sweep grid.toml", "simulate --trials 1 --record 100 --output run.parquet"):
+            line += " --output of_its_own.parquet"  # noqa: PLW2901
+            (tmp_path / "of_its_own.parquet").unlink(missing_ok=True)
         is_long = line.startswith("swarm") and "--steps" not in line
         run("sh", "-exc", f"mcp-asdf {line}{' --steps 300' * is_long}", cwd=tmp_path, MPLBACKEND="Agg")
 
