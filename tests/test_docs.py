@@ -128,7 +128,7 @@ SLOW = {
 }
 """Commands that are for ``make verify``."""
 
-LONG_PAGES = {"socketcan.md", "swarm.md", "targets.md", "threats.md", "view.md"}
+LONG_PAGES = {"experiments.md", "socketcan.md", "swarm.md", "targets.md", "threats.md", "view.md"}
 """Pages with so many commands that they are for ``make verify`` as a whole."""
 
 NEEDED = {
@@ -237,6 +237,8 @@ def test_a_slow_command_has_a_quick_one_beside_it() -> None:
     quick = {c.split()[1] for page in short for c in all_commands(page) if c not in SLOW and is_run(page, c)}
     elsewhere = {"reproduce": "tests/host_tools/reproduction/test_study.py"}
     elsewhere |= {"sweep": "tests/host_tools/experiments/test_sweep.py"}
+    elsewhere |= {"view": "tests/host_tools/cli/test_view.py", "plot": "tests/host_tools/cli/test_where.py"}
+    elsewhere |= {"score": "tests/host_tools/experiments/test_sweep.py"}
     long = {c for page in PAGES if page not in short for c in all_commands(page)}
     slow = {command.split()[1] for command in {*SLOW, *long} if command.startswith("mcp-asdf ")}
     assert slow - quick <= set(elsewhere)

@@ -101,6 +101,7 @@ some_cells = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @some_cells
 def test_the_kept_figures_are_what_is_measured(target: Target, level: str, tmp_path: Path) -> None:
     usable(target)
@@ -294,6 +295,7 @@ def test_a_page_without_markers_is_refused() -> None:
 # ---- What measures ----
 
 
+@pytest.mark.slow
 @every_target
 def test_an_image_computes_the_firmware_s_bits(target: Target, tmp_path: Path) -> None:
     machine = load(measurement.firmware_image(usable(target), "-Os", tmp_path / "image"))
@@ -573,6 +575,7 @@ def _in_other_units(kept: measurement.Figures) -> measurement.Figures:
     return changed
 
 
+@pytest.mark.slow
 def test_bad_usage_is_told(tmp_path: Path) -> None:
     done = command("--draw", "cost.txt", cwd=tmp_path)
     assert done.returncode == 2

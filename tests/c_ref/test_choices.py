@@ -28,6 +28,7 @@ def complaint(*flags: str, source: Path = CORE) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["gcc -Os -fsyntax-only", "clang -O2 -fsyntax-only", *slow(["gcc -O2 -c"])])
 def test_every_combination_compiles_without_a_warning(way: str, tmp_path: Path) -> None:
     compiler, *flags = way.split()

@@ -101,6 +101,7 @@ def arduino_image(folder: Path) -> Path:
     return folder / "built/robot.ino.elf"
 
 
+@pytest.mark.slow
 def test_an_arduino_uno_runs_it(tmp_path: Path) -> None:
     require("arduino-builder", "arduino-builder arduino-core-avr")
     require("simavr", "simavr")
@@ -186,6 +187,7 @@ def build_consumer(folder: Path, project: str) -> Path:
     return folder / "build/consumer"
 
 
+@pytest.mark.slow
 def test_esp_idf_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
     require("compote")
     run("compote", "manifest", "lint", PACKAGE / "idf_component.yml")
@@ -271,6 +273,7 @@ def test_zephyr_builds_nothing_unless_told_to(tmp_path: Path) -> None:
     run(require("cmake"), "-P", tmp_path / "without_zephyr.cmake")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left_out", [(), ("mcp_asdf_frame",), ("mcp_asdf_image",), PARTS[1:]])
 def test_zephyr_builds_what_its_options_say(left_out: tuple[str, ...], tmp_path: Path) -> None:
     wanted = "".join(f"CONFIG_{name.upper()}={'n' if name in left_out else 'y'}\n" for name in PARTS)

@@ -94,6 +94,7 @@ def pkg_config(prefix: Path, *arguments: str) -> str:
     return run(require("pkg-config", "pkgconf"), *arguments, "mcp_asdf", PKG_CONFIG_PATH=str(folder))
 
 
+@pytest.mark.slow
 def test_the_root_builds_tests_unless_told_not_to(tmp_path: Path) -> None:
     """BUILD_TESTING is the option by which CMake's users turn tests off; the rest stays."""
     for setting, tests in (("ON", True), ("OFF", False)):
@@ -262,11 +263,13 @@ def test_cmake_builds_it_from_source(get: str, folder: Path, project: Path, expe
     assert "Total Tests: 0" in run("ctest", "-N", "--test-dir", built)
 
 
+@pytest.mark.slow
 def test_find_package_finds_it(prefix: Path, project: Path, expected: str) -> None:
     get = FIND.format(f"{version_of_header()} EXACT")
     assert run(build(project, get, f"-DCMAKE_PREFIX_PATH={prefix}") / "consumer") == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", ["0.0.9", "0.99", "9.0"])
 def test_find_package_refuses_other_versions(wanted: str, prefix: Path, project: Path) -> None:
     with pytest.raises(AssertionError, match="compatible with requested"):

@@ -291,6 +291,7 @@ def test_it_does_what_the_mirror_does(project: Path) -> None:
     assert done.stdout == GREETING + Expected().play(played)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["cortex-m3", *slow(["rv32imac"])])
 def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
     command = machine(target)
@@ -300,6 +301,7 @@ def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
     assert answers([*command, image], [played], len(expected), len(GREETING)) == expected
 
 
+@pytest.mark.slow
 def test_its_interrupts_receive_while_it_sends(project: Path) -> None:
     """The board with interrupts and a clock of its own. Neighbours say the same without a pause, far faster
     than any line can: most of it is lost, which shows in the heartbeat only.

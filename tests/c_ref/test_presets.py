@@ -94,6 +94,7 @@ def wraps(program: Path) -> set[tuple[str, str]]:
     }
 
 
+@pytest.mark.slow
 def test_the_list_of_intended_wrapping_is_exact(tmp_path: Path) -> None:
     """Without the list, the sanitizer reports each function on it, and no other one."""
     skip_without_tools("sanitizers")

@@ -99,6 +99,7 @@ def test_alpha_is_within_its_limits() -> None:
         assert least <= own(n, t, raw)[1] <= most, (n, t, raw)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raw", [*EDGES, *slow(2**32 - c for c in EDGES), 3 << 30, 2**31 + 1])
 def test_every_count_of_few_observations(raw: int) -> None:
     b = raw * exact.Q32

@@ -17,7 +17,7 @@ import can
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from intelhex import IntelHex  # type: ignore[import-untyped]
 from PIL import Image
@@ -315,6 +315,8 @@ def effort(parser: Parser, path: Path, data: bytes) -> tuple[float, int]:
 
 
 @given(st.binary(max_size=30), st.integers(0, 2**29 - 1), st.integers(0, 8))
+@example(b"\t", 0, 5)
+@example(b"+", 0, 5)
 def test_lines_of_frames_are_read_or_not(noise: bytes, identifier: int, length: int) -> None:
     """Each frame that is taken is written again in the same letters."""
     sound = line_of(can.Message(arbitration_id=identifier, data=bytes(length)))[:-1]

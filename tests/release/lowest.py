@@ -19,7 +19,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 TESTED = ("tests/firmware_py", "tests/host_tools")
 """The Python tests; all others are of C, targets and tools."""
 TOOLS = ("hypothesis", "pytest", "pytest-timeout", "pytest-xdist", "pycparser", "cantools")
-"""What these tests need beside the project, in any version."""
+"""Packages that these tests need beside the project, in any version."""
 NEWEST_MINOR = 30
 
 
@@ -31,7 +31,7 @@ def oldest_python() -> str:
 
 
 def requirements() -> list[str]:
-    """What the project needs to be built and run, all its extras included, as it states them."""
+    """Requirements of the project to be built and run, all its extras included, as it states them."""
     project = PROJECT["project"]
     extras = project.get("optional-dependencies", {}).values()
     every = {

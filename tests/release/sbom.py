@@ -24,7 +24,7 @@ from c_ref.consumer import version_of_header
 from support import PATIENCE, ROOT
 
 UPLOT = ROOT / "host_tools/mcp_asdf_tools/view/page/uplot/uPlot.iife.min.js"
-"""What the wheel ships of others: a library of the page."""
+"""Software of others in the wheel: a library of the page."""
 UPLOT_VERSION = re.compile(r"uPlot \(v([\d.]+)\)")
 NAME = "mcp-asdf"
 PROJECT = "root-component"

@@ -13,6 +13,7 @@ MADE = {"library": "libmcp_asdf.a", "tables": "t_table_omega05_q30.c", "wheel": 
 """A file that must be among what is compared."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["library", "tables", *slow(["wheel"])])
 def test_two_builds_give_the_same_bytes(kind: str, tmp_path: Path) -> None:
     require("cmake")

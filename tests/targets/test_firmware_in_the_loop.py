@@ -453,6 +453,7 @@ def test_a_flood_with_noise_is_dropped_counted_and_survived(target: str, board: 
     assert expected == b"F08\r"
 
 
+@pytest.mark.slow
 def test_who_does_not_listen_loses_whole_lines_and_stops_nobody(image_of: Builder) -> None:
     require_target(target := "cortex-m3")
     told, talk = model(), Talk(SEED)
@@ -477,6 +478,7 @@ def test_who_does_not_listen_loses_whole_lines_and_stops_nobody(image_of: Builde
         assert line.receive(len(expected)) == expected
 
 
+@pytest.mark.slow
 @one_of_each
 def test_a_host_that_breaks_off_can_come_again(target: str, board: Board) -> None:
     talk = Talk(SEED)
@@ -586,6 +588,7 @@ def test_a_byte_that_is_overrun_costs_its_line_and_no_other(cortex_m3: Path) -> 
     assert told.dropped == 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [1, 9, 12, 26])
 def test_halves_of_two_lines_do_not_make_one(cortex_m3: Path, first: int) -> None:
     """27 lost bytes, one line's end and the next one's beginning, leave what looks like a line."""

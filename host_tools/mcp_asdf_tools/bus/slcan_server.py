@@ -143,6 +143,8 @@ def frame_of(line: bytes) -> can.Message | None:
     """The frame of a line without its end; None if the line is malformed."""
     kind, digits = line[:1], 8 if line[:1].isupper() else 3
     is_remote = kind in (b"r", b"R")
+    if not line[1:].isalnum():  # int() and fromhex() would take white space and signs
+        return None
     try:
         identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])
         data = bytes.fromhex(line[2 + digits :].decode("ascii"))

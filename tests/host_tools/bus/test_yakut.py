@@ -99,6 +99,7 @@ def logged(log: Path) -> set[Message]:
         return {message for message in found if isinstance(message, Message)}
 
 
+@pytest.mark.slow
 def test_every_robot_is_in_its_monitor(environment: dict[str, str]) -> None:
     """Operational and healthy, next to the monitor itself, node 126; with the subjects that they send."""
     with swarm(environment) as yakut:

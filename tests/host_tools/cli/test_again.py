@@ -93,6 +93,7 @@ def test_the_line_is_the_same_run(line: str, capsys: pytest.CaptureFixture[str])
     assert printed(capsys, *again) == shlex.join(again)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [f"swarm {SHORT}", f"simulate {SHORT} --trials 2", "sweep grid.toml"])
 def test_the_seed_is_said_even_if_it_was_not_given(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert "--seed=1" in printed(capsys, *line.split()).split()

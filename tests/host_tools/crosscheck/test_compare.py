@@ -912,6 +912,7 @@ def test_a_counting_robot_computes_the_same() -> None:
     assert tally.counts.total() > 1000
 
 
+@pytest.mark.slow
 def test_operations_are_bounded_whatever_t_m_and_q() -> None:
     assert exceeded(operations()) == []
     for name, count in operations().items():
@@ -1227,6 +1228,7 @@ def test_the_plot_is_drawn(quick: None, tmp_path: Path, capsys: pytest.CaptureFi
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["svg", *slow(["png", "pdf"])])
 def test_equal_figures_give_equal_files(tmp_path: Path, suffix: str) -> None:
     first, second = (tmp_path / f"{name}.{suffix}" for name in ("first", "second"))

@@ -282,6 +282,7 @@ def can_run(architecture: str) -> bool:
     return f" {needed} " in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("architecture", ["x86-64", *VECTOR_BYTES])
 def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(architecture: str, tmp_path: Path) -> None:
     gcc, program = compiler_of_vectors(), tmp_path / "lanes_check"
@@ -315,6 +316,7 @@ def first_sizes(source: Path, architecture: str, tmp_path: Path) -> dict[int, in
     return done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("architecture", VECTOR_BYTES)
 @pytest.mark.parametrize(
     ("file", "words"),

@@ -370,7 +370,7 @@ def test_the_command_draws(kind: str, suffix: str, tmp_path: Path) -> None:
     [
         (["x.png"], "boxes needs results"),
         (["r.parquet", "x.png", "--kind", "alpha"], "needs no results"),
-        (["two.parquet", "x.png", "--kind", "network"], "there are 2 experiments; network shows one"),
+        (["two.parquet", "x.png", "--kind", "network"], "network shows one experiment, and 2 match"),
         (["two.parquet", "x.png", "--kind", "curve", "--x", "omega"], "the results differ in seed too"),
         (["r.parquet", "x.png", "--kind", "curve"], "--x is ''; choose a parameter, such as fill_ratio"),
         (["r.parquet", "x.png", "--kind", "curve", "--x", "tau", "--hue", "tao"], "--hue is 'tao'; choose"),

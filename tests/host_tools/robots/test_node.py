@@ -552,7 +552,7 @@ def test_a_missing_vcan_is_told_how_to_make(capsys: pytest.CaptureFixture[str]) 
     shown = capsys.readouterr().err
     assert "modprobe vcan && ip link add dev vcan97 type vcan && ip link set vcan97 up" in shown
     assert main(shlex.split("node --id 1 --interface socketcan --channel can97")) == 2
-    assert "\n  ip link set can97 up type can bitrate 500000\n" in capsys.readouterr().err
+    assert "modprobe can-raw && ip link set can97 up type can bitrate 500000\n" in capsys.readouterr().err
 
 
 def test_an_interface_of_a_variable_that_does_not_exist(

@@ -320,6 +320,7 @@ def warnings_of_pyserial() -> Iterator[None]:
     gc.collect()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
 @pytest.mark.usefixtures("warnings_of_pyserial")
 @pytest.mark.parametrize(

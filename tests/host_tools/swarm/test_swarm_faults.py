@@ -365,6 +365,7 @@ def watch_invariants(swarm: Swarm) -> None:
         assert 0 <= robot.x_raw <= ONE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
 @hypothesis_settings(max_examples=15, deadline=None, derandomize=True, database=None)
 @given(
