@@ -257,10 +257,10 @@ LATE = ("long run", "among neighbours")
 EARLY = [what for what, wrong in WRONG.items() if wrong.phase not in LATE]
 
 
-QUICK = EARLY[::3]
+SAMPLE = EARLY[::3]
 
 
-@pytest.mark.parametrize("what", [*QUICK, *slow(sorted(WRONG.keys() - QUICK))])
+@pytest.mark.parametrize("what", [*SAMPLE, *slow(sorted(WRONG.keys() - SAMPLE))])
 def test_wrong_controllers_fail_where_they_are_wrong(what: str) -> None:
     wrong = WRONG[what]
     verdict = found(wrong)
