@@ -8,7 +8,7 @@ import pytest
 
 from support import DRAWS_ALL
 
-SLOW_TIMEOUT = 1800
+SLOW_TIMEOUT = 1200
 """Seconds that a slow test may take; others have the timeout in ``pyproject.toml``."""
 
 
