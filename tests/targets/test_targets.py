@@ -235,13 +235,13 @@ def core_with(folder: Path, right: str, wrong: str) -> str:
 
 FAULTS = [
     (  # ties away from zero: first seen when n = 1 is halved
-        "(n >> 1 & 1)",
-        "(n & 1)",
+        "(n >> 1 & 1U)",
+        "(n & 1U)",
         "scenario 6 (a memory of 64 halves, ties to even), call 4, step:1:",
     ),
     (  # a message whose effect the digest covers only with the next call
-        "before | UINT32_C(1) << (sender & 7)",
-        "before | UINT32_C(3) << (sender & 7)",
+        "before | UINT32_C(1) << (sender & 7U)",
+        "before | UINT32_C(3) << (sender & 7U)",
         "scenario 42 (senders), call 1, receive:0:8388608:2147483649:",
     ),
     (  # one bit of a sum: seen when a round stays open
