@@ -8,8 +8,8 @@ import pytest
 
 from support import DRAWS_ALL
 
-SLOW_TIMEOUT = 1200
-"""Seconds that a slow test may take; others have the timeout in ``pyproject.toml``."""
+TIMEOUT, SLOW_TIMEOUT = 300, 1200
+"""Seconds that a test may take before it fails as one that hangs; those in a guest kernel have no limit."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -21,5 +21,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_itemcollected(item: pytest.Item) -> None:
     if item.get_closest_marker("random") and DRAWS_ALL in os.environ:
         item.add_marker("slow")
-    if item.get_closest_marker("slow"):
-        item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT))
+
+
+@pytest.hookimpl(trylast=True)  # when all have been marked that are slow
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.pluginmanager.hasplugin("timeout"):
+        return
+    for item in items:
+        is_slow = item.get_closest_marker("slow") is not None
+        item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT if is_slow else TIMEOUT))
