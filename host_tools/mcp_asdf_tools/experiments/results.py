@@ -119,6 +119,8 @@ def read_table(path: Path) -> pa.Table:
     if known.get("format") != FORMAT:
         holds = "no results" if "format" not in known else f"results in format {known['format']}"
         raise UsageError(f"{path} holds {holds}; format {FORMAT} is needed: run mcp-asdf sweep again")
+    if not len(table):
+        raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
     return table
 
 

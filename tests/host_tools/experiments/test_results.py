@@ -90,6 +90,12 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
         read_table(tmp_path / "other.parquet")
 
 
+def test_a_file_without_trials_is_refused(path: Path) -> None:
+    pq.write_table(pq.read_table(path).slice(0, 0), path)
+    with pytest.raises(UsageError, match=r"results\.parquet holds no trials; run mcp-asdf sweep again"):
+        read_table(path)
+
+
 def test_a_file_of_an_older_format_is_named(path: Path) -> None:
     older = read_table(path).replace_schema_metadata({b"mcp-asdf": json.dumps({"format": FORMAT - 1})})
     pq.write_table(older, path)
