@@ -11,6 +11,7 @@ from typing import Any
 import can
 import pytest
 
+from mcp_asdf_tools.bus import Heartbeat, encode_heartbeat
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -90,6 +91,19 @@ class Wire(can.BusABC):
 
     def __del__(self) -> None:
         """Nothing to close."""
+
+
+class EndlessWire(Wire):
+    """A wire on which another node talks without end. Fails if nothing stops the listening."""
+
+    frames = 0
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Another heartbeat."""
+        self.frames += 1
+        assert self.frames < 1000, "nothing ends the wait"
+        CLOCK.now += 0.01
+        return encode_heartbeat(Heartbeat(40, 0, 0))
 
 
 def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotRecord:

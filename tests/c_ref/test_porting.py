@@ -292,7 +292,7 @@ def test_it_does_what_the_mirror_does(project: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", ["cortex-m3", *slow(["rv32imac"])])
+@pytest.mark.parametrize("target", ["cortex-m3", "rv32imac"])
 def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
     command = machine(target)
     played = script(seed=6, ticks=1010, tiles=(0, 1, 1, 2), most_packets=1)

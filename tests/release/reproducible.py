@@ -7,32 +7,24 @@ none is named.
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from support import PATIENCE, ROOT
+from support import ROOT, run
 
 EPOCH = "1700000000"
 """Time that archives give their members instead of now, in seconds since 1970."""
 FOLDERS = ("first", "another folder/with a longer name")
 
 
-def call(*command: str | Path, cwd: Path, environment: dict[str, str]) -> None:
-    """Run a command; raises CalledProcessError, with what it printed, if it fails."""
-    subprocess.run(command, cwd=cwd, env=environment, check=True, capture_output=True, timeout=PATIENCE)
-
-
 def copy_of_source(folder: Path) -> Path:
     """All files that the repository holds or that git does not ignore, copied into this new folder."""
-    listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
-    found = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, timeout=PATIENCE).stdout
-    for name in filter(None, found.decode().split("\0")):
+    found = run("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+    for name in filter(None, found.split("\0")):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, folder / name)  # with the time of now
@@ -41,9 +33,7 @@ def copy_of_source(folder: Path) -> Path:
 
 def environment(folder: Path) -> dict[str, str]:
     """Settings that a build in this folder needs to forget the time and its place."""
-    mapped = f"-g -ffile-prefix-map='{folder}'=."
-    tools = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return {**os.environ, "PATH": tools, "SOURCE_DATE_EPOCH": EPOCH, "CFLAGS": mapped}
+    return {"SOURCE_DATE_EPOCH": EPOCH, "CFLAGS": f"-g -ffile-prefix-map='{folder}'=."}
 
 
 def library(source: Path, out: Path) -> None:
@@ -51,10 +41,10 @@ def library(source: Path, out: Path) -> None:
     given = environment(source)
     built = source / "build"
     flags = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", "-DCMAKE_INSTALL_PREFIX=/usr")
-    call("cmake", "-S", source / "c_ref", "-B", built, *flags, cwd=source, environment=given)
-    call("cmake", "--build", built, cwd=source, environment=given)
+    run("cmake", "-S", source / "c_ref", "-B", built, *flags, cwd=source, **given)
+    run("cmake", "--build", built, cwd=source, **given)
     installed = {**given, "DESTDIR": str(out)}
-    call("cmake", "--install", built, cwd=source, environment=installed)
+    run("cmake", "--install", built, cwd=source, **installed)
 
 
 def tables(source: Path, out: Path) -> None:
@@ -62,10 +52,10 @@ def tables(source: Path, out: Path) -> None:
     given = environment(source)
     make = (sys.executable, "-m", "mcp_asdf_tools.cli.main", "table", "--output", out, "--neighbours", "30")
     for omega in ("0.05", "0.2"):
-        call(*make, "--omega", omega, cwd=source, environment=given)
+        run(*make, "--omega", omega, cwd=source, **given)
     for path in sorted((source / "tables").glob("*.c")):
         mapped = ("-g", f"-ffile-prefix-map={source}=.", "-I", source / "c_ref/src")
-        call("cc", *mapped, "-c", path, "-o", out / f"{path.stem}.o", cwd=source, environment=given)
+        run("cc", *mapped, "-c", path, "-o", out / f"{path.stem}.o", cwd=source, **given)
 
 
 def wheel(source: Path, out: Path) -> None:
@@ -73,7 +63,7 @@ def wheel(source: Path, out: Path) -> None:
     where = f"--config-settings=build-dir={source / 'build'}"
     options = ("--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--wheel-dir", out, where)
     pip = (sys.executable, "-m", "pip", "wheel", "--disable-pip-version-check")
-    call(*pip, *options, source, cwd=source, environment=environment(source))
+    run(*pip, *options, source, cwd=source, **environment(source))
     (made,) = out.iterdir()
     zipfile.ZipFile(made).extractall(out / "contents")
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +20,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from c_ref.consumer import version_of_header
-from support import PATIENCE, ROOT
+from mcp_asdf_tools.common import write_atomically
+from support import ROOT, run
 
 UPLOT = ROOT / "host_tools/mcp_asdf_tools/view/page/uplot/uPlot.iife.min.js"
 """Software of others in the wheel: a library of the page."""
@@ -46,7 +46,7 @@ def of_environment(folder: Path) -> Bill:
     )
     about = ("--pyproject", ROOT / "pyproject.toml", "--mc-type", "library", "--short-PURLs")
     command = (*tool, *about, "--output-file", written, sys.executable)
-    subprocess.run(command, check=True, timeout=PATIENCE, capture_output=True)
+    run(*command)
     bill: Bill = json.loads(written.read_text(encoding="utf-8"))
     return bill
 
@@ -112,9 +112,7 @@ def write(path: Path) -> None:
     if wrong is not None:
         raise ValueError(f"the bill breaks CycloneDX's schema: {wrong}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    half = path.with_name(f"{path.name}.part")
-    half.write_text(text, encoding="utf-8")
-    half.replace(path)
+    write_atomically(path, text)
 
 
 def main(arguments: list[str]) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from release.reproducible import build_twice
-from support import CORE, ROOT, require, slow
+from support import CORE, ROOT, require
 
 MADE = {"library": "libmcp_asdf.a", "tables": "t_table_omega05_q30.c", "wheel": ".whl"}
 """A file that must be among what is compared."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["library", "tables", *slow(["wheel"])])
+@pytest.mark.parametrize("kind", MADE)
 def test_two_builds_give_the_same_bytes(kind: str, tmp_path: Path) -> None:
     require("cmake")
     first, second = build_twice(kind, tmp_path)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from support import CORE, ROOT, require, run, slow
+from support import CORE, ROOT, require, run
 from targets import matrix
 from targets.golden_scenarios import edge_scenarios, run_scenarios
 from targets.golden_vectors import encode, explain
@@ -81,10 +81,7 @@ def check_contents(image: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "choice",
-    ["divide by bits", *slow(choice for choice in CHOICES if choice not in ("own", "divide by bits"))],
-)
+@pytest.mark.parametrize("choice", [choice for choice in CHOICES if choice != "own"])
 def test_this_computer_computes_the_same_by_every_choice(choice: str) -> None:
     require("ninja", "ninja-build")
     verdict, details = matrix.result_of(Cell(HOST, choice=choice))
@@ -279,10 +276,7 @@ FAULTS = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("right", "wrong", "first"),
-    [*FAULTS[:2], *slow(FAULTS[2:])],
-)
+@pytest.mark.parametrize(("right", "wrong", "first"), FAULTS)
 def test_a_planted_fault_is_found_at_its_first_call(
     right: str, wrong: str, first: str, tmp_path: Path
 ) -> None:

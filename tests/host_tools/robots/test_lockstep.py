@@ -28,7 +28,6 @@ from mcp_asdf_tools.bus.frames import (
     decode_telemetry,
     encode,
     encode_command,
-    encode_heartbeat,
 )
 from mcp_asdf_tools.bus.interfaces import add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
@@ -39,7 +38,7 @@ from mcp_asdf_tools.robots.processes import start_nodes
 from multicast import multicast
 from robots import ALPHA_ONE
 from support import PATIENCE
-from wire import CLOCK, Wire, node, record, still
+from wire import EndlessWire, Wire, node, record, still
 
 COLOURS = (*Observation, None)
 """The possible observations of a tick."""
@@ -278,24 +277,12 @@ def test_the_driver_shows_all_frames_and_asks_whether_to_wait_on() -> None:
         lockstep.wait_until_up({3}, PATIENCE)
 
 
-class Endless(Wire):
-    """A wire on which another node talks without end."""
-
-    frames = 0
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        self.frames += 1
-        assert self.frames < 1000, "nothing ends the wait"
-        CLOCK.now += 0.01
-        return encode_heartbeat(Heartbeat(40, 0, 0))
-
-
 @still()
 def test_a_bus_that_is_never_quiet_does_not_keep_the_driver_from_asking() -> None:
     def give_up() -> None:
         raise ZeroDivisionError
 
-    wire = Endless(node(1))
+    wire = EndlessWire(node(1))
     lockstep = Lockstep(wire, timeout=1e9, check=give_up)
     lockstep.observe({1: Observation.WHITE})
     for wait in (lambda: lockstep.wait_until_up({3}, 1e9), lambda: lockstep.settle({1})):
