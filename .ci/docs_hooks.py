@@ -98,11 +98,9 @@ def _command(name: str) -> str:
 
 def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     formatter = parser._get_formatter()
-    words = formatter._format_action_invocation(action)
-    if len(words) > 80:  # twenty interfaces
-        words = ", ".join(action.option_strings)
+    words = _cell(formatter._format_action_invocation(action))
     meaning = formatter._expand_help(action) if action.help else ""
-    return f"| `{_cell(words)}` | {html.escape(_cell(meaning), quote=False)} |"
+    return f"| `{words}` | {html.escape(_cell(meaning), quote=False)} |"
 
 
 def _cell(text: str) -> str:

@@ -102,10 +102,6 @@ class BusChoice:
                 f"the bus {self} is inside this process, so no other can join it; "
                 "choose --interface socketcan or udp_multicast"
             )
-        return self.options()
-
-    def options(self) -> list[str]:
-        """The options that choose this bus."""
         words = [f"--interface={self.interface}", *([f"--channel={self.channel}"] if self.channel else [])]
         if getattr(self._args, "bitrate", None) is not None:
             words.append(f"--bitrate={self._args.bitrate}")

@@ -87,9 +87,8 @@ def _in_slots(
 
 
 def _patch(label: str, style: Style) -> Patch:
-    face = "white" if style.is_hollow else style.colour
-    edge = style.colour if style.is_hollow else INK
-    return Patch(facecolor=face, edgecolor=edge, linewidth=1.5 if style.is_hollow else 0.5, label=label)
+    width = 1.5 if style.is_hollow else 0.5
+    return Patch(facecolor=style.face, edgecolor=style.edge, linewidth=width, label=label)
 
 
 Slot = tuple[float, float]
@@ -190,16 +189,15 @@ def _draw_box_or_strip(axes: Axes, scores: Scores, place: float, width: float, s
 
 
 def _draw_box(axes: Axes, scores: Scores, place: float, width: float, style: Style) -> None:
-    line = {"linewidth": 0.6, "color": style.colour if style.is_hollow else INK}
-    face = "white" if style.is_hollow else style.colour
-    edge = style.colour if style.is_hollow else INK
+    line = {"linewidth": 0.6, "color": style.edge}
+    width_of_edge = 1.1 if style.is_hollow else 0.5
     axes.boxplot(
         scores,
         positions=[place],
         widths=width,
         manage_ticks=False,
         patch_artist=True,
-        boxprops={"facecolor": face, "edgecolor": edge, "linewidth": 1.1 if style.is_hollow else 0.5},
+        boxprops={"facecolor": style.face, "edgecolor": style.edge, "linewidth": width_of_edge},
         medianprops={"color": INK, "linewidth": 1},
         whiskerprops=line,
         capprops=line,

@@ -8,6 +8,7 @@ from typing import Any
 
 from mcp_asdf_tools.common import (
     COLOURS,
+    INK,
     WITHOUT,
     UsageError,
     are_distinct,
@@ -99,6 +100,16 @@ class Style:
 
     colour: str
     is_hollow: bool = False
+
+    @property
+    def face(self) -> str:
+        """Colour of an area."""
+        return "white" if self.is_hollow else self.colour
+
+    @property
+    def edge(self) -> str:
+        """Colour of the line around it."""
+        return self.colour if self.is_hollow else INK
 
 
 def styles_of(series: dict[str, list[Trials]]) -> dict[str, Style]:

@@ -103,7 +103,7 @@ class Faults:
 
         Call once per tick, and pass each to ``leave``.
         """
-        if not self._babblers or self.is_off(robot, tick):
+        if not self.babbles or self.is_off(robot, tick):
             return []
         identifier = self._frames.identifier(robot)
         return [
