@@ -575,6 +575,12 @@ def _in_other_units(kept: measurement.Figures) -> measurement.Figures:
     return changed
 
 
+def test_the_readme_has_the_bound_of_a_step() -> None:
+    """The one of the machine code, not the most that a search has found."""
+    bound = figures.kept()["targets"]["Cortex-M4"]["-O2"]["firmware"]["bounds"]["step"]["instructions"]
+    assert f"at most {bound} instructions for a step" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.slow
 def test_bad_usage_is_told(tmp_path: Path) -> None:
     done = command("--draw", "cost.txt", cwd=tmp_path)
