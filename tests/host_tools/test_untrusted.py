@@ -296,7 +296,9 @@ def test_time_and_memory_grow_with_the_length(name: str, file: Path) -> None:
         for begin in (b"", sound):
             texts = [begin + pattern * (size // len(pattern)) for size in (SMALL, FACTOR * SMALL)]
             (short, little), (long, much) = (effort(parser, path, text) for text in texts)
-            assert long < max(0.2, 2 * FACTOR * short), pattern
+            limit = max(0.2, 2 * FACTOR * short)
+            # Another process can slow one reading down, but not each of four.
+            assert long < limit or any(effort(parser, path, texts[1])[0] < limit for _ in range(3)), pattern
             assert much < max(20e6, 2 * FACTOR * little), pattern
 
 

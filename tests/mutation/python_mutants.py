@@ -209,9 +209,11 @@ class _Importer(MetaPathFinder, Loader):
 
 
 def _install(mutant: Mutant) -> None:
-    """From now on the mutant is imported, by everything that is imported."""
-    for name in [name for name in sys.modules if re.match(r"mcp_asdf(_tools)?(\.(?!_)|$)", name)]:
-        del sys.modules[name]
+    """From now on the mutant is imported, by everything that is imported: tests that are loaded have the original."""
+    for name, module in list(sys.modules.items()):
+        is_test = str(ROOT / "tests") in (getattr(module, "__file__", None) or "") and name != __name__
+        if is_test or re.match(r"mcp_asdf(_tools)?(\.(?!_)|$)", name):
+            del sys.modules[name]
     sys.meta_path.insert(0, _Importer(mutant))
 
 

@@ -98,7 +98,7 @@ def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: P
         start(3, "--lockstep", "--b-hat", 0.75, "--filter-period", 4)
         Lockstep(bus).wait_until_up([3], PATIENCE)
     robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4")
-    run = ("--robots", "3", "--steps", "11", "--timeout", str(PATIENCE), "--report", str(report))
+    run = ("--robots", "3", "--steps", "20", "--timeout", str(PATIENCE), "--report", str(report))
     assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan.name]) == 0
     assert report.exists()
 

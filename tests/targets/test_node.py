@@ -5,6 +5,7 @@ The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import resource
@@ -214,6 +215,23 @@ def test_each_robot_of_a_process_has_its_observations_and_its_state(
         assert [each["ended"] for each in figures] == ["observations"] * 3
         assert {each["id"]: [each["t"], each["n"]] for each in figures} == totals
     assert sorted(path.name for path in tmp_path.glob("*.state")) == [f"of {n}.state" for n in (7, 8, 9)]
+
+
+def test_a_row_that_comes_in_parts_shifts_no_robot_s_observations(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    """Robot 7 sees black and 8 white, wherever a writer's buffer happens to end."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    node = start("7-8", "--filter", "none", "--steps-per-second", 200, "--observations", pipe)
+    with pipe.open("w", encoding="ascii") as stream:
+        peer = bus.accept()
+        for part in ("1 0 1", "0 10 1", "0"):
+            stream.write(part)
+            stream.flush()
+            time.sleep(0.05)
+    hear_out(bus, peer)
+    assert {each["id"]: (each["t"], each["n"]) for each in node.summaries()} == {7: (4, 4), 8: (4, 0)}
 
 
 SUBJECTS = Subjects(FrameFormat(7, 0), FrameFormat(8, 6), FrameFormat(9, 3))
@@ -651,6 +669,7 @@ def complaint(node: CNode) -> str:
         ("--id 0--1 --lockstep", "--id is 0--1; "),
         ("--id 0-3 --sensor x", "--sensor is x; one sensor is for one robot"),
         ("--id 0-3 --lockstep --state x", "--state is x; robots need a file each: write {id} where"),
+        (f"--id 0 --lockstep --state {'x' * 4096}", "x; choose a shorter path"),
         ("--lockstep", "--id is missing; see --help"),
         ("--id 1", "choose one of --lockstep, --observations, --sensor"),
         ("--id 1 --lockstep --observations -", "choose one of --lockstep, --observations, --sensor"),

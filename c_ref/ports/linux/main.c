@@ -161,29 +161,25 @@ static void settle(run_t *run)
     end_after_last_tick(run);
 }
 
-/* Take an observation for each robot; returns whether all could be had. */
-static bool look(run_t *run, mcp_asdf_action_t seen[MOST_ROBOTS])
+/* Take an observation for each robot; returns whether the run goes on. */
+static bool look(run_t *run, mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS])
 {
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        seen[i] = source_next(&run->source);
-        if (run->source.odd != 0) {
-            (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
-                          (unsigned long)run->source.taken + 1, run->source.path);
-            end(run, "observations not valid", EXIT_FAILURE);
-            return false;
-        }
-        if (run->source.has_ended && seen[i] == MCP_ASDF_OBSERVE_NONE) {
-            end(run, "observations", run->status);
-            return false;
-        }
+    source_t *source = &run->source;
+    const bool has_come = source_next(source, seen);
+    if (source->odd != 0) {
+        (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
+                      (unsigned long)source->taken + 1, source->path);
+        end(run, "observations not valid", EXIT_FAILURE);
+    } else if (source->has_ended && !has_come) {
+        end(run, "observations", run->status);
     }
-    return true;
+    return run->ended == NULL;
 }
 
 /* A tick lasts until the next begins: what is heard meanwhile belongs to its round. */
 static void tick(run_t *run)
 {
-    mcp_asdf_action_t seen[MOST_ROBOTS];
+    mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS];
     settle(run);
     if (run->ended == NULL && look(run, seen)) {
         for (unsigned i = 0; i < run->options.robots; ++i) {
@@ -242,9 +238,7 @@ int main(int count, char *arguments[])
         if (run.options.state != NULL) {
             save(&run, &run.members[i]);
         }
-        is_told = summary_print(run.ended, &run.members[i].node, &run.bus, &run.source, &run.clock,
-                                &run.conflicts) &&
-                  is_told;
+        is_told = summary_print(&run, &run.members[i].node) && is_told;
     }
     bus_close(&run.bus);
     return is_told ? run.status : EXIT_FAILURE;

@@ -13,38 +13,6 @@
 
 extern const uint32_t MCP_ASDF_NODE_TABLE[];
 
-static const char usage[] =
-    "A robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
-    "Many of them:         mcp_asdf_node --interface vcan0 --id 0-126 --observations tiles.txt\n"
-    "\n"
-    "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
-    "  --id N                 of robot and node, 0 to 127; 0-126 for so many robots\n"
-    "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
-    "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
-    "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
-    "  --comms-period STEPS   between broadcasts (1)\n"
-    "  --filter-period STEPS  between tests, a multiple of the former (1000)\n"
-    "  --memory N             observations at which counts are halved, a multiple of 4, 64 to 2^31 (2^31)\n"
-    "\n"
-    "Clock and observations, one of:\n"
-    "  --lockstep             do what command frames say\n"
-    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen, in each step one of these\n"
-    "                         for each robot by rising id; - is the standard input\n"
-    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black; for one robot\n"
-    "\n"
-    "  --steps-per-second N   1 to 1000 (10); in lockstep of simulated time\n"
-    "  --steps N              end after so many (0: no limit)\n"
-    "  --telemetry-period STEPS  between telemetry frames (0: none; in lockstep every step)\n"
-    "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
-    "  --priority N           of estimates, 0 to 7 (4)\n"
-    "  --receive-buffer BYTES of the kernel (0: its default)\n"
-    "  --state FILE           go on from there, and save there at the end; {id} in its name is the robot's\n"
-    "  --save-period STEPS    save there in between, too (0: no)\n"
-    "\n"
-    "Ends with a line of JSON for each robot. Status 0: by --steps, the end of observations, SIGINT or "
-    "SIGTERM;\n"
-    "1: the bus or the observations failed; 2: it could not start.\n";
-
 /* Numbers first, then texts, then what takes no argument. */
 enum option_index {
     COMMS_PERIOD,
@@ -177,7 +145,7 @@ static uint8_t filter(const char *const given[ALL])
     return always ? MCP_ASDF_ALWAYS : MCP_ASDF_ADAPTIVE;
 }
 
-/* ---- The whole -------------------------------------------------------------------------------------- */
+/* ---- What is given ---------------------------------------------------------------------------------- */
 
 /* Remember what is given for each option; of one given twice the last counts. */
 static void collect(const char *given[ALL], int count, char *const arguments[])
@@ -204,7 +172,7 @@ static void collect(const char *given[ALL], int count, char *const arguments[])
 static void answer_questions(const char *const given[ALL])
 {
     if (given[HELP] != NULL) {
-        (void)fputs(usage, stdout);
+        (void)fputs(options_usage, stdout);
         exit(EXIT_SUCCESS);
     }
     if (given[VERSION] != NULL) {
@@ -214,37 +182,59 @@ static void answer_questions(const char *const given[ALL])
     }
 }
 
-/* Checks that need more than one option. */
-static void check(const options_t *options, const char *const given[ALL])
+/* ---- Checks that need more than one option ---------------------------------------------------------- */
+
+/* What is given, or what stands for that: of an option that is missing, or one with a usual value. */
+static const char *or_else(const char *given, const char *otherwise)
 {
-    const node_settings_t *node = &options->node;
-    const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
-    const uint16_t command = node->command.subject;
+    return given != NULL ? given : otherwise;
+}
+
+static void check_needed(const char *const given[ALL])
+{
     if (given[INTERFACE] == NULL) {
         fail(INTERFACE, "missing", "see --help");
+    }
+    if (given[IDS] == NULL) {
+        fail(IDS, "missing", "see --help");
     }
     if ((given[LOCKSTEP] != NULL) + (given[OBSERVATIONS] != NULL) + (given[SENSOR] != NULL) != 1) {
         fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
     }
-    if (options->robots > 1 && given[SENSOR] != NULL) {
-        fail(SENSOR, given[SENSOR], "one sensor is for one robot; choose --observations or --lockstep");
+}
+
+static void check_many(const options_t *options)
+{
+    const char *const sensor = options->sensor, *const state = options->state;
+    if (options->robots > 1 && sensor != NULL) {
+        fail(SENSOR, sensor, "one sensor is for one robot; choose --observations or --lockstep");
     }
-    if (options->robots > 1 && options->state != NULL && strstr(options->state, ID_IN_NAME) == NULL) {
-        fail(STATE, given[STATE], "robots need a file each: write {id} where the id is to stand");
+    if (options->robots > 1 && state != NULL && strstr(state, ID_IN_NAME) == NULL) {
+        fail(STATE, state, "robots need a file each: write {id} where the id is to stand");
     }
+    if (state != NULL && strlen(state) >= PATH_MAX) {
+        fail(STATE, state, "choose a shorter path");
+    }
+}
+
+static void check_numbers(const node_settings_t *node, const char *const given[ALL])
+{
+    const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
+    const uint16_t command = node->command.subject;
     if (node->filter_period % node->comms_period != 0) {
-        fail(FILTER_PERIOD, given[FILTER_PERIOD] == NULL ? "1000" : given[FILTER_PERIOD],
-             "choose a multiple of --comms-period");
+        fail(FILTER_PERIOD, or_else(given[FILTER_PERIOD], "1000"), "choose a multiple of --comms-period");
     }
     if (node->memory % 4 != 0) {
         fail(MEMORY, given[MEMORY], "choose a multiple of 4");
     }
     if (estimate == telemetry || estimate == command || telemetry == command) {
-        fail(SUBJECT, given[SUBJECT] == NULL ? "3000" : given[SUBJECT],
+        fail(SUBJECT, or_else(given[SUBJECT], "3000"),
              "choose three different subjects for estimates, telemetry and commands");
     }
 }
+
+/* ---- All of it -------------------------------------------------------------------------------------- */
 
 static node_settings_t node_settings(const char *const given[ALL])
 {
@@ -269,6 +259,7 @@ void options_read(options_t *options, int count, char *const arguments[])
     const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "asdf-plus", [ACTIVATION] = "adaptive"};
     collect(given, count, arguments);
     answer_questions(given);
+    check_needed(given);
     options_t read = {.node = node_settings(given),
                       .interface = given[INTERFACE],
                       .observations = given[OBSERVATIONS],
@@ -277,11 +268,9 @@ void options_read(options_t *options, int count, char *const arguments[])
                       .save_period = number(given, SAVE_PERIOD),
                       .ticks = number(given, TICKS),
                       .receive_buffer = number(given, RECEIVE_BUFFER)};
-    if (given[IDS] == NULL) {
-        fail(IDS, "missing", "see --help");
-    }
     ids(given[IDS], &read.node.id, &read.robots);
-    check(&read, given);
+    check_many(&read);
+    check_numbers(&read.node, given);
     *options = read;
 }
 

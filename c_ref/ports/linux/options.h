@@ -20,11 +20,13 @@ typedef struct {
 
 #define EXIT_USAGE 2
 
+extern const char options_usage[];
+
 /* Read the command line into *options, which need not be filled. Ends the program after --help and --version,
  * and with EXIT_USAGE and a message that names the value and the fix if something is wrong. */
 void options_read(options_t *options, int count, char *const arguments[]);
 
-/* The name of a robot's state file, written into `path`; one that is too long is cut. */
+/* The name of a robot's state file; `path` is room for it. */
 const char *options_state(char path[PATH_MAX], const options_t *options, uint8_t id);
 
 #endif

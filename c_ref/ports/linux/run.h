@@ -10,8 +10,6 @@
 
 #include <signal.h>
 
-#define MOST_ROBOTS (MCP_ASDF_MAX_ID + 1)
-
 typedef struct run run_t;
 
 /*   seen   ticks whose end note_progress() has seen */
@@ -24,7 +22,7 @@ typedef struct {
 
 struct run {
     options_t options;
-    member_t members[MOST_ROBOTS]; /* those of options.robots, by rising id */
+    member_t members[SOURCE_MOST_ROBOTS]; /* those of options.robots, by rising id */
     bus_t bus;
     source_t source;
     conflicts_t conflicts;

@@ -92,6 +92,7 @@ void run_set_up(run_t *run)
     run->bus.subjects[0] = options->node.estimate.subject;
     run->bus.subjects[1] = (options->node.lockstep ? options->node.command : options->node.estimate).subject;
     run->source.is_sensor = options->sensor != NULL;
+    run->source.robots = options->robots;
     run->source.path = options->sensor != NULL ? options->sensor : options->observations;
     for (unsigned i = 0; i < options->robots; ++i) {
         set_up_member(run, &run->members[i], (uint8_t)(options->node.id + i));

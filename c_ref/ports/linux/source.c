@@ -70,16 +70,29 @@ static bool take(source_t *source, mcp_asdf_action_t *seen)
     return false;
 }
 
-mcp_asdf_action_t source_next(source_t *source)
+static bool take_row(source_t *source)
 {
-    mcp_asdf_action_t seen = MCP_ASDF_OBSERVE_NONE;
-    bool is_seen;
-    if (source->is_sensor) {
-        seen = sense(source);
-        is_seen = seen != MCP_ASDF_OBSERVE_NONE;
-    } else {
-        is_seen = take(source, &seen);
+    while (source->in_row < source->robots && take(source, &source->row[source->in_row])) {
+        ++source->in_row;
     }
-    source->missing += !is_seen && !source->has_ended;
-    return seen;
+    return source->in_row == source->robots;
+}
+
+bool source_next(source_t *source, mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS])
+{
+    bool has_come;
+    if (source->is_sensor) {
+        source->row[0] = sense(source);
+        has_come = source->row[0] != MCP_ASDF_OBSERVE_NONE;
+    } else {
+        has_come = take_row(source);
+    }
+    for (unsigned i = 0; i < source->robots; ++i) {
+        seen[i] = has_come ? source->row[i] : MCP_ASDF_OBSERVE_NONE;
+    }
+    if (has_come) {
+        source->in_row = 0;
+    }
+    source->missing += !has_come && !source->has_ended;
+    return has_come;
 }

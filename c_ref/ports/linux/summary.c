@@ -53,16 +53,15 @@ static void print_conflicts(const conflicts_t *conflicts)
     (void)printf("]");
 }
 
-bool summary_print(const char *ended, const node_t *node, const bus_t *bus, const source_t *source,
-                   const ticker_t *ticker, const conflicts_t *conflicts)
+bool summary_print(const run_t *run, const node_t *node)
 {
-    (void)printf("{\"id\": %u, \"ended\": \"%s\", \"ticks\": " U32 ", ", node->settings->id, ended,
+    (void)printf("{\"id\": %u, \"ended\": \"%s\", \"ticks\": " U32 ", ", node->settings->id, run->ended,
                  node->ticks);
     print_robot(&node->robot);
     print_node(&node->counts);
-    print_bus(bus);
-    print_conflicts(conflicts);
+    print_bus(&run->bus);
+    print_conflicts(&run->conflicts);
     (void)printf(", \"missing\": " U32 ", \"skipped\": " U32 ", \"worst_lateness_us\": %" PRId64 "}\n",
-                 source->missing, ticker->skipped, ticker->worst / 1000);
+                 run->source.missing, run->clock.skipped, run->clock.worst / 1000);
     return fflush(stdout) == 0 && ferror(stdout) == 0;
 }
