@@ -74,15 +74,19 @@ def slow(values: Iterable[Any]) -> list[ParameterSet]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Ctrl-C as in a terminal, for this process and those it starts inside.
+    """Ctrl-C and a hang-up as in a terminal, for this process and those it starts inside.
 
-    A shell's background jobs ignore SIGINT, and their children inherit that.
+    A shell's background jobs ignore SIGINT, nohup's SIGHUP, and their children inherit that.
     """
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before = (
+        signal.signal(signal.SIGINT, signal.default_int_handler),
+        signal.signal(signal.SIGHUP, signal.SIG_DFL),
+    )
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGHUP, before[1])
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:

@@ -209,7 +209,7 @@ class _Importer(MetaPathFinder, Loader):
 
 
 def _install(mutant: Mutant) -> None:
-    """From now on the mutant is imported, by everything that is imported: tests that are loaded have the original."""
+    """From now on the mutant is imported, by all that is imported: tests loaded before have the original."""
     for name, module in list(sys.modules.items()):
         is_test = str(ROOT / "tests") in (getattr(module, "__file__", None) or "") and name != __name__
         if is_test or re.match(r"mcp_asdf(_tools)?(\.(?!_)|$)", name):

@@ -46,7 +46,7 @@ from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from support import PATIENCE, ROOT, require, run, slow
+from support import PATIENCE, ROOT, interruptible, require, run, slow
 from targets.c_node import (
     CORTEX_A8,
     HOST,
@@ -538,6 +538,7 @@ def test_a_full_queue_costs_frames_but_no_tick(start: Start, bus: UnixBus, tmp_p
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@interruptible()
 def test_signals_end_the_run_cleanly(start: Start, bus: UnixBus, number: signal.Signals) -> None:
     node = start(5, "--lockstep")
     drive_one(bus, bus.accept())

@@ -6,6 +6,7 @@ common cancels in a difference.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -28,8 +29,8 @@ RESAMPLES = 20_000
 """Enough for the corrected interval of the claim with most comparisons, whose tail is one in 8000."""
 
 _SEED = 1
-_ROWS = 4000
-"""Drawn at a time, to stay in a processor's cache."""
+_BLOCK = 32
+"""Trials taken at once where they reach no place, or every place is behind them."""
 
 
 class Estimate(NamedTuple):
@@ -65,20 +66,45 @@ def interval(value: float, again: NDArray[Any], confidence: float) -> Estimate:
 
 def summarized(sample: Sample, summary: Summary) -> Summarized:
     """The summary of a sample of at most 65 535 trials. O(resamples trials)."""
-    ordered = np.sort(sample)
-    value = float(_quantiles(ordered, np.arange(len(sample)), summary))
+    order = np.argsort(sample, kind="stable")
+    ordered = sample[order]
+    value = _quantiles(ordered, {place: np.array(place) for place in range(len(sample))}, summary)
     if ordered[0] == ordered[-1]:
-        return Summarized(value, np.full(RESAMPLES, value, np.float32))
-    ranks = np.empty(len(sample), np.uint16)
-    ranks[np.argsort(sample, kind="stable")] = np.arange(len(sample))
-    places = sorted({place for q, _ in summary for place in _places(len(sample), q)[:2]})
-    again = np.empty(RESAMPLES, np.float32)
-    drawn = _drawn(len(sample), RESAMPLES)
-    for start in range(0, RESAMPLES, _ROWS):
-        rows = ranks[drawn[start : start + _ROWS]]
-        rows.partition(places, axis=1)
-        again[start : start + _ROWS] = _quantiles(ordered, rows, summary)
-    return Summarized(value, again)
+        return Summarized(float(value), np.full(RESAMPLES, value, np.float32))
+    places = {place for q, _ in summary for place in _places(len(sample), q)[:2]}
+    return Summarized(float(value), _quantiles(ordered, _ranks_at(places, order), summary).astype(np.float32))
+
+
+def _ranks_at(places: set[int], order: NDArray[np.intp]) -> dict[int, NDArray[np.uint16]]:
+    """The rank in the sample of the trial that each resample has at each of some places of its own order.
+
+    It is the number of trials up to which a resample has drawn no more than the place asks for. ``order`` are
+    the sample's trials by rank.
+    """
+    times = _times_drawn(len(order), RESAMPLES)
+    wanted = np.array(sorted(places), np.uint16)[:, np.newaxis]
+    so_far = np.zeros(RESAMPLES, np.uint16)
+    ranks = np.zeros((len(places), RESAMPLES), np.uint16)
+    for start in range(0, len(order), _BLOCK):
+        block = times[order[start : start + _BLOCK]]
+        after = so_far + block.sum(axis=0, dtype=np.uint16)
+        if after.max() <= min(places):
+            ranks += np.uint16(len(block))
+        elif so_far.min() <= max(places):
+            for drawn in block:
+                so_far += drawn
+                ranks += so_far <= wanted
+        so_far = after
+    return dict(zip(sorted(places), ranks, strict=True))
+
+
+@lru_cache(maxsize=4)
+def _times_drawn(trials: int, resamples: int) -> NDArray[np.uint16]:
+    """How often each trial is drawn by each resample, shape (trials, resamples)."""
+    times = np.empty((trials, resamples), np.uint16)
+    for number, drawn in enumerate(_drawn(trials, resamples)):
+        times[:, number] = np.bincount(drawn, minlength=trials)
+    return times
 
 
 @lru_cache(maxsize=4)
@@ -93,12 +119,12 @@ def _places(trials: int, quantile: float) -> tuple[int, int, float]:
     return int(place), min(int(place) + 1, trials - 1), place % 1
 
 
-def _quantiles(ordered: Sample, ranks: NDArray[Any], summary: Summary) -> Any:
-    """The weighted quantiles of samples given as ranks, which are in their places along the last axis."""
-    total = 0.0
+def _quantiles(ordered: Sample, ranks: Mapping[int, NDArray[Any]], summary: Summary) -> NDArray[np.float64]:
+    """The weighted quantiles of samples of which the ranks at each place are given."""
+    total = np.array(0.0)
     for quantile, weight in summary:
         low, high, share = _places(len(ordered), quantile)
-        total = total + weight * ((1 - share) * ordered[ranks[..., low]] + share * ordered[ranks[..., high]])
+        total = total + weight * ((1 - share) * ordered[ranks[low]] + share * ordered[ranks[high]])
     return total
 
 

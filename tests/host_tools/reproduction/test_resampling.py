@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.stats import bootstrap, spearmanr  # type: ignore[import-untyped]
@@ -9,10 +11,12 @@ from scipy.stats import bootstrap, spearmanr  # type: ignore[import-untyped]
 from mcp_asdf_tools.reproduction.resampling import (
     BEST_OF_30,
     MEDIAN,
+    RESAMPLES,
     SPREAD,
     Estimate,
     Sample,
     Summary,
+    _drawn,
     exactly,
     interval,
     rank_correlation,
@@ -40,6 +44,15 @@ def test_summaries_are_numpys(trials: int) -> None:
     assert summarized(values, MEDIAN).value == pytest.approx(np.median(values))
     assert summarized(values, SPREAD).value == pytest.approx(iqr(values))
     assert summarized(values, BEST_OF_30).value == pytest.approx(np.quantile(values, 0.5 ** (1 / 30)))
+
+
+@pytest.mark.parametrize(("summary", "statistic"), [(MEDIAN, np.median), (SPREAD, iqr)])
+@pytest.mark.parametrize("trials", [2, 30, 61, 300])
+def test_every_resample_is_numpys(summary: Summary, statistic: Callable[..., Sample], trials: int) -> None:
+    """With ties, in samples below and above a block of trials."""
+    values = np.round(sample(trials, trials=trials), 1)
+    drawn = values[_drawn(trials, RESAMPLES)]
+    assert summarized(values, summary).again == pytest.approx(statistic(drawn, axis=1), abs=1e-6)
 
 
 @pytest.mark.parametrize(("summary", "statistic"), [(MEDIAN, np.median), (SPREAD, iqr)])
