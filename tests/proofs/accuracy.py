@@ -1,8 +1,10 @@
-"""How far x_hat and alpha are from the paper's equations, for all inputs: the limits of tests/exact.py.
+"""How far x_hat, alpha, x_bar and b_hat are from the paper's equations, for all inputs: the limits of
+tests/exact.py.
 
-Two parts with the same names. Of the C: a run of estimate() in whole numbers, in which each call of the
-arithmetic is a number; the proof says which numbers it is called with. Of the numbers: what the functions'
-lemmas say of each result, and for each rounding an inequality. Both are settled by the solver.
+Two parts with the same names. Of the C: a run of estimate() in whole numbers, or of reestimate() in words, in
+which each call of the arithmetic is a number; the proof says which numbers it is called with. Of the numbers:
+what the functions' lemmas say of each result, and for each rounding an inequality. Both are settled by the
+solver.
 
 Names: T and P are t and the rarer colour's count, shifted until T has 32 bits; L is c T, rounded down; G is
 2^32 - 2 c. Powers of two that shifts multiply by are numbers of their own.
@@ -11,7 +13,7 @@ Names: T and P are t and the rarer colour's count, shifted until T has 32 bits; 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -19,7 +21,7 @@ import z3
 
 from proofs.core import C_MOST, ONE
 from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Integers, Number, Type
+from proofs.numbers import Arithmetic, Integers, Number, Type, Words
 from proofs.prove import terms
 from proofs.source import Program
 
@@ -28,6 +30,7 @@ LONG_RESULTS = {"multiply", "shift_right_64", "join"}
 CALLED = (
     *("leading_zeros", "shift_left", "shift_right_64", "upper", "high_word", "low_word", "join"),
     *("multiply", "multiply_high", "divide_24", "alpha_word", "square_of_ratio"),
+    *("mean", "quotient", "set_b_hat"),
 )
 Claim = tuple[str, Any, list[Any]]
 """Name of a claim, its formula, and of what it follows."""
@@ -54,15 +57,16 @@ class Run:
     Attributes:
         given: Terms of its arguments by name; the members of a structure that one points to by theirs.
         results: Results of the calls by function, in their order.
-        arguments: Those of the same calls.
+        arguments: Those of the same calls, pointers left out.
         found: Terms of what it returns, or else of what its first argument then points to.
         facts: What is known of all these.
     """
 
-    def __init__(self, program: Program, name: str) -> None:
+    def __init__(self, program: Program, name: str, arithmetic: Callable[..., Arithmetic] = Sizes) -> None:
         self.results: dict[str, list[Any]] = defaultdict(list)
         self.arguments: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
-        machine = Machine(program, Sizes, {each: self._stands_in(each) for each in CALLED if each != name})
+        called = {each: self._stands_in(each) for each in CALLED if each != name}
+        machine = Machine(program, arithmetic, called)
         parameters = program.parameters(name)
         values = [machine.unknown_of(each.type, each.name) for each in parameters]
         self.given: dict[str, Any] = {}
@@ -75,10 +79,11 @@ class Run:
         self.facts = machine.facts
 
     def _stands_in(self, name: str) -> Summary:
-        def summary(machine: Machine, *arguments: Number) -> Number:
+        def summary(machine: Machine, *arguments: Number | Place) -> Number:
             found = machine.unknown(name, LONG if name in LONG_RESULTS else WORD)
             self.results[name].append(found.term)
-            self.arguments[name].append(tuple(each.term for each in arguments))
+            numbers = [each for each in arguments if isinstance(each, Number)]
+            self.arguments[name].append(tuple(each.term for each in numbers))
             return found
 
         return summary
@@ -223,6 +228,30 @@ def of_square_of_ratio(program: Program) -> Iterator[Claim]:
     yield "result", run.found == square, known
 
 
+def of_reestimate(program: Program) -> Iterator[Claim]:
+    """Which quotient is b_hat, and when there is none; in words, of which products are any."""
+    run = Run(program, "reestimate", Words)
+    t, n, closed = (run.given[name] for name in ("t", "n", "closed"))
+    (mean,), (quotient,), (joined,) = (run.results[name] for name in ("mean", "quotient", "join"))
+    span, taken = run.results["multiply"]
+    sums = (closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
+    yield "x_bar", z3.And(*_equal(run.arguments["mean"][0], tuple(sums))), run.facts
+    is_below = z3.ULT(mean, 2**31)
+    a, black = z3.If(is_below, ~mean, mean), z3.If(is_below, t - n, n)
+    yield "whether x_bar says something", (run.found != 0) == z3.UGE(2 * a, 2**20), run.facts
+    known = [*run.facts, z3.UGE(2 * a, 2**20)]
+    spans = run.arguments["multiply"]
+    yield "D", z3.And(*_equal(spans[0], (t, 2 * a))), known
+    yield "t (1 - x_bar)", z3.And(*_equal(spans[1], (t, -a))), known
+    yield "2^32 n", z3.And(*_equal(run.arguments["join"][0], (black, z3.BitVecVal(0, 32)))), known
+    above = z3.If(joined - taken > 0, joined - taken, 0)
+    dividend = z3.If(z3.ULT(above, span), above, span)
+    yield "N / D, between 0 and 1", z3.And(*_equal(run.arguments["quotient"][0], (dividend, span))), known
+    least, most = z3.BitVecVal(2**12, 32), z3.BitVecVal(2**32 - 2**12, 32)
+    kept = z3.If(z3.ULT(quotient, least), least, z3.If(z3.UGT(quotient, most), most, quotient))
+    yield "b_hat in its range", run.arguments["set_b_hat"][0][0] == kept, known
+
+
 # --- Of the numbers --------------------------------------------------------------------------------------
 
 BELOW = (Fraction(1, 2**28), Fraction(1, 2**27), Fraction(1, 2**31))
@@ -327,3 +356,75 @@ def _of_powers() -> Iterator[Claim]:
     power = 2**32 * by_spread / (by_g**2 * by_t * by_square)
     alpha = 2**24 * (g / 2**32) ** 2 * (total / by_t) / (spread / total**2)
     yield "powers of two", quotient * power == alpha, [each > 0 for each in names]
+
+
+def of_quotient() -> Iterator[Claim]:
+    """x = a / d is never made too large, and by less than 4 x + 3 units of 2^-32 too small; also where a has
+    been rounded down, which it is only if d has more bits than a word."""
+    whole, upper, rest = z3.Ints("a upper rest")
+    known = [rest >= 1, rest * upper <= whole, whole < rest * (upper + 1)]
+    yield "the upper bits are those of a + 1, rounded down", whole + 1 <= rest * (upper + 1), known
+    x, d, e, above, q = z3.Reals("x D E above q")
+    known = [x >= 0, x <= 1, d >= 2**31, e >= d, e <= d + 2]
+    known += [above >= 0, above <= x * d, above >= x * d - 1]
+    yield "the ratio is not too large", above <= x * e, known
+    lost = x * e - above
+    yield "and loses 2 x + 1", lost <= 2 * x + 1, known
+    share = [*(x >= 0, x <= 1, e >= 2**31), lost >= 0, lost <= 2 * x + 1]
+    floor = [q * e <= 2**32 * above, 2**32 * above < (q + 1) * e]
+    yield "the quotient is not too large", q <= 2**32 * x, [*share, *floor]
+    yield "and less than 4 x + 3 too small", 2**32 * x < q + 4 * x + 3, [*share, *floor]
+
+
+def of_b_hat() -> Iterator[Claim]:
+    """b_hat of eq. 8 is as far off as tests/exact.py allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
+
+    With u = |2 x_bar - 1|, exact and as formed, eq. 8 is 1/2 + y / u, and y = n / t - 1/2 or its negative.
+    """
+    n, t, a = z3.Ints("n t A")
+    dividend = 2**32 * n - t * (2**32 - a)
+    possible = [n >= 0, n <= t, t >= 1, t <= 2**31, a >= 2**31, a < 2**32]
+    yield "N fits", z3.And(dividend >= -(2**63), dividend < 2**63), possible
+    p, x, of_t = z3.Reals("p x t")
+    form = 2**32 * p * of_t - of_t * (2**32 - 2**32 * x)
+    yield "N / D is eq. 8", form * (2 * x - 1) == of_t * (2**33 * x - 2**32) * (p + x - 1), []
+    mirrored = ((1 - p) + (1 - x) - 1) * (2 * x - 1) == (p + x - 1) * (2 * (1 - x) - 1)
+    yield "with both colours exchanged too", mirrored, []
+    yield from _of_x_bar()
+    yield from _of_eq_8()
+
+
+def _of_x_bar() -> Iterator[Claim]:
+    """u and v, exact and as formed, in units of 2^-32."""
+    x, a = z3.Reals("x A")
+    formed = [x >= 0, x <= 1, a <= 2**32 * x, 2**32 * x < a + 4 * x + 3]
+    off = 2**32 * (2 * x - 1) - (2 * a - 2**32)
+    yield "above 1/2", z3.And(off >= 0, off <= 8 * x + 6), formed
+    off = 2**32 * (1 - 2 * x) - (2 * (2**32 - 1 - a) - 2**32)
+    yield "below 1/2", z3.And(off <= 2, -off <= 8 * x + 4), formed
+    yield "on the right side", (a >= 2**31) == (10 * x >= 5), [*formed, z3.Or(10 * x >= 6, 20 * x <= 9)]
+    u = z3.If(10 * x >= 5, 2 * x - 1, 1 - 2 * x)
+    error = z3.If(10 * x >= 5, 4 * x + 3, z3.If(4 * x + 2 > 1, 4 * x + 2, 1))
+    yield "2^-26", error + 7 * u <= 64 * u, [*formed, 10 * u >= 1]
+
+
+def _of_eq_8() -> Iterator[Claim]:
+    """How eq. 8 moves with u, and what its own quotient and range add."""
+    y, u, v, of_u, of_v = z3.Reals("y u v of_u of_v")
+    known = [2 * y >= -1, 2 * y <= 1, u > 0, v > 0, of_u * u == y, of_v * v == y]
+    moved = 2 * (_kept(of_u, -1, 1, 2) - _kept(of_v, -1, 1, 2))
+    for name, difference in (("u is larger", u - v), ("v is larger", v - u)):
+        larger = u if difference.eq(u - v) else v
+        claim = z3.And(moved * larger <= difference, -moved * larger <= difference)
+        yield f"eq. 8 moves by half the share where {name}", claim, [*known, difference >= 0]
+    exact, formed, error = z3.Reals("exact formed error")
+    off = exact - formed
+    in_range = _kept(exact, 2**12, 2**32 - 2**12) - _kept(formed, 2**12, 2**32 - 2**12)
+    near = [off <= error, -off <= error]
+    yield "the range takes nothing away", z3.And(in_range <= error, -in_range <= error), near
+
+
+def _kept(value: Any, least: int, most: int, parts: int = 1) -> Any:
+    """The value, kept within two numbers that are given in ``parts`` of 1."""
+    low, high = z3.RealVal(least) / parts, z3.RealVal(most) / parts
+    return z3.If(value < low, low, z3.If(value > high, high, value))

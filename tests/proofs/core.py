@@ -380,8 +380,8 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant. estimate() keeps what it owes the functions it calls; of reestimate() no
-    more is shown than that it is safe."""
+    """All of them, for one variant. estimate() keeps what it owes the functions it calls; of reestimate() it
+    is shown here that it is safe, and in ``accuracy`` what it computes."""
     return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), "reestimate": Contract(None)}
 
 

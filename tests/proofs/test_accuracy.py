@@ -1,4 +1,4 @@
-"""The errors of x_hat and alpha, for all inputs."""
+"""The errors of x_hat, alpha, x_bar and b_hat, for all inputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from proofs.accuracy import (
     Claim,
     of_alpha,
     of_alpha_at_an_end,
+    of_b_hat,
     of_estimate,
+    of_quotient,
+    of_reestimate,
     of_set_b_hat,
     of_square_of_ratio,
     of_squares,
@@ -31,6 +34,7 @@ from proofs.source import VARIANTS, Program, program
 
 OF_THE_CODE = {
     "estimate": of_estimate,
+    "reestimate": of_reestimate,
     "set_b_hat": of_set_b_hat,
     "square_of_ratio": of_square_of_ratio,
 }
@@ -64,6 +68,7 @@ def test_the_code_forms_these_numbers(name: str) -> None:
 def test_the_code_of_one_target_forms_these_numbers() -> None:
     """Of estimate() what is inside the scale, which is quick."""
     prove_all(islice(of_estimate(program(VARIANTS[0], CORE)), 12))
+    prove_all(of_reestimate(program(VARIANTS[0], CORE)))
     prove_all(of_set_b_hat(program(VARIANTS[0], CORE)))
     prove_all(of_square_of_ratio(program(VARIANTS[0], CORE)))
 
@@ -83,6 +88,11 @@ def test_the_code_of_one_target_forms_these_numbers() -> None:
         ("2U * c_shift", "c_shift"),
         ("multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
         ("shift_left(g, g_shift), 0U - c)", "shift_left(g, g_shift), c)"),
+        ("a = ~a;", "a = 0U - a;"),
+        ("n = t - n;", "n = t + n;"),
+        ("multiply(t, 0U - a)", "multiply(t, a)"),
+        ("above < span ? above : span", "above"),
+        ("b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
     ],
 )
 def test_other_numbers_are_noticed(right: str, wrong: str, tmp_path: Path) -> None:
@@ -96,7 +106,9 @@ def test_other_numbers_are_noticed(right: str, wrong: str, tmp_path: Path) -> No
                 prove(claim, *known, about=about)
 
 
-@pytest.mark.parametrize("claims", [of_x_hat, of_alpha, of_squares, of_alpha_at_an_end])
+@pytest.mark.parametrize(
+    "claims", [of_x_hat, of_alpha, of_squares, of_alpha_at_an_end, of_quotient, of_b_hat]
+)
 def test_roundings_are_within_their_limits(claims: Callable[[], Iterator[Claim]]) -> None:
     prove_all(claims())
 
@@ -114,3 +126,11 @@ def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
     kept = (1 - SUM_LOSES) * (1 - SQUARE_LOSES[0]) * (1 - SQUARE_LOSES[1]) * (1 - SQUARE_LOSES[2])
     assert 1 - kept < below == Fraction(1, 2**22) + Fraction(1, 2**27)
     assert above == SQUARE_GAINS
+
+
+@pytest.mark.parametrize("x_bar", [Fraction(0), Fraction(9, 20), Fraction(11, 20), Fraction(1)])
+def test_the_limit_of_b_hat_is_that_of_the_design(x_bar: Fraction) -> None:
+    """What x_bar is off by at most, made larger by eq. 8, and what its quotient loses."""
+    off = 4 * x_bar + 3 if x_bar > exact.HALF else max(4 * x_bar + 2, Fraction(1))
+    limit = (off / abs(2 * x_bar - 1) + 7) / 2**32
+    assert exact.b_hat_error(x_bar) == limit < Fraction(1, 2**26)
