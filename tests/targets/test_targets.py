@@ -361,9 +361,14 @@ def test_every_cell_plays_everything() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: " ".join(str(cell).split()))
+@pytest.mark.parametrize(
+    "cell",
+    [cell for cell in CELLS if cell.target.name != "avr" or cell.level == "-Os"],
+    ids=lambda cell: " ".join(str(cell).split()),
+)
 def test_the_cell_passes(cell: Cell) -> None:
-    """The whole matrix, as ``make targets`` shows it."""
+    """The matrix, as ``make targets`` shows it, which also plays the AVR's other levels: each keeps its
+    simulator busy for over a minute."""
     verdict, details = matrix.result_of(cell)
     if verdict == "left out":
         pytest.skip(details)

@@ -116,8 +116,8 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=int,
         metavar="N",
-        help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours "
-        f"(default {_PHASE_TICKS})",
+        help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours, "
+        f"or two rounds if these are longer (default {_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",

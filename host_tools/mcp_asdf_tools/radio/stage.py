@@ -47,7 +47,7 @@ class ControllerBench:
 
     Attributes:
         bus: Connection to the controller.
-        ticks: Ticks of a phase among emulated neighbours.
+        ticks: Ticks of a phase among emulated neighbours, unless two rounds are longer.
         timeout: Seconds that the controller has to answer.
         wait: Seconds to wait for the heartbeat with which it starts; None to begin at once.
         recorder: Takes the controller's events; None if they are not recorded.

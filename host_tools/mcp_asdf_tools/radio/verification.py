@@ -135,7 +135,9 @@ class Verification:
     ) -> None:
         """Prepare the phases, with one more for each fault of the settings. Raises as ``planned``."""
         self._settings, self._bench = settings, bench
-        self._phases, faults = planned(settings, phases, bench.ticks)
+        # Everything that a fault may strike, a broadcast too, comes in each phase.
+        self._phase_ticks = max(bench.ticks, 2 * settings.controller.config.comms_period)
+        self._phases, faults = planned(settings, phases, self._phase_ticks)
         self._stage = Stage(replace(settings, faults=tuple(faults)), bench)
         results = [PhaseResult(phase.name, phase.fault or None) for phase in self._phases]
         self.verdict = ControllerVerdict(results, self._stage.model.coverage)
@@ -151,7 +153,7 @@ class Verification:
         config = self._settings.controller.config
         waiting = sum(phase.tests for phase in self._phases) * config.filter_period
         observing = 3 * config.memory if is_halved(config) else LONG_RUN
-        return max(waiting, observing) + self._bench.ticks * len(self._phases)
+        return max(waiting, observing) + self._phase_ticks * len(self._phases)
 
     def run(self) -> ControllerVerdict:
         """Go through the phases up to the first difference."""
@@ -184,7 +186,7 @@ class Verification:
             if phase.play is not None:
                 phase.play(stage)
             else:
-                for _ in range(self._bench.ticks):
+                for _ in range(self._phase_ticks):
                     among_neighbours(stage)
         finally:
             for name, figure in self._figures().items():

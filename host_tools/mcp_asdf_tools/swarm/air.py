@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Protocol
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.swarm.faults import Faults, SentFrame, Ways
+from mcp_asdf_tools.swarm.ways import Mask
 
 
 class Hearer(Protocol):
@@ -40,6 +41,16 @@ class Batch:
     sent: Sequence[SentFrame]
     ways: Ways
 
+    def one_by_one(self) -> list[tuple[float, int, can.Message]]:
+        """Place, receiver and frame of each arrival, those of a receiver in the order of sending."""
+        reach, places, damaged = self.ways.reach, self.ways.places, self.ways.damaged
+        numbers, receivers = (each.tolist() for each in reach.nonzero())
+        come_at = [0.0] * len(numbers) if places is None else places[reach].tolist()
+        return [
+            (place, receiver, damaged.get((number, receiver), self.sent[number].frame))
+            for place, number, receiver in zip(come_at, numbers, receivers, strict=True)
+        ]
+
 
 @dataclass(frozen=True)
 class Arrivals:
@@ -55,15 +66,30 @@ class Arrivals:
 
     def of(self, robot: int) -> list[can.Message]:
         """The frames that ``robot`` hears, in order."""
+        behind = [pair for each in self.behind for pair in each.ways.to(robot, each.sent)]
         return [
             *(frame for each in self.in_turn for _, frame in each.ways.to(robot, each.sent)),
-            *self.behind_of(robot),
+            *(frame for _, frame in sorted(behind, key=itemgetter(0))),
         ]
 
-    def behind_of(self, robot: int) -> list[can.Message]:
-        """The frames behind those that come in their turn."""
-        behind = [pair for each in self.behind for pair in each.ways.to(robot, each.sent)]
-        return [frame for _, frame in sorted(behind, key=itemgetter(0))]
+    def for_all(self) -> Iterator[tuple[Sequence[can.Message], Mask]]:
+        """The frames that robots hear, in an order that is right for each, and which robots hear which."""
+        for each in self.in_turn:
+            if each.ways.damaged:
+                yield _with_one_receiver(each.one_by_one(), each.ways.reach.shape[1])
+            else:
+                yield [sent.frame for sent in each.sent], each.ways.reach
+        behind = sorted((one for each in self.behind for one in each.one_by_one()), key=itemgetter(0))
+        if behind:
+            yield _with_one_receiver(behind, self.behind[0].ways.reach.shape[1])
+
+
+def _with_one_receiver(
+    arrivals: Sequence[tuple[float, int, can.Message]], receivers: int
+) -> tuple[Sequence[can.Message], Mask]:
+    reach = np.zeros((len(arrivals), receivers), np.bool_)
+    reach[np.arange(len(arrivals)), [receiver for _, receiver, _ in arrivals]] = True
+    return [frame for *_, frame in arrivals], reach
 
 
 class Air:

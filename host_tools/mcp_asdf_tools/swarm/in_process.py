@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 
+import can
 import numpy as np
 
 from mcp_asdf_tools.bus import Message
 from mcp_asdf_tools.robots import BusRobot, Decoder, Estimates, FrameTaker, rows_of
-from mcp_asdf_tools.swarm.air import Air, Batch
+from mcp_asdf_tools.swarm.air import Air
 from mcp_asdf_tools.swarm.transmission import SentFrame
+from mcp_asdf_tools.swarm.ways import Mask
 
 
 class InProcess:
@@ -41,25 +43,18 @@ class InProcess:
     def carry(self, tick: int) -> None:
         """Let every robot hear what it hears in this tick."""
         sent, self._sent = self._sent, []
-        arrivals = self._air.arrivals(tick, sent)
-        for batch in arrivals.in_turn:
-            if batch.ways.damaged:
-                for robot in _hearing(batch):
-                    self._robots[robot].hear(*(frame for _, frame in batch.ways.to(robot, batch.sent)))
-            else:
-                self._hand_over(batch)
-        for robot in sorted({robot for batch in arrivals.behind for robot in _hearing(batch)}):
-            self._robots[robot].hear(*arrivals.behind_of(robot))
+        for frames, reach in self._air.arrivals(tick, sent).for_all():
+            self._hand_over(frames, reach)
 
-    def _hand_over(self, batch: Batch) -> None:
+    def _hand_over(self, frames: Sequence[can.Message], reach: Mask) -> None:
         """Let each robot receive all of its estimates at once, and count all other frames."""
-        contents = np.array([self._decode(each.frame) for each in batch.sent], np.object_)
+        contents = np.array([self._decode(frame) for frame in frames], np.object_)
         is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
         estimates, others = Estimates.of(rows_of(contents.tolist())), contents[~is_estimate]
-        for robot, heard in zip(self._robots, estimates.heard(batch.ways.reach[is_estimate]), strict=True):
+        for robot, heard in zip(self._robots, estimates.heard(reach[is_estimate]), strict=True):
             robot.receive(heard)
         if len(others):
-            for robot, heard in zip(self._robots, batch.ways.reach[~is_estimate].T, strict=True):
+            for robot, heard in zip(self._robots, reach[~is_estimate].T, strict=True):
                 robot.count(others[heard].tolist())
 
     def __enter__(self) -> InProcess:
@@ -67,9 +62,3 @@ class InProcess:
 
     def __exit__(self, *_: object) -> None:
         """Do nothing: there is no bus to leave."""
-
-
-def _hearing(batch: Batch) -> list[int]:
-    """Robots that hear something of it."""
-    robots: list[int] = np.flatnonzero(batch.ways.reach.any(axis=0)).tolist()
-    return robots

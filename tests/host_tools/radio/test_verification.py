@@ -166,6 +166,13 @@ def test_other_configurations_pass(config: dict[str, Any]) -> None:
     assert verdict.has_passed, (seed, headline(verdict.plain()))
 
 
+def test_a_fault_strikes_however_rarely_the_controller_broadcasts() -> None:
+    """In a phase of 25 ticks without a broadcast a liar had said nothing."""
+    config: dict[str, Any] = {"filter_period": 600, "comms_period": 40}
+    verdict = judge(obedient(**config), settings(right(**config), seed=3548517347))
+    assert verdict.has_passed, headline(verdict.plain())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", [0, 1, 125, 127])
 def test_a_controller_with_any_id_passes(robot: int) -> None:
