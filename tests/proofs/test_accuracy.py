@@ -130,7 +130,7 @@ def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
 
 @pytest.mark.parametrize("x_bar", [Fraction(0), Fraction(9, 20), Fraction(11, 20), Fraction(1)])
 def test_the_limit_of_b_hat_is_that_of_the_design(x_bar: Fraction) -> None:
-    """What x_bar is off by at most, made larger by eq. 8, and what its quotient loses."""
+    """Error of x_bar at most, made larger by eq. 8, and the loss in its quotient."""
     off = 4 * x_bar + 3 if x_bar > exact.HALF else max(4 * x_bar + 2, Fraction(1))
     limit = (off / abs(2 * x_bar - 1) + 7) / 2**32
     assert exact.b_hat_error(x_bar) == limit < Fraction(1, 2**26)
