@@ -4,6 +4,7 @@ from . import interfaces as interfaces
 from .dbc import ANY_NODE_MASK as ANY_NODE_MASK
 from .dbc import dbc_entries as dbc_entries
 from .dbc import dbc_text as dbc_text
+from .estimates import decode_estimates as decode_estimates
 from .frames import COMMANDS as COMMANDS
 from .frames import EVERY_ROBOT as EVERY_ROBOT
 from .frames import FRAME_BYTES as FRAME_BYTES

@@ -27,8 +27,8 @@ ONE = 1 << 23
 INFINITE_ALPHA = 0x7F80_0000
 """Smallest binary32 bits that are no finite number >= 0: infinity, then NaN, then every sign bit."""
 
-_FRACTION, _IMPLICIT = 0x7F_FFFF, 0x80_0000
-_UNIT_EXPONENT = 126
+FRACTION, IMPLICIT = 0x7F_FFFF, 0x80_0000
+UNIT_EXPONENT = 126
 """Biased exponent of the binary32 numbers whose last bit is worth 2**-24."""
 
 MAX_NODE_ID = 127
@@ -46,11 +46,12 @@ MAX_B_HAT = (1 << 24) - MIN_B_HAT
 EVERY_ROBOT = 255
 """Target of a command to all robots."""
 
-_NODE_BITS = 0x7F
+NODE_BITS = 0x7F
 _SERVICE, _ANONYMOUS, _RESERVED = 1 << 25, 1 << 24, 1 << 23 | 1 << 7
+_ALWAYS_0 = _SERVICE | _ANONYMOUS | _RESERVED
 # Receivers ignore the priority and, as the specification asks, the two bits sent as 1.
-_IGNORED = MAX_PRIORITY << 26 | 3 << 21 | _NODE_BITS
-_SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
+IGNORED_BITS = MAX_PRIORITY << 26 | 3 << 21 | NODE_BITS
+SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
 
 
 class Rejection(Enum):
@@ -161,6 +162,9 @@ class Mode(Enum):
     SOFTWARE_UPDATE = 3
 
 
+_LAST_MODE = max(mode.value for mode in Mode)
+
+
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
     """Heartbeat of a node (Cyphal's ``uavcan.node.Heartbeat``), due once per second.
@@ -261,7 +265,7 @@ def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection
         return Rejection.X_HAT
     if alpha >= INFINITE_ALPHA:
         return Rejection.ALPHA
-    sender, transfer_id = frame.arbitration_id & _NODE_BITS, content >> 56 & _TRANSFER_BITS
+    sender, transfer_id = frame.arbitration_id & NODE_BITS, content >> 56 & _TRANSFER_BITS
     return Message(sender, x_hat, word_of(alpha), transfer_id)
 
 
@@ -288,9 +292,9 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     if reason is not None:
         return reason
     uptime, health, mode, vendor_status, tail = struct.unpack("<IBBBB", frame.data)
-    if mode & 7 > max(known.value for known in Mode):
+    if mode & 7 > _LAST_MODE:
         return Rejection.MODE
-    sender, transfer_id = frame.arbitration_id & _NODE_BITS, tail & _TRANSFER_BITS
+    sender, transfer_id = frame.arbitration_id & NODE_BITS, tail & _TRANSFER_BITS
     return Heartbeat(sender, uptime, transfer_id, Health(health & 3), Mode(mode & 7), vendor_status)
 
 
@@ -319,7 +323,7 @@ def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) 
         return Rejection.X
     if not MIN_B_HAT <= b_hat <= MAX_B_HAT:
         return Rejection.B_HAT
-    return Telemetry(frame.arbitration_id & _NODE_BITS, x, b_hat, updates, content >> 56 & _TRANSFER_BITS)
+    return Telemetry(frame.arbitration_id & NODE_BITS, x, b_hat, updates, content >> 56 & _TRANSFER_BITS)
 
 
 def encode_command(
@@ -349,16 +353,16 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> 
         return Rejection.TARGET
     if action > Action.SETTLE.value:
         return Rejection.ACTION
-    return Command(frame.arbitration_id & _NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
+    return Command(frame.arbitration_id & NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
 
 
 def binary32_of(alpha: int) -> int:
     """The IEEE binary32 bits of an alpha word, 0 .. 2**32 - 1: the same value, exactly."""
-    mantissa, exponent = alpha >> 8, _UNIT_EXPONENT + (alpha & SHIFT_MAX)
+    mantissa, exponent = alpha >> 8, UNIT_EXPONENT + (alpha & SHIFT_MAX)
     if mantissa == 0:
         return 0
     shift = 24 - mantissa.bit_length()
-    return (exponent - shift << 23) + (mantissa << shift) - _IMPLICIT
+    return (exponent - shift << 23) + (mantissa << shift) - IMPLICIT
 
 
 def word_of(bits: int) -> int:
@@ -367,7 +371,7 @@ def word_of(bits: int) -> int:
     The inverse of ``binary32_of``, except for the choice of the shift. Parts smaller than 2**-24 are lost;
     numbers above the largest confidence, 2**31 - 2**7, become that.
     """
-    mantissa, shift = bits & _FRACTION | _IMPLICIT, (bits >> 23) - _UNIT_EXPONENT
+    mantissa, shift = bits & FRACTION | IMPLICIT, (bits >> 23) - UNIT_EXPONENT
     if shift < 0:  # a subnormal number has no implicit bit, but loses everything
         return mantissa >> -shift << 8
     return mantissa << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
@@ -393,16 +397,19 @@ def bits_of(value: float) -> int:
 def _why_no_transfer(frame: can.Message, subject: int) -> Rejection | None:
     """Reason why the frame is no single-frame message of the subject; None if it is one."""
     special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
-    if special or frame.arbitration_id & ~_IGNORED != subject << 8:
+    if special or frame.arbitration_id & _ALWAYS_0:
         return _what_is_special(frame)
+    if frame.arbitration_id & ~IGNORED_BITS != subject << 8:
+        return Rejection.SUBJECT
     if len(frame.data) != FRAME_BYTES:
         return Rejection.LENGTH
-    if frame.data[-1] & ~_TRANSFER_BITS != _SINGLE_FRAME:
+    if frame.data[-1] & ~_TRANSFER_BITS != SINGLE_FRAME:
         return Rejection.MULTI_FRAME
     return None
 
 
 def _what_is_special(frame: can.Message) -> Rejection:
+    """Reason why a frame that has any is no message of any subject."""
     identifier = frame.arbitration_id
     findings = (
         (frame.is_error_frame, Rejection.ERROR_FRAME),
@@ -413,7 +420,7 @@ def _what_is_special(frame: can.Message) -> Rejection:
         (identifier & _ANONYMOUS, Rejection.ANONYMOUS),
         (identifier & _RESERVED, Rejection.RESERVED_BITS),
     )
-    return next((reason for found, reason in findings if found), Rejection.SUBJECT)
+    return next(reason for found, reason in findings if found)
 
 
 @cache
@@ -424,7 +431,7 @@ def _identifier(priority: int, subject: int, node_id: int) -> int:
 
 def _frame(identifier: int, payload: int, transfer_id: int, timestamp: float) -> can.Message:
     _check("transfer_id", transfer_id, _TRANSFER_BITS)
-    tail = (_SINGLE_FRAME | transfer_id) << 56
+    tail = (SINGLE_FRAME | transfer_id) << 56
     data = (payload | tail).to_bytes(FRAME_BYTES, "little")
     return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)
 

@@ -12,6 +12,8 @@ from mcp_asdf_tools.bus import Action, frame_as_text
 SETTLE = 3
 SILENT, RESTART = "silent", "restart"
 
+_OBSERVED = {z: str(Action.observing(z).value) for z in (None, *Observation)}
+
 Event = int | str | list[int]
 """One event in a line."""
 
@@ -26,7 +28,7 @@ class Recorder:
 
     def observe(self, z: Observation | None) -> None:
         """The robot began a tick and observed ``z``, if anything."""
-        self._parts.append(str(Action.observing(z).value))
+        self._parts.append(_OBSERVED[z])
 
     def receive(self, messages: Iterable[str]) -> None:
         """The robot took messages, each a ``message_text``."""

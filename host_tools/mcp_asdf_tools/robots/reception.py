@@ -19,6 +19,7 @@ from mcp_asdf_tools.bus import (
     Rejection,
     Telemetry,
     decode,
+    decode_estimates,
     decode_heartbeat,
     decode_telemetry,
 )
@@ -53,12 +54,19 @@ class Decoder:
             return known[1]
         if len(self._known) == _MAX_KNOWN:
             self._known.clear()
-        content = self._content(frame)
+        content = self.once(frame)
         # With the frame itself, since the id of an object that has gone may be another's.
         self._known[id(frame)] = frame, content
         return content
 
-    def _content(self, frame: can.Message) -> Content:
+    def estimates(
+        self, frames: Sequence[can.Message], flips: NDArray[np.uint64]
+    ) -> tuple[Words, NDArray[np.bool_]]:
+        """As ``bus.decode_estimates``."""
+        return decode_estimates(frames, self.frames, flips)
+
+    def once(self, frame: can.Message) -> Content:
+        """Decode a frame that will not be decoded again."""
         estimate = decode(frame, self.frames)
         if estimate is not Rejection.SUBJECT:
             return estimate
@@ -97,16 +105,16 @@ class Reception:
 
     def count(self, contents: Sequence[Content]) -> None:
         """Count frames that are no estimates."""
-        kinds = Counter(map(type, contents))
-        self.heartbeats += kinds[Heartbeat]
-        if kinds[Telemetry]:
-            telemetry = [each for each in contents if isinstance(each, Telemetry)]
-            self.telemetry += len(telemetry)
-            self.last_telemetry.update((each.sender, each) for each in telemetry)
-        if kinds[Rejection]:
-            reasons = Counter(each for each in contents if isinstance(each, Rejection))
-            self.errors += reasons.pop(Rejection.ERROR_FRAME, 0)
-            self.rejected.update(reasons)
+        for each in contents:
+            if isinstance(each, Heartbeat):
+                self.heartbeats += 1
+            elif isinstance(each, Telemetry):
+                self.telemetry += 1
+                self.last_telemetry[each.sender] = each
+            elif each is Rejection.ERROR_FRAME:
+                self.errors += 1
+            elif isinstance(each, Rejection):
+                self.rejected[each] += 1
 
 
 class Estimates:

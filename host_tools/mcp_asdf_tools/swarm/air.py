@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Protocol
 
 import can
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.swarm.faults import Faults, SentFrame, Ways
-from mcp_asdf_tools.swarm.ways import Mask
+from mcp_asdf_tools.swarm.ways import Mask, flipped
 
 
 class Hearer(Protocol):
@@ -35,61 +34,64 @@ class InRange(Protocol):
 
 
 @dataclass(frozen=True)
+class Arrivals:
+    """Frames that robots hear in one tick, in an order that is right for each of them.
+
+    Attributes:
+        sent: The frames as they were sent; one that arrives differently is here once for each receiver.
+        flips: Bits of the data that arrive flipped, as in ``Ways``, shape (frames,).
+        reach: True for the robots that hear a frame, shape (frames, robots).
+    """
+
+    sent: Sequence[can.Message]
+    flips: NDArray[np.uint64]
+    reach: Mask
+
+    def frame(self, number: int) -> can.Message:
+        """A frame as it arrives."""
+        flips = int(self.flips[number])
+        return flipped(self.sent[number], flips) if flips else self.sent[number]
+
+    def of(self, robot: int) -> list[can.Message]:
+        """The frames that ``robot`` hears, in order."""
+        return [self.frame(number) for number in self.reach[:, robot].nonzero()[0].tolist()]
+
+
+@dataclass(frozen=True)
 class Batch:
     """Frames sent in one tick that arrive in one tick on one kind of ways."""
 
     sent: Sequence[SentFrame]
     ways: Ways
 
-    def one_by_one(self) -> list[tuple[float, int, can.Message]]:
-        """Place, receiver and frame of each arrival, those of a receiver in the order of sending."""
-        reach, places, damaged = self.ways.reach, self.ways.places, self.ways.damaged
-        numbers, receivers = (each.tolist() for each in reach.nonzero())
-        come_at = [0.0] * len(numbers) if places is None else places[reach].tolist()
-        return [
-            (place, receiver, damaged.get((number, receiver), self.sent[number].frame))
-            for place, number, receiver in zip(come_at, numbers, receivers, strict=True)
-        ]
+    def arrivals(self) -> Arrivals:
+        """The frames in the order of sending."""
+        frames, reach, flips = [each.frame for each in self.sent], self.ways.reach, self.ways.flips
+        if flips is None and self.ways.places is None:
+            return Arrivals(frames, np.zeros(len(frames), np.uint64), reach)
+        numbers, receivers = reach.nonzero()
+        own = np.zeros((len(numbers), reach.shape[1]), np.bool_)
+        own[np.arange(len(numbers)), receivers] = True
+        came = np.zeros(len(numbers), np.uint64) if flips is None else flips[reach]
+        return Arrivals([frames[number] for number in numbers.tolist()], came, own)
 
 
-@dataclass(frozen=True)
-class Arrivals:
-    """Frames that robots hear in one tick.
-
-    Attributes:
-        in_turn: Those that come in their turn: late ones first, then frames as sent, copies, damaged ones.
-        behind: Those that fall behind these, by rising place.
-    """
-
-    in_turn: Sequence[Batch]
-    behind: Sequence[Batch]
-
-    def of(self, robot: int) -> list[can.Message]:
-        """The frames that ``robot`` hears, in order."""
-        behind = [pair for each in self.behind for pair in each.ways.to(robot, each.sent)]
-        return [
-            *(frame for each in self.in_turn for _, frame in each.ways.to(robot, each.sent)),
-            *(frame for _, frame in sorted(behind, key=itemgetter(0))),
-        ]
-
-    def for_all(self) -> Iterator[tuple[Sequence[can.Message], Mask]]:
-        """The frames that robots hear, in an order that is right for each, and which robots hear which."""
-        for each in self.in_turn:
-            if each.ways.damaged:
-                yield _with_one_receiver(each.one_by_one(), each.ways.reach.shape[1])
-            else:
-                yield [sent.frame for sent in each.sent], each.ways.reach
-        behind = sorted((one for each in self.behind for one in each.one_by_one()), key=itemgetter(0))
-        if behind:
-            yield _with_one_receiver(behind, self.behind[0].ways.reach.shape[1])
+def _joined(batches: Sequence[Batch], robots: int) -> Arrivals:
+    """Those in their turn as they come, then those that fall behind, by rising place."""
+    parts = [each.arrivals() for each in batches]
+    sent = [frame for each in parts for frame in each.sent]
+    flips = np.concatenate([np.zeros(0, np.uint64), *(each.flips for each in parts)])
+    reach = np.concatenate([np.zeros((0, robots), np.bool_), *(each.reach for each in parts)])
+    if all(each.ways.places is None for each in batches):
+        return Arrivals(sent, flips, reach)
+    places = [_places(each.ways, len(part.sent)) for each, part in zip(batches, parts, strict=True)]
+    order = np.concatenate(places).argsort(kind="stable")
+    return Arrivals([sent[number] for number in order.tolist()], flips[order], reach[order])
 
 
-def _with_one_receiver(
-    arrivals: Sequence[tuple[float, int, can.Message]], receivers: int
-) -> tuple[Sequence[can.Message], Mask]:
-    reach = np.zeros((len(arrivals), receivers), np.bool_)
-    reach[np.arange(len(arrivals)), [receiver for _, receiver, _ in arrivals]] = True
-    return [frame for *_, frame in arrivals], reach
+def _places(ways: Ways, arrivals: int) -> NDArray[np.float64]:
+    """Place in its tick of each arrival, 0 for its turn."""
+    return np.zeros(arrivals) if ways.places is None else ways.places[ways.reach]
 
 
 class Air:
@@ -127,7 +129,4 @@ class Air:
         due = self._due.pop(tick, [])
         self.in_range += int(np.count_nonzero(in_range))
         self.arrived += sum(int(np.count_nonzero(each.ways.reach)) for each in due)
-        return Arrivals(
-            [each for each in due if each.ways.places is None],
-            [each for each in due if each.ways.places is not None],
-        )
+        return _joined(due, in_range.shape[1])

@@ -48,14 +48,12 @@ class _Of(IntEnum):
     LINKS = 1
     FRAME = 2
     COPIES = 3
-    COPY = 4
-    PLACES = 5
 
 
 class Draws:
     """Random words of one fault; ``number`` distinguishes faults of one kind.
 
-    Where each receiver has a draw of its own, receiver i has word i, however many are asked for.
+    Where each receiver has words of its own, receiver i has them however many receivers are asked for.
 
     Attributes:
         number: As given.
@@ -77,19 +75,13 @@ class Draws:
         """Eight words of a frame."""
         return self._eight(*_frame_key(sent), 0, _Of.FRAME, 0)
 
-    def of_copies(self, sent: SentFrame, version: int, receivers: int) -> Row:
-        """A word of the copy of a frame for each receiver; ``version`` counts copies for the same one."""
-        return self._row(receivers, *_frame_key(sent), version % 256, _Of.COPIES, 0)
+    def of_copies(self, sent: SentFrame, version: int, receivers: int, words: int) -> Row:
+        """``words`` words of the copy of a frame for each receiver, shape (receivers, words).
 
-    def of_places(self, sent: SentFrame, version: int, receivers: int) -> Row:
-        """One more word of each of these copies."""
-        return self._row(receivers, *_frame_key(sent), version % 256, _Of.PLACES, 0)
-
-    def of_copy(self, sent: SentFrame, version: int, receiver: int) -> int:
-        """Eight more words of one of these copies, as one integer, the first lowest."""
-        return int.from_bytes(
-            self._digest(_WORDS, (*_frame_key(sent), version % 256, _Of.COPY, receiver)), "little"
-        )
+        ``version`` counts copies for the same receiver.
+        """
+        key = *_frame_key(sent), version % 256, _Of.COPIES, 0
+        return self._row(receivers * words, *key).reshape(receivers, words)
 
     def _eight(self, *key: int) -> Words:
         return struct.unpack("<8Q", self._digest(_WORDS, key))

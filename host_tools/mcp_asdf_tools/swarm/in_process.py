@@ -7,16 +7,13 @@ of a tick at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
-import can
 import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus import Message
-from mcp_asdf_tools.robots import BusRobot, Decoder, Estimates, FrameTaker, rows_of
-from mcp_asdf_tools.swarm.air import Air
+from mcp_asdf_tools.robots import BusRobot, Decoder, Estimates, FrameTaker
+from mcp_asdf_tools.swarm.air import Air, Arrivals
 from mcp_asdf_tools.swarm.transmission import SentFrame
-from mcp_asdf_tools.swarm.ways import Mask
 
 
 class InProcess:
@@ -37,25 +34,30 @@ class InProcess:
     def send(self, sent: SentFrame) -> None:
         """Take a frame, and log it as a bus would hand it over."""
         if self._log is not None:
-            self._log(copy(sent.frame))
+            self._log(sent.frame)
         self._sent.append(sent)
 
     def carry(self, tick: int) -> None:
         """Let every robot hear what it hears in this tick."""
         sent, self._sent = self._sent, []
-        for frames, reach in self._air.arrivals(tick, sent).for_all():
-            self._hand_over(frames, reach)
+        self._hand_over(self._air.arrivals(tick, sent))
 
-    def _hand_over(self, frames: Sequence[can.Message], reach: Mask) -> None:
+    def _hand_over(self, arrivals: Arrivals) -> None:
         """Let each robot receive all of its estimates at once, and count all other frames."""
-        contents = np.array([self._decode(frame) for frame in frames], np.object_)
-        is_estimate = np.array([isinstance(each, Message) for each in contents], np.bool_)
-        estimates, others = Estimates.of(rows_of(contents.tolist())), contents[~is_estimate]
-        for robot, heard in zip(self._robots, estimates.heard(reach[is_estimate]), strict=True):
+        words, is_estimate = self._decode.estimates(arrivals.sent, arrivals.flips)
+        estimates = Estimates(words[is_estimate])
+        for robot, heard in zip(self._robots, estimates.heard(arrivals.reach[is_estimate]), strict=True):
             robot.receive(heard)
-        if len(others):
-            for robot, heard in zip(self._robots, reach[~is_estimate].T, strict=True):
-                robot.count(others[heard].tolist())
+        if not is_estimate.all():
+            self._count(arrivals, np.flatnonzero(~is_estimate))
+
+    def _count(self, arrivals: Arrivals, others: NDArray[np.intp]) -> None:
+        contents = np.array(
+            [self._decode.once(arrivals.frame(number)) for number in others.tolist()], np.object_
+        )
+        reach = arrivals.reach[others]
+        for robot in np.flatnonzero(reach.any(axis=0)).tolist():
+            self._robots[robot].count(contents[reach[:, robot]].tolist())
 
     def __enter__(self) -> InProcess:
         return self

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
+from mcp_asdf_tools.bus import FRAME_BYTES
 from mcp_asdf_tools.swarm.fault_injectors import Draws, Injector, each_below
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 from mcp_asdf_tools.swarm.transmission import SentFrame
 
 Mask = NDArray[np.bool_]
 """One value for each frame of a tick and each receiver, by id, shape (frames, receivers)."""
+
+Drawn = NDArray[np.uint64]
+"""Random words for each of these, shape (frames, receivers, words)."""
 
 
 @dataclass(frozen=True)
@@ -29,24 +33,15 @@ class Ways:
         version: Number that tells copies for one receiver apart.
         places: Where in its tick a frame arrives, above 0 up to 1, shape (frames, receivers); None for
             its turn.
-        damaged: Frames that arrive instead of those sent, by (frame, receiver); for all that reach, or none.
+        flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,
+            receivers); None if none do.
     """
 
     reach: Mask
     delay: int = 0
     version: int = 0
     places: NDArray[np.float64] | None = None
-    damaged: Mapping[tuple[int, int], can.Message] = field(default_factory=dict)
-
-    def to(self, receiver: int, sent: Sequence[SentFrame]) -> list[tuple[float, can.Message]]:
-        """The frames that reach ``receiver``, each with its place, 0 for its turn."""
-        return [
-            (
-                0.0 if self.places is None else float(self.places[number, receiver]),
-                self.damaged.get((number, receiver), sent[number].frame),
-            )
-            for number in self.reach[:, receiver].nonzero()[0].tolist()
-        ]
+    flips: NDArray[np.uint64] | None = None
 
 
 class OnTheWay(Injector, ABC):
@@ -68,24 +63,36 @@ class OnTheWay(Injector, ABC):
             struck[np.isin(np.arange(len(sent)), numbers, invert=True)] = False
         if self.fault.receivers is not None:
             struck &= np.isin(np.arange(struck.shape[1]), list(self.fault.receivers))
+        words = self._drawn(sent, numbers, ways)
         if numbers:
-            struck[numbers] &= self._hits([sent[number] for number in numbers], ways.version, struck.shape[1])
+            struck[numbers] &= self._hits([sent[number] for number in numbers], words[numbers])
         self.injected += int(np.count_nonzero(struck))
         yield replace(ways, reach=ways.reach & ~struck)
-        yield from self._struck(replace(ways, reach=struck), sent)
+        yield from self._struck(replace(ways, reach=struck), sent, words[:, :, 1:])
 
-    def _hits(self, sent: Sequence[SentFrame], version: int, receivers: int) -> Mask:
-        """True if the fault strikes frames on their ways to each receiver: by draws of their own."""
-        rows = [self._draws.of_copies(each, version, receivers) for each in sent]
-        return each_below(np.array(rows), self.fault.rate)
+    @property
+    def _words(self) -> int:
+        """Number of words drawn for a frame on its way to a receiver: whether it is struck, and how."""
+        return 1
+
+    def _drawn(self, sent: Sequence[SentFrame], numbers: Sequence[int], ways: Ways) -> Drawn:
+        """The words for the frames with these ``numbers``, else 0."""
+        words = np.zeros((*ways.reach.shape, self._words), np.uint64)
+        for number in numbers if self._words else ():
+            words[number] = self._draws.of_copies(sent[number], ways.version, *words.shape[1:])
+        return words
+
+    def _hits(self, sent: Sequence[SentFrame], words: Drawn) -> Mask:
+        """True if the fault strikes frames on their ways to each receiver."""
+        return each_below(words[:, :, 0], self.fault.rate)
 
     @abstractmethod
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
-        """Ways that replace those struck."""
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
+        """Ways that replace those struck; ``words`` are those after the first."""
 
 
 class _Loss(OnTheWay):
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
         yield from ()
 
 
@@ -96,9 +103,13 @@ class _Burst(_Loss):
         super().__init__(fault, draws)
         self._chains: dict[int, tuple[int, NDArray[np.bool_]]] = {}
 
-    def _hits(self, sent: Sequence[SentFrame], version: int, receivers: int) -> Mask:
+    @property
+    def _words(self) -> int:
+        return 0
+
+    def _hits(self, sent: Sequence[SentFrame], words: Drawn) -> Mask:
         """By the state of the link; a frame that a bus has brought late meets that of the last in time."""
-        return np.array([self._state(each, receivers) for each in sent])
+        return np.array([self._state(each, words.shape[1]) for each in sent])
 
     def _state(self, sent: SentFrame, receivers: int) -> NDArray[np.bool_]:
         start = self.fault.start
@@ -122,12 +133,12 @@ class _Burst(_Loss):
 
 
 class _Delay(OnTheWay):
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
         yield replace(ways, delay=ways.delay + self.fault.ticks)
 
 
 class _Duplicate(OnTheWay):
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
         """The same, and copies, whose version has one more bit: that of this among faults of its kind."""
         yield ways
         version = ways.version | 1 << self._draws.number
@@ -135,33 +146,25 @@ class _Duplicate(OnTheWay):
 
 
 class _Reorder(OnTheWay):
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
-        words = [self._draws.of_places(each, ways.version, ways.reach.shape[1]) for each in sent]
-        if words:
-            above_0 = (np.array(words) >> np.uint64(11)) + np.uint64(1)
-            yield replace(ways, places=above_0.astype(np.float64) * 2.0**-53)
+    @property
+    def _words(self) -> int:
+        return 2
+
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
+        above_0 = (words[:, :, 0] >> np.uint64(11)) + np.uint64(1)
+        yield replace(ways, places=above_0.astype(np.float64) * 2.0**-53)
 
 
 class _Corrupt(OnTheWay):
-    def _struck(self, ways: Ways, sent: Sequence[SentFrame]) -> Iterator[Ways]:
-        yield replace(
-            ways,
-            damaged={
-                (number, receiver): self._flip(
-                    ways.damaged.get((number, receiver), sent[number].frame),
-                    self._draws.of_copy(sent[number], ways.version, receiver),
-                )
-                for number, receiver in zip(*(each.tolist() for each in ways.reach.nonzero()), strict=True)
-            },
-        )
+    @property
+    def _words(self) -> int:
+        return 1 + self.fault.bits
 
-    def _flip(self, frame: can.Message, drawn: int) -> can.Message:
-        """The frame with different bits."""
-        damaged, width = copy.copy(frame), 8 * len(frame.data)
-        flips = _choice(width, min(self.fault.bits, width), drawn)
-        data = int.from_bytes(frame.data, "little") ^ flips
-        damaged.data = bytearray(data.to_bytes(width // 8, "little"))
-        return damaged
+    def _struck(self, ways: Ways, sent: Sequence[SentFrame], words: Drawn) -> Iterator[Ways]:
+        widths = np.array([8 * min(len(each.frame.data), FRAME_BYTES) for each in sent], np.int64)
+        flips = np.zeros(ways.reach.shape, np.uint64) if ways.flips is None else ways.flips.copy()
+        flips[ways.reach] ^= choices(widths[ways.reach.nonzero()[0]], words[ways.reach])
+        yield replace(ways, flips=flips)
 
 
 ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
@@ -174,13 +177,23 @@ ON_THE_WAY: dict[FaultKind, Callable[[Fault, Draws], OnTheWay]] = {
 }
 
 
-def _choice(width: int, count: int, drawn: int) -> int:
-    """``count`` different bits of ``width`` (at most 64), by a draw of 512 bits.
+def flipped(frame: can.Message, flips: int) -> can.Message:
+    """The frame with these bits of its data flipped, the lowest that of the first byte."""
+    damaged, length = copy.copy(frame), len(frame.data)
+    data = int.from_bytes(frame.data, "little") ^ flips
+    damaged.data = bytearray(data.to_bytes(length, "little"))
+    return damaged
 
-    All choices are equally likely up to 2**-100.
+
+def choices(widths: NDArray[np.int64], words: Drawn) -> NDArray[np.uint64]:
+    """For each row of ``words`` as many different bits of the lowest ``widths`` (up to 64), or all of them.
+
+    All choices are equally likely up to 2**-52: Floyd's algorithm, with a remainder of each word.
     """
-    places, chosen = list(range(width)), 0
-    for _ in range(count):
-        drawn, at = divmod(drawn, len(places))
-        chosen |= 1 << places.pop(at)
+    one, chosen = np.uint64(1), np.zeros(len(widths), np.uint64)
+    for bits_to_come, column in zip(range(words.shape[1], 0, -1), words.T, strict=True):
+        exists = widths >= bits_to_come
+        last = np.maximum(widths - bits_to_come, 0).astype(np.uint64)
+        bit = one << column % (last + one)
+        chosen |= np.where(exists, np.where(chosen & bit, one << last, bit), np.uint64(0))
     return chosen

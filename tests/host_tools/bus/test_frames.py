@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -12,8 +14,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
+from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Health,
@@ -217,10 +221,26 @@ def is_legal_by_the_text(frame: can.Message, subject: int) -> bool:
     return bool(alpha_is_legal and x_is_legal and f"{frame.data[7]:08b}".startswith("111"))
 
 
+def agree_at_once(frames: Sequence[can.Message], flips: NDArray[np.uint64]) -> None:
+    """Many frames are decoded as each is. Those without 8 bytes are never estimates, whatever is flipped."""
+    rows, is_estimate = decode_estimates(frames, DEFAULT, flips)
+    assert rows.shape == (len(frames), 3)
+    found = zip(frames, flips.tolist(), is_estimate.tolist(), rows.tolist(), strict=True)
+    for frame, flip, is_one, row in found:
+        came = copy(frame)
+        if len(frame.data) == 8:
+            came.data = bytearray((int.from_bytes(frame.data, "little") ^ flip).to_bytes(8, "little"))
+        one = decode(came, DEFAULT)
+        assert is_one == isinstance(one, Message)
+        if isinstance(one, Message):
+            assert row == [one.sender, one.x_hat, one.alpha]
+
+
 def agrees(frame: can.Message) -> None:
     """The decoder accepts what the text calls legal, and nothing of it is lost or made up."""
     result = decode(frame, DEFAULT)
     assert isinstance(result, Message) == is_legal_by_the_text(frame, DEFAULT.subject)
+    agree_at_once([frame], np.zeros(1, np.uint64))
     if isinstance(result, Message):
         again = encode(result, FrameFormat(DEFAULT.subject, frame.arbitration_id >> 26))
         assert again.arbitration_id == frame.arbitration_id | 3 << 21
@@ -246,24 +266,35 @@ def test_any_single_corrupted_bit(message: Message) -> None:
         agrees(changed(frame.data.hex(), **{flag: not getattr(frame, flag)}))
 
 
-@fixed
-@given(
-    st.builds(
-        can.Message,
-        arbitration_id=st.one_of(
-            st.integers(0, 2**29 - 1), st.integers(0, 2**29 - 1).map(lambda n: n & 0x1CFF80FF | 0xBB800)
-        ),
-        data=st.one_of(
-            st.binary(max_size=64), st.binary(min_size=7, max_size=7).map(lambda data: data + b"\xe3")
-        ),
-        is_extended_id=st.booleans(),
-        is_remote_frame=st.booleans(),
-        is_error_frame=st.booleans(),
-        is_fd=st.booleans(),
-    )
+any_frames = st.builds(
+    can.Message,
+    arbitration_id=st.one_of(
+        st.integers(0, 2**29 - 1), st.integers(0, 2**29 - 1).map(lambda n: n & 0x1CFF80FF | 0xBB800)
+    ),
+    data=st.one_of(
+        st.binary(max_size=64), st.binary(min_size=7, max_size=7).map(lambda data: data + b"\xe3")
+    ),
+    is_extended_id=st.booleans(),
+    is_remote_frame=st.booleans(),
+    is_error_frame=st.booleans(),
+    is_fd=st.booleans(),
 )
+
+
+@fixed
+@given(any_frames)
 def test_anything_a_bus_can_deliver(frame: can.Message) -> None:
     agrees(frame)
+
+
+some_frames = any_frames | messages.map(lambda message: encode(message, DEFAULT))
+
+
+@fixed
+@given(st.lists(st.tuples(some_frames, st.just(0) | st.integers(0, 2**64 - 1)), max_size=8))
+@example([(legal_frame(), 0), (legal_frame(), 1 << 55), (legal_frame(), 1)])
+def test_many_frames_at_once(arrivals: list[tuple[can.Message, int]]) -> None:
+    agree_at_once([frame for frame, _ in arrivals], np.array([flips for _, flips in arrivals], np.uint64))
 
 
 @pytest.mark.parametrize(

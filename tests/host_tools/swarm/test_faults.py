@@ -7,6 +7,7 @@ import itertools
 import math
 import re
 import struct
+from collections import Counter
 from typing import Any, NamedTuple
 
 import can
@@ -30,6 +31,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.faults import Fault, FaultKind, Faults, SentFrame, Ways, parse_fault
+from mcp_asdf_tools.swarm.ways import choices, flipped
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -67,7 +69,7 @@ def all_ways(ways: list[Ways], number: int, sent: SentFrame, receiver: int) -> l
     """Deliveries of one frame to one receiver, each kind of ways in turn."""
     return [
         Delivery(
-            each.damaged.get((number, receiver), sent.frame),
+            sent.frame if each.flips is None else flipped(sent.frame, int(each.flips[number, receiver])),
             each.delay,
             0.0 if each.places is None else float(each.places[number, receiver]),
         )
@@ -381,6 +383,17 @@ def test_corruption_flips_so_many_bits_of_the_data_and_nothing_else(bits: int) -
         flipped = [count + (difference >> bit & 1) for bit, count in enumerate(flipped)]
     mean, trials = 2400 * bits / 64, 2400
     assert all(abs(count - mean) <= 5 * math.sqrt(mean * (1 - mean / trials)) for count in flipped)
+
+
+@pytest.mark.parametrize(("width", "count"), [(5, 1), (5, 2), (6, 3), (5, 4), (4, 4), (3, 5), (0, 2)])
+def test_all_choices_of_bits_are_equally_likely(width: int, count: int) -> None:
+    """Each remainder of each word once."""
+    divisors = [max(width - to_come + 1, 1) for to_come in range(count, 0, -1)]
+    words = np.array(list(itertools.product(*map(range, divisors))), np.uint64)
+    found = Counter(choices(np.full(len(words), width), words).tolist())
+    subsets = itertools.combinations(range(width), min(count, width))
+    expected = [sum(1 << bit for bit in subset) for subset in subsets]
+    assert found == dict.fromkeys(expected, len(words) // len(expected))
 
 
 def test_corruption_of_short_frames_stays_inside_them() -> None:

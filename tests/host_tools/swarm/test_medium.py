@@ -43,8 +43,9 @@ def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
         for ways in twin.ways(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0)):
             for number in ways.reach[:, 0].nonzero()[0].tolist():
                 place = 0.0 if ways.places is None else ways.places[number, 0]
-                frame = ways.damaged.get((number, 0), sent[number].frame)
-                content = bytes(frame.data) + bytes([sent[number].sender])
+                flips = 0 if ways.flips is None else int(ways.flips[number, 0])
+                data = int.from_bytes(sent[number].frame.data, "little") ^ flips
+                content = data.to_bytes(8, "little") + bytes([sent[number].sender])
                 under_way.append((tick + ways.delay, place, len(under_way), content))
         due = sorted(way for way in under_way if way[0] == tick)
         heard = air.arrivals(tick, sent).of(0)
