@@ -149,8 +149,8 @@ def rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 
 
 def upper_quotient(numerator: int, denominator: int) -> int:
-    """A quotient of at most 1 in units of 2**-32, from the upper 32 bits of the denominator and those of the
-    numerator in the same places. The denominator's are rounded up to an even number."""
+    """A quotient in units of 2**-32, from the upper 32 bits of the denominator and those of the numerator in
+    the same places. The denominator's are rounded up to an even number."""
     shift = denominator.bit_length() - 32
     if shift < 0:
         numerator, denominator, shift = numerator << 32, denominator << 32, shift + 32
@@ -165,12 +165,8 @@ def reestimate(t: int, n: int, closed: Closed) -> int | None:
     g = 2 * x_bar - (1 << 32)
     if g < INFORMATIVE_G:
         return None
-    numerator, denominator = (n << 32) - t * ((1 << 32) - x_bar), t * g
-    if numerator <= 0:
-        return B_HAT_MIN
-    if numerator >= denominator:
-        return B_HAT_MAX
-    return min(max(upper_quotient(numerator, denominator), B_HAT_MIN), B_HAT_MAX)
+    b_hat = upper_quotient((n << 32) - t * ((1 << 32) - x_bar), t * g)  # below 0 and above 1 as well
+    return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
 
 
 def estimate_possible(s: State) -> bool:
@@ -434,7 +430,7 @@ class MirrorRobot(FixedPointView):
 
 
 def _state_from(words: tuple[int, ...]) -> State:
-    doubles = [low | high << 32 for low, high in zip(words[7:21:2], words[8:21:2], strict=True)]
+    doubles = struct.unpack("<7Q", struct.pack("<14I", *words[7:21]))
     return State(
         id=words[29] >> 24,
         accuracy=accuracy_of(words[1]),

@@ -6,11 +6,9 @@ import random
 
 import pytest
 
-from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, mutants, source
+from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, mutants, sample, source
 
-SAMPLE = {MIRROR: 30, ORACLES[0]: 3, ORACLES[1]: 3}
-NOTICED = 0.75
-"""At least this share. Some changes make no difference, and of the mirror's not all are listed."""
+SAMPLE = {MIRROR: 60, ORACLES[0]: 10, ORACLES[1]: 10}
 
 
 @pytest.mark.slow
@@ -34,10 +32,7 @@ def test_what_is_not_changed_passes(module: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("module", SAMPLE)
-def test_most_mistakes_are_noticed(module: str) -> None:
+def test_some_mistakes_are_noticed(module: str) -> None:
     seed = random.randrange(1 << 32)
     print(f"python -m mutation.python_mutants {module} --sample {SAMPLE[module]} --seed {seed}")
-    chosen = random.Random(seed).sample(list(mutants(module)), SAMPLE[module])
-    survive = [each.name for each in chosen if each.name not in equivalents() and not dies(each)]
-    print(*survive, sep="\n")
-    assert len(survive) <= (1 - NOTICED) * len(chosen)
+    assert [each.name for each in sample(module, SAMPLE[module], seed) if not dies(each)] == []

@@ -57,6 +57,24 @@ PLACES = ("inside", "end")
 _COARSE = Fraction(1, 2)
 """An alpha below has fewer than 24 significant bits; its error is given in units of its grid, 2**-24."""
 _COUNTER_MASK = 0xFFFF
+_ALWAYS_KEPT = ("id", "accepted", "repeated", "rejected")
+_ESTIMATE = ("t", "n", "x_hat", "alpha")
+_OPEN = (
+    *("open_alpha", "open_alpha_x_low", "open_alpha_x_high", "open_x_squared", "open_x", "open_count"),
+    *("heard_0", "heard_1", "heard_2", "heard_3"),
+)
+_CLOSED = ("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high")
+_KEPT = {
+    "observe": (*_ALWAYS_KEPT, *_OPEN, *_CLOSED, "filter_left", "accuracy_b_hat", "tests", "updates"),
+    "settle": (*_ALWAYS_KEPT, *_ESTIMATE),
+    "step": _ALWAYS_KEPT,
+}
+"""Words that a call leaves as they are."""
+_READ = {
+    **{f"{name}()": name for name in (*_ESTIMATE, *_ALWAYS_KEPT[1:], "tests", "updates")},
+    **{"b_hat()": "accuracy_b_hat", "beta()": "closed_alpha"},
+}
+"""The word that each function reads."""
 _BINS_PER_OCTAVE = 16
 
 
@@ -181,14 +199,15 @@ class _Follower:
         if call.name in ("restore", "damage") and after.image != before.image:
             self._own = None  # x_hat and alpha may now be what no observation gives
         problems = [] if new["holds_invariants()"] else ["the invariants do not hold"]
-        problems += _means(new)
+        problems += _means(new) + _same({name: new[word] for name, word in _READ.items()}, new)
         if call.name == "receive":
             return problems + self._received(call, before, after)
         if after.outcome == REFUSED or after.outcome.startswith("ERR"):
             return problems + _same(old, new)
+        if call.name in _KEPT:
+            problems += _kept(call, before, after)
         if call.name in ("observe", "step"):
-            problems += self._counted(call.numbers[0], old, new)
-            problems += self._estimated(old["b_hat()"], new)
+            problems += self._counted(call.numbers[0], old, new) or self._estimated(old["b_hat()"], new)
         if call.name in ("settle", "step"):
             problems += self._settled(before, after)
             self._compare_x(new)
@@ -256,8 +275,9 @@ class _Follower:
         """Check what closing a round leaves, whether the filter acted rightly, and the new b_hat."""
         old, new = before.state, after.state
         problems: list[str] = []
-        for name in ("alpha", "alpha_x_low", "alpha_x_high"):
-            problems += _equal(f"closed_{name}", new[f"closed_{name}"], old[f"open_{name}"])
+        for name in _CLOSED:
+            problems += _equal(name, new[name], old[name.replace("closed", "open")])
+        problems += _same(dict.fromkeys(_OPEN, 0), new)
         runs = old["filter_left"] == 1
         left = self._setup.filter_period if runs else old["filter_left"] - 1
         problems += _equal("filter_left", new["filter_left"], left)
@@ -350,10 +370,11 @@ def _alpha(word: int) -> Fraction:
 
 def _message(x_hat: int, alpha: int) -> Sums:
     """The sums of one message."""
-    high, low = divmod(_units(alpha), 2**32)
-    if high + low == 0:
+    units = _units(alpha)
+    if units == 0:
         return Sums()
-    return Sums(2**32 * high + low, low * x_hat, high * x_hat, x_hat**2, x_hat, 1)
+    high, low = divmod(units, 2**32)
+    return Sums(units, low * x_hat, high * x_hat, x_hat**2, x_hat, 1)
 
 
 def _means(state: State) -> list[str]:
@@ -365,13 +386,19 @@ def _means(state: State) -> list[str]:
     return _equal("x()", state["x()"], x) + _equal("x_bar()", state["x_bar()"], x_bar)
 
 
+def _kept(call: Call, before: Look, after: Look) -> list[str]:
+    """Check the words that a call leaves alone, and the note that b_hat is newer than x_hat and alpha."""
+    old, is_newer = before.state, after.outcome == "UPDATED"
+    if call.name == "settle":
+        is_newer |= old["updated"] == 1
+    return _same({name: old[name] for name in _KEPT[call.name]} | {"updated": int(is_newer)}, after.state)
+
+
 def _equal(name: str, found: int, expected: int) -> list[str]:
     return [] if found == expected else [f"{name} is {found}, exactly {expected}"]
 
 
 def _same(expected: State, state: State) -> list[str]:
-    if state == expected:
-        return []
     return [problem for name, value in expected.items() for problem in _equal(name, state[name], value)]
 
 

@@ -1,0 +1,273 @@
+"""The oracles of the cross-check are right: exact values, their limits, and what is collected of errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+import exact
+from mcp_asdf.fixed_point import ONE, word_to_alpha
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf_tools.crosscheck import oracle
+from mcp_asdf_tools.crosscheck.compare import Subject
+from mcp_asdf_tools.crosscheck.exact import (
+    UNINFORMATIVE,
+    alpha_limit,
+    b_hat_limit,
+    exact_b_hat,
+    exact_estimate,
+    updates,
+    x_hat_limit,
+)
+from mcp_asdf_tools.crosscheck.oracle import QUANTITIES, REGIONS, Audit, Errors
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.scenario import parse_scenario
+from support import draws
+
+b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32)
+counts = st.integers(1, 2**31).flatmap(lambda t: st.tuples(st.integers(0, t), st.just(t)))
+draw = settings(deadline=None, database=None, derandomize=True, max_examples=draws(200))
+
+
+@pytest.mark.random
+@draw
+@given(counts, b_hats)
+def test_exact_alpha_is_the_papers_formula(count: tuple[int, int], b: Fraction) -> None:
+    """Eq. 4 as printed, with its differences in the first two cases."""
+    (n, t), d = count, 2 * b - 1
+    assume(abs(d) >= Fraction(1, 2**12))
+    x_hat, alpha = exact_estimate(n, t, b)
+    if x_hat == 0:
+        printed = d**2 * (t * b**2 - d * (t - n)) / (b**2 * (b - 1) ** 2)
+    elif x_hat == 1:
+        printed = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
+    else:
+        printed = d**2 * Fraction(t**3, n * (t - n))
+    assert alpha == min(printed, exact.ALPHA_MOST)
+
+
+@pytest.mark.random
+@draw
+@given(counts, b_hats)
+def test_exact_estimates_maximise_the_likelihood(count: tuple[int, int], b: Fraction) -> None:
+    """No x beside x_hat makes n black among t more likely; P(black) = b x + (1 - b)(1 - x)."""
+    n, t = count
+    assume(abs(2 * b - 1) >= Fraction(1, 2**12))
+    x_hat, _ = exact_estimate(n, t, b)
+    chance = b * x_hat + (1 - b) * (1 - x_hat)
+    slope = (n - t * chance) * (2 * b - 1)  # of the log-likelihood, up to a positive factor
+    assert slope == 0 if 0 < x_hat < 1 else slope <= 0 if x_hat == 0 else slope >= 0
+
+
+@pytest.mark.random
+@draw
+@given(counts, b_hats)
+def test_exact_re_estimate_inverts_the_estimate(count: tuple[int, int], b: Fraction) -> None:
+    n, t = count
+    assume(abs(2 * b - 1) >= Fraction(1, 2**12))
+    x_hat, _ = exact_estimate(n, t, b)
+    assume(0 < x_hat < 1 and x_hat != Fraction(1, 2))
+    assert exact_b_hat(n, t, x_hat) == b
+
+
+def test_exact_values_where_nothing_is_known() -> None:
+    assert exact_estimate(3, 7, Fraction(1, 2)) == (Fraction(1, 2), Fraction(0))
+    assert exact_estimate(3, 7, Fraction(1, 2) + Fraction(1, 2**13))[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "excess"), [("x_hat", 2), ("x_hat", -2), ("alpha", 16 << 8), ("b_hat()", 50), ("b_hat()", -50)]
+)
+def test_a_value_beyond_its_limit_is_told(name: str, excess: int) -> None:
+    """Some units more than the right value, in a state that is right otherwise."""
+    scenario = parse_scenario("robot:1:1:64:0:3221225472,receive:1:3000000:2147483649,step:1,step:0,step:0")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    updates = 0
+    for call in scenario.calls:
+        before, after = subject.last, subject.apply(call)
+        changed = replace(after, state=after.state | {name: after.state[name] + excess})
+        told = any(
+            problem.startswith(f"{name.strip('()')} is off") for problem in follow(call, before, changed)
+        )
+        updates += after.outcome == "UPDATED"
+        assert told == (call.name == "step" and (name != "b_hat()" or after.outcome == "UPDATED"))
+    assert updates == 1
+
+
+@pytest.mark.parametrize("name", ["x()", "x_bar()"])
+def test_the_last_bit_of_a_mean_is_told(name: str) -> None:
+    heard = "receive:1:3000000:2147483649,receive:2:3000001:2147483905"
+    scenario = parse_scenario(f"robot:2:1:64:0:2147483648,{heard},settle")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    for call in scenario.calls:
+        before, after = subject.last, subject.apply(call)
+    assert follow(call, before, after) == []
+    changed = replace(after, state=after.state | {name: after.state[name] ^ 1})
+    assert [problem.split()[0] for problem in follow(call, before, changed)] == [name]
+
+
+CALLS = "step:1 receive:3:7549747:2147483649 receive:3:5:5 receive:200:5:5 observe:7 observe:1 settle step:0"
+
+
+def test_each_wrong_word_is_told() -> None:
+    """But for what follows from b_hat, which the firmware's own invariants compare."""
+    scenario = parse_scenario(f"table:0.05:30,robot:0:2:64:0:4252017623,{CALLS.replace(' ', ',')}")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    for call in scenario.calls:
+        before, after = subject.last, subject.apply(call)
+        assert follow(call, before, after) == []
+        is_left_alone = call.name == "receive" or after.outcome.startswith("ERR")
+        for name in (name for name in after.state if is_left_alone or not name.startswith("accuracy_")):
+            changed = replace(after, state=after.state | {name: after.state[name] ^ 1})
+            assert follow(call, before, changed), (call, name)
+
+
+def test_a_robot_without_observations_is_told() -> None:
+    """It has no estimate to compare."""
+    scenario = parse_scenario("robot:2:1:64:0:4252017623,observe:1")
+    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
+    before, after = subject.last, subject.apply(scenario.calls[0])
+    changed = replace(after, state=after.state | {"t": 0})
+    assert "t is 0, exactly 1" in follow(scenario.calls[0], before, changed)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(
+    ("errors", "answer"), [(-2.01, False), (-1.99, None), (0, None), (1.99, None), (2.01, True)]
+)
+def test_a_re_estimate_is_judged_but_next_to_the_limit(side: int, errors: float, answer: bool | None) -> None:
+    """An x_bar of 1/2 and a little more or less is known to 1.25 units of 2**-30."""
+    distance = UNINFORMATIVE + Fraction(errors) * Fraction(5, 4) / 2**30
+    assert updates(Fraction(1, 2) + side * distance / 2) is answer
+
+
+@pytest.mark.random
+@draw
+@given(counts, b_hats)
+def test_limits_of_an_estimate_are_those_derived(count: tuple[int, int], b: Fraction) -> None:
+    """Each is one number: of alpha 5 % more than what follows from the roundings, at most."""
+    (n, t), near = count, exact_estimate(*count, b)[0]
+    if not exact.is_informative(b):
+        assert x_hat_limit(b) == 0
+        return
+    least, most = exact.x_hat_limits(n, t, b)
+    assert max(near - least, most - near) <= x_hat_limit(b)
+    below, above = exact.alpha_error(n, t, b)
+    derived = max(below + exact.Q23, above)
+    assert alpha_limit(n, t, b, Fraction(0)) == exact.Q24
+    assert derived <= alpha_limit(n, t, b, Fraction(1)) - exact.Q24 <= Fraction(21, 20) * derived
+
+
+@pytest.mark.parametrize("r", [5, 2**12])
+def test_the_limit_of_x_hat_is_met(r: int) -> None:
+    """Almost, next to an end of the scale."""
+    b, t = exact.HALF + Fraction(1, 2 * r), 2**31 - 1
+    first = math.ceil(t * (1 - b))
+    worst = Fraction(0)
+    for n in range(first, first + 64):
+        near, (least, most) = exact.x_hat(n, t, b), exact.x_hat_limits(n, t, b)
+        worst = max(worst, near - least, most - near)
+    assert Fraction(9, 10) < worst / x_hat_limit(b) <= 1
+
+
+@pytest.mark.random
+@draw
+@given(counts, b_hats)
+def test_the_limit_of_b_hat_is_the_one_derived(count: tuple[int, int], x_bar: Fraction) -> None:
+    assume(exact.updates(x_bar))
+    assert b_hat_limit(x_bar) >= exact.b_hat_error(x_bar)
+    assert b_hat_limit(x_bar) == exact.b_hat_error(x_bar) or x_bar < exact.HALF
+
+
+def test_limits_are_not_idle() -> None:
+    """The errors of some x_hat and of some alpha come within a factor of four of what they may be."""
+    shares: dict[str, list[Fraction]] = {"x_hat": [], "alpha": []}
+    for number in range(100):
+        scenario = random_scenario(1, number)
+        subject = Subject(MirrorRobot, scenario.setup)
+        for call in scenario.calls if subject.last.state else ():
+            before, state = subject.last.state, subject.apply(call).state
+            if call.name in ("observe", "step") and call.numbers[0] < 2:
+                b, n, t = Fraction(before["b_hat()"], 2**32), state["n"], state["t"]
+                x_hat, alpha = exact_estimate(n, t, b)
+                if alpha:
+                    error = abs(Fraction(state["x_hat"], ONE) - x_hat)
+                    shares["x_hat"].append(error / x_hat_limit(b))
+                    error = abs(Fraction(word_to_alpha(state["alpha"])) - alpha)
+                    shares["alpha"].append(error / alpha_limit(n, t, b, alpha))
+    for name, found in shares.items():
+        assert Fraction(1, 4) < max(found) <= 1, name
+
+
+@pytest.mark.random
+@draw
+@example([8.0, 4.0, *[1.0] * 1998])
+@given(st.lists(st.one_of(st.just(0.0), st.floats(1e-12, 1e3)), min_size=1, max_size=3000))
+def test_percentiles_are_within_a_bin(errors: list[float]) -> None:
+    tally = Errors()
+    for error in errors:
+        tally.add(-error)
+    true = sorted(errors)[len(errors) - 1 - len(errors) // 1000]
+    assert tally.count == len(errors)
+    assert tally.largest == max(errors)
+    assert true <= tally.percentile * (1 + 1e-12)
+    assert tally.percentile <= true * 2 ** (1 / 16) * (1 + 1e-12)
+
+
+def test_regions_cover_the_whole_range() -> None:
+    for value, expected in [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]:
+        assert oracle.region_of(Fraction(value)) == expected
+    assert REGIONS[-1][0] == math.inf
+
+
+class Told(Audit):
+    """Remembers each error that it is given, in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[tuple[tuple[str, int, int], Fraction, float]] = []
+
+    def add(self, key: oracle.Key, exact: Fraction, reference: float) -> None:
+        self.told.append(((QUANTITIES[key.quantity], key.region, key.place), exact, reference))
+
+
+@pytest.mark.parametrize(
+    ("b_hat", "x_bar", "own", "updated"),
+    [
+        ("4252017623", "7549747", ("x_hat", "alpha", 4, 0), ("b_hat", 3, 0)),  # 0.99 and 0.9
+        ("4252017623", "4236247", ("x_hat", "alpha", 4, 0), ("b_hat", 1, 1)),  # 0.99 and 0.505
+        ("2362232013", "7549747", ("x_hat", "small alpha", 2, 1), ("b_hat", 3, 0)),  # 0.55 and 0.9
+    ],
+)
+def test_errors_are_collected_where_they_belong(
+    b_hat: str, x_bar: str, own: tuple[str, str, int, int], updated: tuple[str, int, int]
+) -> None:
+    """A robot hears something at its third tile, the first that is white, and re-estimates its accuracy."""
+    scenario = parse_scenario(f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0")
+    subject, audit = Subject(MirrorRobot, scenario.setup), Told()
+    follow = audit.follow(scenario.setup)
+    for call in scenario.calls:
+        audit.told.clear()
+        before, after = subject.last, subject.apply(call)
+        assert follow(call, before, after) == []
+    assert after.outcome == "UPDATED"
+
+    x_hat, alpha = exact_estimate(2, 3, Fraction(int(b_hat), 2**32))
+    heard, weight = Fraction(int(x_bar), ONE), Fraction(word_to_alpha(2147483649))
+    x = (alpha * x_hat + weight * heard) / (alpha + weight)
+    state, (first, second, region, place) = after.state, own
+    found = Fraction(word_to_alpha(state["alpha"]))
+    of_alpha = found / alpha - 1 if second == "alpha" else (found - alpha) * 2**24
+    errors = [
+        ((first, region, place), Fraction(state["x_hat"], ONE) - x_hat),
+        ((second, region, place), of_alpha),
+        (updated, Fraction(state["b_hat()"], 2**32) - exact_b_hat(2, 3, heard)),
+        (("x", region, place), Fraction(state["x()"], ONE) - x),
+    ]
+    assert [(key, error) for key, error, _ in audit.told] == errors
+    assert all(abs(reference - error) < 2**-24 for _, error, reference in audit.told)
