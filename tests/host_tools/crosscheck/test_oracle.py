@@ -148,6 +148,9 @@ def test_a_re_estimate_is_judged_but_next_to_the_limit(side: int, errors: float,
 
 @pytest.mark.random
 @draw
+@example((1, 4), Fraction(1, 4))
+@example((2**30, 2**31 - 1), Fraction(1, 2) + Fraction(1, 2**13))
+@example((2**30, 2**31 - 1), Fraction(1, 2) + Fraction(1, 2**14))
 @given(counts, b_hats)
 def test_limits_of_an_estimate_are_those_derived(count: tuple[int, int], b: Fraction) -> None:
     """Each is one number: of alpha 5 % more than what follows from the roundings, at most."""
