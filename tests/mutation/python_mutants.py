@@ -20,7 +20,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from hashlib import blake2b
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
@@ -247,8 +246,8 @@ def mistakes(*modules: str) -> list[Mutant]:
 
 
 def sample(module: str, count: int, seed: int) -> list[Mutant]:
-    """Some that must be noticed. A choice depends on the names alone: a new mutant replaces one, not all."""
-    return sorted(mistakes(module), key=lambda each: blake2b(f"{seed} {each.name}".encode()).digest())[:count]
+    """Some that must be noticed."""
+    return random.Random(seed).sample(mistakes(module), count)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, mutants, sample, source
 
-SAMPLE = {MIRROR: 60, ORACLES[0]: 10, ORACLES[1]: 10}
+SAMPLE = {MIRROR: 60, ORACLES[0]: 20, ORACLES[1]: 20}
 
 
 @pytest.mark.slow

@@ -63,11 +63,10 @@ def x_hat_limit(b_hat: Fraction) -> Fraction:
 def alpha_limit(n: int, t: int, b_hat: Fraction, alpha: Fraction) -> Fraction:
     """The largest error of an ``alpha``: its last bit, the grid, and either two squares of quotients of 24
     bits (at an end of the scale) or c t cut to t's 31 bits and squared (inside)."""
-    relative = Fraction(1, 2**23) + Fraction(1, 2**26)
     if Fraction(min(n, t - n), t) <= min(b_hat, 1 - b_hat):
         relative = Fraction(1, 2**23) + Fraction(1, 2**22) + Fraction(1, 2**27)
-    elif abs(2 * b_hat - 1) >= UNINFORMATIVE:
-        relative = max(relative, (1 / abs(2 * b_hat - 1) + 1) / 2**29)
+    else:
+        relative = max(Fraction(1, 2**23) + Fraction(1, 2**26), (1 / abs(2 * b_hat - 1) + 1) / 2**29)
     return alpha * relative + Fraction(1, 2**24)
 
 
