@@ -214,6 +214,7 @@ def test_limits_are_not_idle() -> None:
 
 @pytest.mark.random
 @draw
+@example([8.0, *[1.0] * 998])
 @example([8.0, 4.0, *[1.0] * 1998])
 @given(st.lists(st.one_of(st.just(0.0), st.floats(1e-12, 1e3)), min_size=1, max_size=3000))
 def test_percentiles_are_within_a_bin(errors: list[float]) -> None:
@@ -279,3 +280,18 @@ def test_errors_are_collected_where_they_belong(
     ]
     assert [(key, error) for key, error, _ in audit.told] == errors
     assert all(abs(reference - error) < 2**-24 for _, error, reference in audit.told)
+
+
+@pytest.mark.parametrize(("restored", "told"), [("29:0", ["x"]), ("29:65536:4:1234567", [])])
+def test_x_is_compared_as_long_as_the_estimate_is_one(restored: str, told: list[str]) -> None:
+    """Not with an x_hat that no observation gave, which an image may have if b_hat is newer."""
+    scenario = parse_scenario(
+        f"robot:2:1:64:0:4252017623,step:1,receive:3:7549747:2147483649,restore:{restored},settle"
+    )
+    subject, audit = Subject(MirrorRobot, scenario.setup), Told()
+    follow = audit.follow(scenario.setup)
+    for call in scenario.calls:
+        audit.told.clear()
+        before, after = subject.last, subject.apply(call)
+        assert (follow(call, before, after), after.outcome) == ([], "OK")
+    assert [quantity for (quantity, _, _), _, _ in audit.told] == told
