@@ -1,4 +1,4 @@
-"""What the tests of the cross-check share."""
+"""Fixtures for tests of the cross-check."""
 
 from __future__ import annotations
 
