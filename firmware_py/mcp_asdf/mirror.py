@@ -165,7 +165,7 @@ def reestimate(t: int, n: int, closed: Closed) -> int | None:
     g = 2 * x_bar - (1 << 32)
     if g < INFORMATIVE_G:
         return None
-    b_hat = upper_quotient((n << 32) - t * ((1 << 32) - x_bar), t * g)  # below 0 and above 1 as well
+    b_hat = upper_quotient((n << 32) - t * ((1 << 32) - x_bar), t * g)  # may be below 0 or above 1
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
 
 

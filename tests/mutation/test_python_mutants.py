@@ -10,7 +10,7 @@ from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, equivalents, 
 
 SAMPLE = {MIRROR: 60, ORACLES[0]: 20, ORACLES[1]: 20}
 SURVIVE = {MIRROR: 0, ORACLES[0]: 4, ORACLES[1]: 4}
-"""At most so many. Of the mirror's, none may: the oracles' tests draw other numbers after every edit."""
+"""At most so many. The cross-check is the same after an edit; the oracles' tests then draw other numbers."""
 
 
 @pytest.mark.slow

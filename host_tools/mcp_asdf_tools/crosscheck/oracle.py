@@ -57,7 +57,7 @@ PLACES = ("inside", "end")
 _COARSE = Fraction(1, 2)
 """An alpha below has fewer than 24 significant bits; its error is given in units of its grid, 2**-24."""
 _COUNTER_MASK = 0xFFFF
-_ALWAYS_KEPT = ("id", "accepted", "repeated", "rejected")
+_HEARD = ("accepted", "repeated", "rejected")
 _ESTIMATE = ("t", "n", "x_hat", "alpha")
 _OPEN = (
     *("open_alpha", "open_alpha_x_low", "open_alpha_x_high", "open_x_squared", "open_x", "open_count"),
@@ -65,13 +65,13 @@ _OPEN = (
 )
 _CLOSED = ("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high")
 _KEPT = {
-    "observe": (*_ALWAYS_KEPT, *_OPEN, *_CLOSED, "filter_left", "accuracy_b_hat", "tests", "updates"),
-    "settle": (*_ALWAYS_KEPT, *_ESTIMATE),
-    "step": _ALWAYS_KEPT,
+    "observe": ("id", *_HEARD, *_OPEN, *_CLOSED, "filter_left", "accuracy_b_hat", "tests", "updates"),
+    "settle": ("id", *_HEARD, *_ESTIMATE),
+    "step": ("id", *_HEARD),
 }
 """Words that a call leaves as they are."""
 _READ = {
-    **{f"{name}()": name for name in (*_ESTIMATE, *_ALWAYS_KEPT[1:], "tests", "updates")},
+    **{f"{name}()": name for name in (*_ESTIMATE, *_HEARD, "tests", "updates")},
     **{"b_hat()": "accuracy_b_hat", "beta()": "closed_alpha"},
 }
 """The word that each function reads."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 
@@ -14,7 +15,7 @@ import exact
 from mcp_asdf.fixed_point import ONE, word_to_alpha
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.crosscheck import oracle
-from mcp_asdf_tools.crosscheck.compare import Subject
+from mcp_asdf_tools.crosscheck.compare import Look, Subject, Watcher
 from mcp_asdf_tools.crosscheck.exact import (
     UNINFORMATIVE,
     alpha_limit,
@@ -26,7 +27,7 @@ from mcp_asdf_tools.crosscheck.exact import (
 )
 from mcp_asdf_tools.crosscheck.oracle import QUANTITIES, REGIONS, Audit, Errors
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
-from mcp_asdf_tools.crosscheck.scenario import parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Call, parse_scenario
 from support import draws
 
 b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32)
@@ -80,20 +81,30 @@ def test_exact_values_where_nothing_is_known() -> None:
     assert exact_estimate(3, 7, Fraction(1, 2) + Fraction(1, 2**13))[1] > 0
 
 
+def followed(text: str, audit: Audit) -> Iterator[tuple[Call, Look, Look, Watcher]]:
+    """Each call of a scenario, the looks before and after it, and the watcher that judges it."""
+    scenario = parse_scenario(text)
+    subject, follow = Subject(MirrorRobot, scenario.setup), audit.follow(scenario.setup)
+    for call in scenario.calls:
+        before = subject.last
+        yield call, before, subject.apply(call), follow
+
+
+def changed(look: Look, name: str, value: int) -> Look:
+    """The look with another value of a word."""
+    return replace(look, state=look.state | {name: value})
+
+
 @pytest.mark.parametrize(
     ("name", "excess"), [("x_hat", 2), ("x_hat", -2), ("alpha", 16 << 8), ("b_hat()", 50), ("b_hat()", -50)]
 )
 def test_a_value_beyond_its_limit_is_told(name: str, excess: int) -> None:
     """Some units more than the right value, in a state that is right otherwise."""
-    scenario = parse_scenario("robot:1:1:64:0:3221225472,receive:1:3000000:2147483649,step:1,step:0,step:0")
-    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
     updates = 0
-    for call in scenario.calls:
-        before, after = subject.last, subject.apply(call)
-        changed = replace(after, state=after.state | {name: after.state[name] + excess})
-        told = any(
-            problem.startswith(f"{name.strip('()')} is off") for problem in follow(call, before, changed)
-        )
+    text = "robot:1:1:64:0:3221225472,receive:1:3000000:2147483649,step:1,step:0,step:0"
+    for call, before, after, follow in followed(text, Audit()):
+        problems = follow(call, before, changed(after, name, after.state[name] + excess))
+        told = any(problem.startswith(f"{name.strip('()')} is off") for problem in problems)
         updates += after.outcome == "UPDATED"
         assert told == (call.name == "step" and (name != "b_hat()" or after.outcome == "UPDATED"))
     assert updates == 1
@@ -102,13 +113,10 @@ def test_a_value_beyond_its_limit_is_told(name: str, excess: int) -> None:
 @pytest.mark.parametrize("name", ["x()", "x_bar()"])
 def test_the_last_bit_of_a_mean_is_told(name: str) -> None:
     heard = "receive:1:3000000:2147483649,receive:2:3000001:2147483905"
-    scenario = parse_scenario(f"robot:2:1:64:0:2147483648,{heard},settle")
-    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
-    for call in scenario.calls:
-        before, after = subject.last, subject.apply(call)
+    *_, (call, before, after, follow) = followed(f"robot:2:1:64:0:2147483648,{heard},settle", Audit())
     assert follow(call, before, after) == []
-    changed = replace(after, state=after.state | {name: after.state[name] ^ 1})
-    assert [problem.split()[0] for problem in follow(call, before, changed)] == [name]
+    problems = follow(call, before, changed(after, name, after.state[name] ^ 1))
+    assert [problem.split()[0] for problem in problems] == [name]
 
 
 CALLS = "step:1 receive:3:7549747:2147483649 receive:3:5:5 receive:200:5:5 observe:7 observe:1 settle step:0"
@@ -116,24 +124,18 @@ CALLS = "step:1 receive:3:7549747:2147483649 receive:3:5:5 receive:200:5:5 obser
 
 def test_each_wrong_word_is_told() -> None:
     """But for what follows from b_hat, which the firmware's own invariants compare."""
-    scenario = parse_scenario(f"table:0.05:30,robot:0:2:64:0:4252017623,{CALLS.replace(' ', ',')}")
-    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
-    for call in scenario.calls:
-        before, after = subject.last, subject.apply(call)
+    text = f"table:0.05:30,robot:0:2:64:0:4252017623,{CALLS.replace(' ', ',')}"
+    for call, before, after, follow in followed(text, Audit()):
         assert follow(call, before, after) == []
         is_left_alone = call.name == "receive" or after.outcome.startswith("ERR")
         for name in (name for name in after.state if is_left_alone or not name.startswith("accuracy_")):
-            changed = replace(after, state=after.state | {name: after.state[name] ^ 1})
-            assert follow(call, before, changed), (call, name)
+            assert follow(call, before, changed(after, name, after.state[name] ^ 1)), (call, name)
 
 
 def test_a_robot_without_observations_is_told() -> None:
     """It has no estimate to compare."""
-    scenario = parse_scenario("robot:2:1:64:0:4252017623,observe:1")
-    subject, follow = Subject(MirrorRobot, scenario.setup), Audit().follow(scenario.setup)
-    before, after = subject.last, subject.apply(scenario.calls[0])
-    changed = replace(after, state=after.state | {"t": 0})
-    assert "t is 0, exactly 1" in follow(scenario.calls[0], before, changed)
+    [(call, before, after, follow)] = followed("robot:2:1:64:0:4252017623,observe:1", Audit())
+    assert "t is 0, exactly 1" in follow(call, before, changed(after, "t", 0))
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -165,9 +167,9 @@ def test_limits_of_an_estimate_are_those_derived(count: tuple[int, int], b: Frac
     derived = max(below + exact.Q23, above)
     assert alpha_limit(n, t, b, Fraction(0)) == exact.Q24
     relative = alpha_limit(n, t, b, Fraction(1)) - exact.Q24
-    slack = (
-        0 if near in (0, 1) else Fraction(3, 100) if abs(2 * b - 1) > Fraction(1, 100) else Fraction(1, 200)
-    )
+    slack = Fraction(3, 100) if abs(2 * b - 1) > Fraction(1, 100) else Fraction(1, 200)
+    if near in (0, 1):
+        slack = Fraction(0)
     assert derived <= relative <= derived * (1 + slack)
 
 
@@ -271,12 +273,10 @@ def test_errors_are_collected_where_they_belong(
     b_hat: str, x_bar: str, own: tuple[str, str, int, int], updated: tuple[str, int, int]
 ) -> None:
     """A robot hears something at its third tile, the first that is white, and re-estimates its accuracy."""
-    scenario = parse_scenario(f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0")
-    subject, audit = Subject(MirrorRobot, scenario.setup), Told()
-    follow = audit.follow(scenario.setup)
-    for call in scenario.calls:
+    audit = Told()
+    text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
+    for call, before, after, follow in followed(text, audit):
         audit.told.clear()
-        before, after = subject.last, subject.apply(call)
         assert follow(call, before, after) == []
     assert after.outcome == "UPDATED"
 
@@ -299,13 +299,9 @@ def test_errors_are_collected_where_they_belong(
 @pytest.mark.parametrize(("restored", "told"), [("29:0", ["x"]), ("29:65536:4:1234567", [])])
 def test_x_is_compared_as_long_as_the_estimate_is_one(restored: str, told: list[str]) -> None:
     """Not with an x_hat that no observation gave, which an image may have if b_hat is newer."""
-    scenario = parse_scenario(
-        f"robot:2:1:64:0:4252017623,step:1,receive:3:7549747:2147483649,restore:{restored},settle"
-    )
-    subject, audit = Subject(MirrorRobot, scenario.setup), Told()
-    follow = audit.follow(scenario.setup)
-    for call in scenario.calls:
+    audit = Told()
+    text = f"robot:2:1:64:0:4252017623,step:1,receive:3:7549747:2147483649,restore:{restored},settle"
+    for call, before, after, follow in followed(text, audit):
         audit.told.clear()
-        before, after = subject.last, subject.apply(call)
         assert (follow(call, before, after), after.outcome) == ([], "OK")
     assert [quantity for (quantity, _, _), _, _ in audit.told] == told
