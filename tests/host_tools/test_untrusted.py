@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import gzip
 import subprocess
 import time
@@ -72,7 +73,7 @@ class Parser:
     suffix: str
     read: Callable[[Path], object]
     sound: Callable[[], bytes]
-    length: int = 30_000
+    length: int = 120_000
 
 
 def read_sidecar(path: Path) -> list[object]:
@@ -145,8 +146,8 @@ PARSERS = {
         ".log.gz", lambda path: list(read_log(path)), lambda: gzip.compress(log(".log")(), mtime=0)
     ),
     "sidecar": Parser(".events", read_sidecar, sidecar),
-    "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes, 2000),
-    "YAML": Parser(".yml", read_experiments, (ROOT / "tests/data/authors_parameters.yml").read_bytes, 10_000),
+    "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes, 8000),
+    "YAML": Parser(".yml", read_experiments, (ROOT / "tests/data/authors_parameters.yml").read_bytes, 16_000),
     "results": Parser(".parquet", lambda path: experiments_in(read_table(path)), results),
     "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),
     "picture": Parser(".png", lambda path: read_picture(str(path)), picture),
@@ -286,33 +287,76 @@ PATTERNS = [
     b"(0.000000) vcan0 106BB82A#0000400000803FE0\n",
 ]
 """Lines that a file may consist of for a long time."""
-FACTOR = 4
+FACTOR = 16
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PARSERS)
 def test_time_and_memory_grow_with_the_length(name: str, file: Path) -> None:
-    """Four times the length takes no eight times as long: quadratic would be sixteen."""
     parser = PARSERS[name]
     path, sound = file.with_suffix(parser.suffix), parser.sound()
     for pattern, begin in product(PATTERNS, (b"", sound)):
-        texts = [begin + pattern * (size // len(pattern)) for size in (parser.length, FACTOR * parser.length)]
-        (short, little), (long, much) = (effort(parser, path, text) for text in texts)
-        limit = max(0.2, 2 * FACTOR * short)
-        # Another process can slow one reading down, but not each of four.
-        assert long < limit or any(effort(parser, path, texts[1])[0] < limit for _ in range(3)), pattern
-        assert much < max(20e6, 2 * FACTOR * little), pattern
+        assert grows_with_the_length(parser, path, begin, pattern), pattern
 
 
-def effort(parser: Parser, path: Path, data: bytes) -> tuple[float, int]:
-    """Seconds of processor and most bytes of memory."""
+def counted_to_each(path: Path) -> None:
+    """Time that grows as the square."""
+    data = path.read_bytes()
+    for end in range(len(data)):
+        data.count(0xFF, 0, end)
+
+
+def cut_at_each(path: Path) -> None:
+    """Memory that grows as the square."""
+    _ = [bytes(end) for end in range(path.stat().st_size)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("read", "length", "is_linear"),
+    [(Path.read_bytes, 120_000, True), (counted_to_each, 40_000, False), (cut_at_each, 12_000, False)],
+)
+def test_growth_as_the_square_is_caught(
+    read: Callable[[Path], object], length: int, is_linear: bool, file: Path
+) -> None:
+    parser = Parser(".txt", read, bytes, length)
+    assert grows_with_the_length(parser, file, b"", b",") == is_linear
+
+
+def grows_with_the_length(parser: Parser, path: Path, begin: bytes, pattern: bytes) -> bool:
+    """Compare two lengths, one 16 times the other; what grows as the square is 256 times more.
+
+    Of time, 64 times is taken: another process can slow a reading down, but not in each of three comparisons.
+    """
+    short, long = (
+        begin + pattern * (size // len(pattern)) for size in (parser.length // FACTOR, parser.length)
+    )
+    if memory(parser, path, long) > max(20e6, 2 * FACTOR * memory(parser, path, short)):
+        return False
+    return any(
+        seconds(parser, path, long) < max(0.2, 4 * FACTOR * seconds(parser, path, short)) for _ in range(3)
+    )
+
+
+def memory(parser: Parser, path: Path, data: bytes) -> int:
+    """Most bytes that reading takes."""
     tracemalloc.start()
+    try:
+        try_to_read(parser, path, data)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def seconds(parser: Parser, path: Path, data: bytes) -> float:
+    """Processor time of reading; collecting garbage takes as long as there are objects in the process."""
+    gc.disable()
     begin = time.process_time()
-    try_to_read(parser, path, data)
-    seconds = time.process_time() - begin
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return seconds, most
+    try:
+        try_to_read(parser, path, data)
+        return time.process_time() - begin
+    finally:
+        gc.enable()
 
 
 # ---- What needs no file ----

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import builtins
 import dis
+import gc
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -85,8 +86,12 @@ class Tally:
         self.widest = max(self.widest, int.bit_length(result))
 
     def watch(self, act: Callable[[], object]) -> None:
-        """Act, and count the lines executed and the builtins used, those of this module aside."""
-        previous = sys.gettrace()
+        """Act, and count the lines executed and the builtins used, those of this module aside.
+
+        Garbage is not collected meanwhile: finalizers of whatever else the process has made would be counted.
+        """
+        previous, collects = sys.gettrace(), gc.isenabled()
+        gc.disable()
         sys.settrace(self._trace)
         try:
             act()
@@ -94,6 +99,8 @@ class Tally:
             pass
         finally:
             sys.settrace(previous)
+            if collects:
+                gc.enable()
 
     def _trace(self, frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
         if event == "call":

@@ -80,7 +80,10 @@ class _Parameters:
     def _flatten(self, prefix: str, node: yaml.MappingNode) -> Iterator[tuple[str, _Value]]:
         seen: set[str] = set()
         for key_node, value in node.value:
-            key, line = f"{prefix}{key_node.value}", key_node.start_mark.line + 1
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise UsageError(f"{self._path}, line {line}: a key is a list or a table; give it a name")
+            key = f"{prefix}{key_node.value}"
             if key in seen:
                 raise UsageError(f"{self._path}, line {line}: {key} stands here twice; leave one")
             seen.add(key)

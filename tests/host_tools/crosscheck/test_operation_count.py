@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 from pathlib import Path
@@ -225,6 +226,21 @@ def test_what_watches_leaves_no_trace() -> None:
     finally:
         sys.settrace(before)
     assert 1000 <= tally.lines <= 1001, "it is cut short there"
+
+
+def test_what_others_leave_behind_is_not_counted() -> None:
+    """Collecting garbage runs Python of any owner, in the middle of any line."""
+
+    def tell(phase: str, told: dict[str, int]) -> None:
+        sorted(told)
+
+    gc.callbacks.append(tell)
+    try:
+        tally = Tally()
+        tally.watch(lambda: list(zip(range(10 * gc.get_threshold()[0]))))
+        assert (tally.lines, "sorted" in tally.builtins, gc.isenabled()) == (1, False, True)
+    finally:
+        gc.callbacks.remove(tell)
 
 
 def test_integers_that_are_too_wide_are_caught() -> None:

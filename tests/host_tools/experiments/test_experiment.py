@@ -332,6 +332,8 @@ def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -
         ("numRobots: 10", "numRobots: ten", "line 2: numRobots is 'ten'; give a number"),
         ("numRobots: 10", "numRobots: 0", "line 2: numRobots: robots is 0"),
         ("numRobots: 10", "numRobotz: 10", "line 2: unknown key 'numRobotz'"),
+        ("numRobots: 10", "? [numRobots]\n: 10", "line 2: a key is a list or a table; give it a name"),
+        pytest.param("numRobots: 10", "? " * 300, "line 2: a key is a list or a table", id="deep"),
         ("numTrials: 2", "numSteps: 2", "line 16: numSteps stands here twice"),
         ("numTrials: 2\n", "", "line 21: the file ends without numTrials"),
         ("  incSteps: 3\n", "", "without flawedRobotRange.incSteps"),
