@@ -7,20 +7,19 @@ Writes them into the page; nothing is measured.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 
 from benchmarks.cost import figures
 from benchmarks.cost.measurement import OTHER_CALLS, TICK_CALLS
 from benchmarks.cost.report import fill, largest_ratio
-from mutation.c_mutants import mutants
+from mutation.c_mutants import MUTATED, mutants
+from mutation.equivalents import equivalents
 from proofs import accuracy, arithmetic, core
 from proofs.source import VARIANTS, program
 from support import ROOT
 
 PAGE = ROOT / "docs/trust.md"
 MARKER = "assurance figures"
-MUTATED = ("mcp_asdf.c", "mcp_asdf_arithmetic.h", "mcp_asdf_image.c", "mcp_asdf_frame.c")
 
 
 def _of_proofs() -> Iterator[tuple[str, str]]:
@@ -43,10 +42,8 @@ def _of_cost() -> Iterator[tuple[str, str]]:
 
 
 def _of_tests() -> Iterator[tuple[str, str]]:
-    count = sum(1 for file in MUTATED for _ in mutants(file))
-    listed = tomllib.loads((ROOT / "tests/mutation/equivalent.toml").read_text(encoding="utf-8"))
-    equivalent = sum(len(each["mutants"]) for each in listed["group"])
-    yield "mistakes made in the C, and those of them that make no difference", f"{count}, {equivalent}"
+    mistakes, harmless = sum(1 for file in MUTATED for _ in mutants(file)), len(equivalents("c"))
+    yield "mistakes made in the C, and those of them that make no difference", f"{mistakes}, {harmless}"
     corpora = sorted((ROOT / "tests/fuzz/corpus").glob("*.txt"))
     kept = [f"{each.stem} {len(each.read_text(encoding='ascii').split())}" for each in corpora]
     yield "fuzzers' inputs that every test run replays", ", ".join(kept)

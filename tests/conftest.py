@@ -5,11 +5,18 @@ from __future__ import annotations
 import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from support import DRAWS_ALL
 
 TIMEOUT, SLOW_TIMEOUT = 300, 1200
 """Seconds that a test may take before it fails as one that hangs; those in a guest kernel have no limit."""
+
+
+settings.register_profile(
+    "busy", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)  # how long an example takes says more about the machine
+settings.load_profile("busy")
 
 
 def pytest_configure(config: pytest.Config) -> None:

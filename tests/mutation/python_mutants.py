@@ -15,11 +15,9 @@ import random
 import re
 import resource
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
@@ -28,6 +26,7 @@ from types import ModuleType
 
 import pytest
 
+from mutation.equivalents import equivalents
 from support import ROOT
 
 MIRROR = "mcp_asdf.mirror"
@@ -232,17 +231,9 @@ def _tests_fail() -> bool:
     return pytest.main([*quiet, str(own)]) != 0 or pytest.main([*quiet, str(room), f"--ignore={own}"]) != 0
 
 
-@cache
-def equivalents() -> dict[str, str]:
-    """Name and reason of each mutant that is no mistake."""
-    file = Path(__file__).with_name("equivalent_python.toml")
-    groups = tomllib.loads(file.read_text(encoding="utf-8"))["group"]
-    return {name: group["reason"] for group in groups for name in group["mutants"]}
-
-
 def mistakes(*modules: str) -> list[Mutant]:
     """All mutants that must be noticed."""
-    return [each for module in modules for each in mutants(module) if each.name not in equivalents()]
+    return [each for module in modules for each in mutants(module) if each.name not in equivalents("python")]
 
 
 def sample(module: str, count: int, seed: int) -> list[Mutant]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import random
-import tomllib
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
+from mutation.equivalents import equivalents
 from mutation.killers import (
     CORE_TESTS,
     VARIANTS,
@@ -21,6 +21,7 @@ from mutation.killers import (
 )
 from proofs.source import SOURCES
 
+EQUIVALENTS = equivalents("c")
 PARTS = 16
 SAMPLE = 100
 
@@ -35,19 +36,12 @@ def everything() -> dict[str, Mutant]:
     return found
 
 
-@cache
-def equivalents() -> dict[str, str]:
-    """Name and reason of each mutant that is no mistake."""
-    groups = tomllib.loads(Path(__file__).with_name("equivalent.toml").read_text(encoding="utf-8"))["group"]
-    return {name: group["reason"] for group in groups for name in group["mutants"]}
-
-
 SAME_CODE = "A compiler makes the same code of it."
 
 
 def mistakes() -> list[Mutant]:
     """All mutants that must fail a test."""
-    return [mutant for name, mutant in everything().items() if name not in equivalents()]
+    return [mutant for name, mutant in everything().items() if name not in EQUIVALENTS]
 
 
 def survivors(chosen: list[Mutant], folder: Path) -> list[str]:
@@ -57,9 +51,9 @@ def survivors(chosen: list[Mutant], folder: Path) -> list[str]:
 
 def test_each_equivalent_mutant_is_a_mutant() -> None:
     """A list that is about code of the past would hide mistakes of the future."""
-    assert set(equivalents()) <= set(everything())
-    assert all(len(reason) > 20 for reason in equivalents().values())
-    assert len(equivalents()) < len(everything()) / 20
+    assert set(EQUIVALENTS) <= set(everything())
+    assert all(len(reason) > 20 for reason in EQUIVALENTS.values())
+    assert len(EQUIVALENTS) < len(everything()) / 20
 
 
 def test_the_firmware_itself_passes() -> None:
@@ -91,7 +85,7 @@ def test_every_mistake_fails_a_test(part: int, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_equivalent_mutants_are_no_mistakes(tmp_path: Path) -> None:
     """As far as a compiler knows, or the tests of the first target that has the line."""
-    for name, reason in equivalents().items():
+    for name, reason in EQUIVALENTS.items():
         mutant = everything()[name]
         found = killer(mutant, tmp_path, most=1)
         assert found == "", f"{name} fails {found}"
