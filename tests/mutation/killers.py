@@ -51,8 +51,9 @@ class Compiler:
         if self.name == "tcc":
             seconds = SECONDS.get(test, 3)
             return _limited("tcc", *flags, "-include", CLZ, *sources[1:], "-run", sources[0], seconds=seconds)
-        program = folder / "program"
-        return _limited("gcc", "-O1", *flags, *sources, "-o", program) and _limited(program)
+        with TemporaryDirectory() as made:  # the folder may be the firmware's own
+            program = Path(made) / "program"
+            return _limited("gcc", "-O1", *flags, *sources, "-o", program) and _limited(program)
 
 
 @cache

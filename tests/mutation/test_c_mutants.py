@@ -70,10 +70,12 @@ def test_some_mistakes_fail_a_test(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_firmware_itself_passes_everything() -> None:
+    there = set(SOURCES.iterdir())
     for variant in VARIANTS:
         for test in (*CORE_TESTS, "frame", "node"):
             assert fastest().passes(SOURCES, test, variant), f"{test} {variant}"
         assert Compiler("gcc").passes(SOURCES, WIDE, variant), f"{WIDE} {variant}"
+    assert set(SOURCES.iterdir()) == there, "nothing is built among the sources"
 
 
 @pytest.mark.slow
