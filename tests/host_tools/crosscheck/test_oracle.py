@@ -25,7 +25,7 @@ from mcp_asdf_tools.crosscheck.exact import (
     updates,
     x_hat_limit,
 )
-from mcp_asdf_tools.crosscheck.oracle import QUANTITIES, REGIONS, Audit, Errors
+from mcp_asdf_tools.crosscheck.oracle import QUANTITIES, REGIONS, Audit, Decisions, Errors
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, parse_scenario
 from support import draws
@@ -228,6 +228,14 @@ def test_percentiles_are_within_a_bin(errors: list[float]) -> None:
     assert tally.largest == max(errors)
     assert true <= tally.percentile * (1 + 1e-12)
     assert tally.percentile <= true * 2 ** (1 / 16) * (1 + 1e-12)
+
+
+def test_decisions_are_counted() -> None:
+    decisions = Decisions()
+    decisions.count(True, 0.5, 2.0**-26)
+    decisions.count(False, 0.25, 2.0**-25)
+    decisions.count(True, 0.75, 2.0**-27)
+    assert decisions == Decisions(tests=3, disagreements=1, nearest=0.25, limit=2.0**-25)
 
 
 def test_regions_cover_the_whole_range() -> None:
