@@ -14,20 +14,24 @@ from hypothesis import strategies as st
 import exact
 from mcp_asdf.fixed_point import ONE, word_to_alpha
 from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck import oracle
 from mcp_asdf_tools.crosscheck.compare import Look, Subject, Watcher
 from mcp_asdf_tools.crosscheck.exact import (
+    THRESHOLD_SCALE,
     UNINFORMATIVE,
     alpha_limit,
     b_hat_limit,
     exact_b_hat,
     exact_estimate,
+    threshold_limit,
+    true_threshold,
     updates,
     x_hat_limit,
 )
 from mcp_asdf_tools.crosscheck.oracle import QUANTITIES, REGIONS, Audit, Decisions, Errors
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
-from mcp_asdf_tools.crosscheck.scenario import Call, parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Call, TableChoice, build_table, parse_scenario
 from support import draws
 
 b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32)
@@ -194,6 +198,20 @@ def test_the_limit_of_b_hat_is_the_one_derived(count: tuple[int, int], x_bar: Fr
     assert b_hat_limit(x_bar) == exact.b_hat_error(x_bar) or x_bar < exact.HALF
 
 
+@pytest.mark.parametrize(("omega", "q"), [("0.05", 30), ("0.05", 127), ("0.05", 2), ("0.2", 5), ("0.9", 2)])
+def test_limits_of_a_table_are_half_a_unit_and_what_its_last_entry_lacks(omega: str, q: int) -> None:
+    choice = TableChoice(omega, q)
+    scale = 2 ** (THRESHOLD_SCALE - FRACTION_BITS)
+    true = {m: Fraction(true_threshold(choice, m), scale) for m in range(2, 128)}
+    errors = {m: abs(build_table(choice).entry(m) / true[m] - 1) for m in true}
+    for m in range(2, q + 1):
+        assert errors[m] <= threshold_limit(choice, m)
+        assert threshold_limit(choice, m) == pytest.approx(float(1 / (2 * true[m])), abs=0)
+    beyond = [errors[m] for m in range(q + 1, 128)]
+    for m in range(q + 1, 128):
+        assert max(beyond) <= threshold_limit(choice, m) < max(beyond) * Fraction(101, 100)
+
+
 def test_limits_are_not_idle() -> None:
     """The errors of some x_hat and of some alpha come within a factor of four of what they may be."""
     shares: dict[str, list[Fraction]] = {"x_hat": [], "alpha": []}
@@ -275,6 +293,7 @@ class Told(Audit):
         ("4252017623", "7549747", ("x_hat", "alpha", 4, 0), ("b_hat", 3, 0)),  # 0.99 and 0.9
         ("4252017623", "4236247", ("x_hat", "alpha", 4, 0), ("b_hat", 1, 1)),  # 0.99 and 0.505
         ("2362232013", "7549747", ("x_hat", "small alpha", 2, 1), ("b_hat", 3, 0)),  # 0.55 and 0.9
+        ("1932735283", "7549747", ("x_hat", "small alpha", 2, 1), ("b_hat", 3, 0)),  # 0.45 and 0.9
     ],
 )
 def test_errors_are_collected_where_they_belong(
@@ -302,6 +321,15 @@ def test_errors_are_collected_where_they_belong(
     ]
     assert [(key, error) for key, error, _ in audit.told] == errors
     assert all(abs(reference - error) < 2**-24 for _, error, reference in audit.told)
+
+
+def test_an_alpha_of_one_half_has_all_bits() -> None:
+    """A black tile, a white one and a b_hat of 5/8 give it exactly; less has a coarser grid."""
+    audit = Told()
+    *_, (call, before, after, follow) = followed("robot:2:1:64:0:2684354560,step:1,step:0", audit)
+    audit.told.clear()
+    assert follow(call, before, after) == []
+    assert [key for key, _, _ in audit.told] == [(name, 3, 0) for name in ("x_hat", "alpha", "x")]
 
 
 @pytest.mark.parametrize(("restored", "told"), [("29:0", ["x"]), ("29:65536:4:1234567", [])])
