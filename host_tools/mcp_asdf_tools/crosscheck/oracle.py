@@ -242,12 +242,8 @@ class _Follower:
     def _received(self, call: Call, before: Look, after: Look) -> list[str]:
         """Check the outcome of a message, and the sums, counters and senders that it leaves."""
         (sender, x_hat, alpha), old = call.numbers, before.state
-        heard = old[f"heard_{sender >> 5}"] >> (sender & 31) & 1 if sender < 128 else 0
-        outcome, counter = ("REPEATED", "repeated") if heard else ("OK", "accepted")
-        if sender > 127 or sender == old["id"]:
-            outcome, counter = "ERR_SENDER", "rejected"
-        elif x_hat > ONE:
-            outcome, counter = "ERR_X_HAT", "rejected"
+        outcome = _outcome(sender, x_hat, old)
+        counter = {"OK": "accepted", "REPEATED": "repeated"}.get(outcome, "rejected")
         expected = dict(old)
         for name in (counter, f"{counter}()"):
             expected[name] = old[name] + 1 & _COUNTER_MASK
@@ -366,6 +362,15 @@ def _units(word: int) -> int:
 
 def _alpha(word: int) -> Fraction:
     return Fraction(_units(word), 2**24)
+
+
+def _outcome(sender: int, x_hat: int, state: State) -> str:
+    """The outcome of a message."""
+    if sender > 127 or sender == state["id"]:
+        return "ERR_SENDER"
+    if x_hat > ONE:
+        return "ERR_X_HAT"
+    return "REPEATED" if state[f"heard_{sender >> 5}"] >> (sender & 31) & 1 else "OK"
 
 
 def _message(x_hat: int, alpha: int) -> Sums:

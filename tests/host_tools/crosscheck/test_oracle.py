@@ -127,13 +127,17 @@ CALLS = "step:1 receive:3:7549747:2147483649 receive:3:5:5 receive:200:5:5 obser
 
 
 def test_each_wrong_word_is_told() -> None:
-    """But for what follows from b_hat, which the firmware's own invariants compare."""
+    """Alone and with its reader, but for what follows from b_hat: the firmware's own invariants compare that."""
     text = f"table:0.05:30,robot:0:2:64:0:4252017623,{CALLS.replace(' ', ',')}"
     for call, before, after, follow in followed(text, Audit()):
         assert follow(call, before, after) == []
         is_left_alone = call.name == "receive" or after.outcome.startswith("ERR")
         for name in (name for name in after.state if is_left_alone or not name.startswith("accuracy_")):
-            assert follow(call, before, changed(after, name, after.state[name] ^ 1)), (call, name)
+            wrong = changed(after, name, after.state[name] ^ 1)
+            assert follow(call, before, wrong), (call, name)
+            reader = {"accuracy_b_hat": "b_hat()", "closed_alpha": "beta()"}.get(name, f"{name}()")
+            if reader in after.state:
+                assert follow(call, before, changed(wrong, reader, wrong.state[name])), (call, name, reader)
 
 
 def test_a_robot_without_observations_is_told() -> None:
@@ -323,13 +327,15 @@ def test_errors_are_collected_where_they_belong(
     assert all(abs(reference - error) < 2**-24 for _, error, reference in audit.told)
 
 
-def test_an_alpha_of_one_half_has_all_bits() -> None:
+def test_alphas_of_one_half() -> None:
     """A black tile, a white one and a b_hat of 5/8 give it exactly; less has a coarser grid."""
     audit = Told()
-    *_, (call, before, after, follow) = followed("robot:2:1:64:0:2684354560,step:1,step:0", audit)
-    audit.told.clear()
-    assert follow(call, before, after) == []
+    text = "robot:2:1:64:0:2684354560,step:1,receive:3:7549747:2147483648,step:0"
+    for call, before, after, follow in followed(text, audit):
+        audit.told.clear()
+        assert follow(call, before, after) == []
     assert [key for key, _, _ in audit.told] == [(name, 3, 0) for name in ("x_hat", "alpha", "x")]
+    assert abs(audit.told[-1][1]) < 2**-23, "x is half-way between the robot's x_hat and its neighbour's"
 
 
 @pytest.mark.parametrize(("restored", "told"), [("29:0", ["x"]), ("29:65536:4:1234567", [])])
