@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import exact
 from mcp_asdf.fixed_point import ONE, word_to_alpha
 from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck import oracle
 from mcp_asdf_tools.crosscheck.compare import Look, Subject, Watcher
@@ -126,18 +127,32 @@ def test_the_last_bit_of_a_mean_is_told(name: str) -> None:
 CALLS = "step:1 receive:3:7549747:2147483649 receive:3:5:5 receive:200:5:5 observe:7 observe:1 settle step:0"
 
 
+FOLLOWING = ("accuracy_c", "accuracy_common", "accuracy_rare", "accuracy_g_shift", "accuracy_rare_shift")
+"""Words that are functions of b_hat."""
+
+
 def test_each_wrong_word_is_told() -> None:
-    """Alone and with its reader, but for what follows from b_hat: the firmware's own invariants compare that."""
+    """Alone and with its reader. What follows from b_hat, the firmware's own invariants compare."""
     text = f"table:0.05:30,robot:0:2:64:0:4252017623,{CALLS.replace(' ', ',')}"
     for call, before, after, follow in followed(text, Audit()):
         assert follow(call, before, after) == []
         is_left_alone = call.name == "receive" or after.outcome.startswith("ERR")
-        for name in (name for name in after.state if is_left_alone or not name.startswith("accuracy_")):
+        for name in (name for name in after.state if is_left_alone or name not in FOLLOWING):
             wrong = changed(after, name, after.state[name] ^ 1)
             assert follow(call, before, wrong), (call, name)
             reader = {"accuracy_b_hat": "b_hat()", "closed_alpha": "beta()"}.get(name, f"{name}()")
             if reader in after.state:
                 assert follow(call, before, changed(wrong, reader, wrong.state[name])), (call, name, reader)
+
+
+@pytest.mark.parametrize(
+    ("mode", "outcome", "told"), [("off", "UPDATED", "re-estimated"), ("always", "OK", "not re-estimated")]
+)
+def test_a_re_estimate_without_cause_or_a_missing_one_is_told(mode: str, outcome: str, told: str) -> None:
+    robot = f"robot:{Filter[mode.upper()]:d}:1:64:0:3221225472"
+    *_, (call, before, after, follow) = followed(f"{robot},receive:1:3000000:2147483649,step:1", Audit())
+    assert follow(call, before, after) == []
+    assert f"b_hat is {told}, wrongly" in follow(call, before, replace(after, outcome=outcome))
 
 
 def test_a_robot_without_observations_is_told() -> None:
