@@ -275,6 +275,21 @@ def test_decisions_are_counted() -> None:
     assert decisions == Decisions(tests=3, disagreements=1, nearest=0.25, limit=2.0**-25)
 
 
+@pytest.mark.parametrize(
+    ("replaced", "messages", "counted"),
+    [("", 2, (1, 0)), ("", 3, (0, 1)), (":2:4227858432", 2, (0, 0)), (":2:4227858432", 3, (0, 0))],
+)
+def test_tests_are_counted_by_entry(replaced: str, messages: int, counted: tuple[int, int]) -> None:
+    """The table has an entry for two messages; no true threshold belongs to one with another in its place."""
+    audit = Audit()
+    heard = ",".join(f"receive:{each}:{2_000_000 * each}:2147483649" for each in range(1, messages + 1))
+    text = f"table:0.05:2{replaced},robot:0:1:64:0:3221225472,{heard},step:1"
+    for call, before, after, follow in followed(text, audit):
+        assert follow(call, before, after) == []
+    assert (after.state["tests"], after.outcome == "UPDATED") == (1, not replaced or messages == 3)
+    assert tuple(tally.tests for tally in audit.decisions.values()) == counted
+
+
 def test_regions_cover_the_whole_range() -> None:
     for value, expected in [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]:
         assert oracle.region_of(Fraction(value)) == expected
