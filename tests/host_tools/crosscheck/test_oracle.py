@@ -290,6 +290,26 @@ def test_tests_are_counted_by_entry(replaced: str, messages: int, counted: tuple
     assert tuple(tally.tests for tally in audit.decisions.values()) == counted
 
 
+def test_a_decision_is_excused_up_to_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table rejects, and a threshold that is said to be the true one is above."""
+    audit = Audit()
+    heard = "receive:1:2000000:2147483649,receive:2:4000000:2147483649"
+
+    def problems(limit: float) -> list[str]:
+        monkeypatch.setattr(oracle, "threshold_limit", lambda choice, m: limit)
+        *_, (call, before, after, follow) = followed(
+            f"table:0.05:2,robot:0:1:64:0:3221225472,{heard},step:1", audit
+        )
+        assert after.outcome == "UPDATED"
+        return follow(call, before, after)
+
+    monkeypatch.setattr(oracle, "true_threshold", lambda choice, m: 100 << THRESHOLD_SCALE)
+    [problem] = problems(0.0)
+    assert "the true threshold" in problem and "decides otherwise" in problem
+    distance = audit.decisions["m <= q"].nearest
+    assert (len(problems(math.nextafter(distance, 0))), problems(distance)) == (1, [])
+
+
 def test_regions_cover_the_whole_range() -> None:
     for value, expected in [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]:
         assert oracle.region_of(Fraction(value)) == expected
