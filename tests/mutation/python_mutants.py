@@ -27,7 +27,7 @@ from types import ModuleType
 import pytest
 
 from mutation.equivalents import equivalents
-from support import ROOT
+from support import DRAWS_ALL, ROOT
 
 MIRROR = "mcp_asdf.mirror"
 ORACLES = ("mcp_asdf_tools.crosscheck.exact", "mcp_asdf_tools.crosscheck.oracle")
@@ -224,7 +224,11 @@ def _crosscheck_fails() -> bool:
 
 
 def _tests_fail() -> bool:
-    """Its own tests come first, as most mistakes fail there."""
+    """Its own tests come first, as most mistakes fail there.
+
+    Random tests draw some of their cases, as in ``make test``: where they draw all they are slow.
+    """
+    os.environ.pop(DRAWS_ALL, None)
     room = ROOT / "tests/host_tools/crosscheck"
     own = room / "test_oracle.py"
     quiet = ["-q", "-x", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow"]

@@ -8,6 +8,7 @@ import pytest
 
 from mutation.equivalents import equivalents
 from mutation.python_mutants import MIRROR, ORACLES, Mutant, dies, mutants, sample, source
+from support import DRAWS_ALL
 
 SAMPLE = {MIRROR: 60, ORACLES[0]: 20, ORACLES[1]: 20}
 SURVIVE = {MIRROR: 0, ORACLES[0]: 2, ORACLES[1]: 2}
@@ -31,6 +32,15 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
 @pytest.mark.parametrize("module", [MIRROR, ORACLES[1]])
 def test_what_is_not_changed_passes(module: str) -> None:
     assert not dies(Mutant(module, "", source(module).read_text(encoding="utf-8")))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draws_all", [True, False])
+def test_random_tests_notice_too(draws_all: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mistake that only tests with random cases notice, which are slow where all cases are drawn."""
+    monkeypatch.setenv(DRAWS_ALL, "1") if draws_all else monkeypatch.delenv(DRAWS_ALL, raising=False)
+    found = next(each for each in mutants(ORACLES[0]) if "Fraction(1) if d < UNINFORMATIVE" in each.name)
+    assert dies(found)
 
 
 @pytest.mark.slow
