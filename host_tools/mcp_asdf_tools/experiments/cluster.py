@@ -72,12 +72,10 @@ def _connected(address: str) -> Iterator[Any]:
         from distributed.comm.core import CommClosedError  # noqa: PLC0415
     except ImportError as error:
         raise UsageError(f"no Dask here ({error}); install it: pip install 'mcp-asdf[cluster]'") from error
-    connect: Any = dask.Client
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is raised
-    try:
-        client = connect(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"no Dask scheduler at {address}: {error}; start one: dask scheduler") from error
+    _greet_scheduler(dask, address)
+    connect: Any = dask.Client
+    client = connect(address, timeout=_PATIENCE, set_as_default=False)
     try:
         _await_worker(client, address)
         queue: Any = dask.as_completed
@@ -88,6 +86,29 @@ def _connected(address: str) -> Iterator[Any]:
         raise UsageError(message) from error
     finally:
         client.close()
+
+
+def _greet_scheduler(dask: Any, address: str) -> None:
+    """Exchange the first messages of a connection with the scheduler.
+
+    A client does the same, but without a limit in time: it would wait forever for a server that is silent.
+    And one that fails is left to the garbage collector, which closes it in any thread; in the one that the
+    next client has just started, the two wait for each other.
+    """
+    from distributed.comm import connect  # noqa: PLC0415
+
+    async def greet() -> None:
+        connection = await connect(
+            address, timeout=_PATIENCE, **dask.Security().get_connection_args("client")
+        )
+        await connection.close()
+
+    try:
+        dask.utils.LoopRunner().run_sync(greet, callback_timeout=_PATIENCE + 1)
+    except (OSError, ValueError, TypeError, MemoryError) as error:
+        other = isinstance(error, MemoryError)  # the first bytes were taken for the length of the rest
+        reason = "another server answers" if other else str(error).rstrip(".") or "no answer"
+        raise UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler") from error
 
 
 def _await_worker(client: Any, address: str) -> None:

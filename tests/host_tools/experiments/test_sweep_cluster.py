@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -113,9 +116,49 @@ def test_another_version_is_refused(cluster: str, tmp_path: Path, monkeypatch: p
 def test_no_scheduler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
     store = Store(tmp_path / "x.parquet", [SLOW])
-    for address in ("tcp://127.0.0.1:1", "nonsense://x", ""):
+    for address in (
+        "tcp://127.0.0.1:1",
+        "nonsense://x",
+        "",
+        "127.0.0.1:b",
+        "tls://127.0.0.1:1",
+        "inproc://x",
+    ):
         with pytest.raises(UsageError, match="no Dask scheduler at"):
             run_sweep(store, 1, scheduler=address)
+
+
+@pytest.mark.parametrize(
+    ("answer", "patience", "reason"), [(b"", 1, "timed out"), (b"HTTP/1.1 400\r\n", 60, "another server")]
+)
+def test_another_server_is_told(
+    answer: bytes, patience: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is silent, and one that answers before it is asked."""
+    monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
+    with closing(socket.create_server(("127.0.0.1", 0))) as server, ExitStack() as connections:
+
+        def serve() -> None:
+            with suppress(OSError):
+                connections.enter_context(server.accept()[0]).sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(UsageError, match=f"no Dask scheduler at {address}: {reason}"):
+            run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
+
+
+def test_no_client_is_made_before_the_scheduler_answers(tmp_path: Path) -> None:
+    """One that fails would be closed by the garbage collector: in the wrong thread, that stops the next."""
+    gc.collect()
+    gc.disable()
+    try:
+        with pytest.raises(UsageError, match="no Dask scheduler at"):
+            run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler="nonsense://x")
+        clients = [each for each in gc.get_objects() if type(each) is distributed.Client]
+        assert [each.status for each in clients if each.status != "closed"] == []
+    finally:
+        gc.enable()
 
 
 def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
