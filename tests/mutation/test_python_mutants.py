@@ -38,7 +38,9 @@ def test_what_is_not_changed_passes(module: str) -> None:
 @pytest.mark.parametrize("draws_all", [True, False])
 def test_random_tests_notice_too(draws_all: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """A mistake that only tests with random cases notice, which are slow where all cases are drawn."""
-    monkeypatch.setenv(DRAWS_ALL, "1") if draws_all else monkeypatch.delenv(DRAWS_ALL, raising=False)
+    monkeypatch.delenv(DRAWS_ALL, raising=False)
+    if draws_all:
+        monkeypatch.setenv(DRAWS_ALL, "1")
     found = next(each for each in mutants(ORACLES[0]) if "Fraction(1) if d < UNINFORMATIVE" in each.name)
     assert dies(found)
 

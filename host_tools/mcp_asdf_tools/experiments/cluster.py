@@ -73,9 +73,7 @@ def _connected(address: str) -> Iterator[Any]:
     except ImportError as error:
         raise UsageError(f"no Dask here ({error}); install it: pip install 'mcp-asdf[cluster]'") from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is raised
-    _greet_scheduler(dask, address)
-    connect: Any = dask.Client
-    client = connect(address, timeout=_PATIENCE, set_as_default=False)
+    client = _client(dask, address)
     try:
         _await_worker(client, address)
         queue: Any = dask.as_completed
@@ -88,27 +86,35 @@ def _connected(address: str) -> Iterator[Any]:
         client.close()
 
 
-def _greet_scheduler(dask: Any, address: str) -> None:
-    """Exchange the first messages of a connection with the scheduler.
+def _client(dask: Any, address: str) -> Any:
+    """A client that is connected; made when the scheduler has exchanged first messages with us.
 
-    A client does the same, but without a limit in time: it would wait forever for a server that is silent.
-    And one that fails is left to the garbage collector, which closes it in any thread; in the one that the
-    next client has just started, the two wait for each other.
+    A client exchanges them too, but without a limit in time: it would wait forever for a server that is
+    silent. And one that fails is left to the garbage collector, which closes it in any thread; in the one
+    that the next client has just started, the two wait for each other.
     """
     from distributed.comm import connect  # noqa: PLC0415
 
     async def greet() -> None:
-        connection = await connect(
-            address, timeout=_PATIENCE, **dask.Security().get_connection_args("client")
-        )
+        security = dask.Security().get_connection_args("client")
+        connection = await connect(address, timeout=_PATIENCE, **security)
         await connection.close()
 
     try:
         dask.utils.LoopRunner().run_sync(greet, callback_timeout=_PATIENCE + 1)
+        return dask.Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, MemoryError) as error:
-        other = isinstance(error, MemoryError)  # the first bytes were taken for the length of the rest
-        reason = "another server answers" if other else str(error).rstrip(".") or "no answer"
+        reason = _reason(error)
         raise UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler") from error
+
+
+def _reason(error: Exception) -> str:
+    """Why there is no connection."""
+    if isinstance(error, TimeoutError):  # some say nothing
+        return f"timed out after {_PATIENCE} s"
+    if isinstance(error, MemoryError):  # its first bytes were taken for the length of the rest
+        return "another server answers"
+    return str(error)
 
 
 def _await_worker(client: Any, address: str) -> None:

@@ -161,6 +161,23 @@ def test_no_client_is_made_before_the_scheduler_answers(tmp_path: Path) -> None:
         gc.enable()
 
 
+def test_a_scheduler_lost_before_the_client_is_there_is_told(
+    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(address: str, **_: object) -> None:
+        raise OSError("connection reset")
+
+    monkeypatch.setattr(distributed, "Client", lost)
+    with pytest.raises(UsageError, match=f"no Dask scheduler at {cluster}: connection reset; start one"):
+        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
+
+
+@pytest.mark.parametrize("text", ["", "timed out after 31 s."])
+def test_the_reason_of_a_timeout_is_never_empty(text: str) -> None:
+    """Of the two clocks that watch a greeting, one says nothing."""
+    assert cluster_module._reason(TimeoutError(text)) == "timed out after 30 s"
+
+
 def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
     with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError, match="has no workers"):
