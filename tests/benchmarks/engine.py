@@ -24,10 +24,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.world.arenas import make_arena
 from mcp_asdf_tools.world.settings import Topology
 
@@ -118,7 +118,7 @@ def fully_connected(folder: Path) -> dict[str, float]:
     short = replace(FULL, steps=400, filter_period=100, firmware="reference")
     return best_of(
         {
-            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0)),
+            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0, 0)),
             DOUBLE: plain_double(folder, "plain_double.c", TRIALS),
             CALLS: rate_of(FULL, 16, lambda: native.run(FULL, 0, 16, lanes=False)),
             LANES: rate_of(FULL, TRIALS, lambda: native.run(FULL, 0, TRIALS, lanes=True)),
@@ -134,7 +134,7 @@ def moving(folder: Path) -> dict[str, float]:
     simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_steps_per_second"])
     return best_of(
         {
-            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0)),
+            PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0, 0)),
             SIMULATOR: lambda: simulator,
             DOUBLE: plain_double(folder, "plain_double_moving.c", trials),
             "motion alone": rate_of(MOVING, 1, lambda: make_arena(MOVING, 0).step(MOVING.steps)),

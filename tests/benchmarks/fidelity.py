@@ -41,8 +41,8 @@ from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 from mcp_asdf_tools.common.parameters import plain_value
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.sweep import default_workers
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.settings import Topology
 

@@ -59,7 +59,7 @@ def measure(robots: int = ROBOTS, steps: int = STEPS) -> Smoothness:
     experiment = Experiment(
         robots=robots, steps=steps, topology="dynamic", filter=Filtering.ASDF_MINUS, flawed="50%", trials=1
     )
-    (trials,) = experiments_in(table_of(experiment, run_trials(experiment, 0, 1)))
+    (trials,) = experiments_in(table_of(run_trials(experiment, 0, 1)))
     content = page(film_of_trial(trials, 0)).encode()
     with tempfile.TemporaryDirectory() as folder, browser_page() as browser:
         path = Path(folder, "run.html")

@@ -18,7 +18,7 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation
 from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings

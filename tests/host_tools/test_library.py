@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import mcp_asdf_tools as m
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.experiments.results import experiments_in, table_of
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.library import PLOTS
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
@@ -34,7 +34,7 @@ def test_importing_loads_no_plotting_and_no_tables() -> None:
 
 
 def test_an_experiment_gives_the_table_of_its_trials() -> None:
-    expected = table_of(SHORT, run_trials(SHORT, 0, 3))
+    expected = table_of(run_trials(SHORT, 0, 3))
     assert m.simulate(SHORT).equals(expected)
     assert m.simulate([SHORT], workers=2).equals(expected)
     assert m.score(expected).equals(expected)

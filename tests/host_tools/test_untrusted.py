@@ -147,7 +147,6 @@ PARSERS = {
     ),
     "sidecar": Parser(".events", read_sidecar, sidecar),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes, 8000),
-    "YAML": Parser(".yml", read_experiments, (ROOT / "tests/data/authors_parameters.yml").read_bytes, 16_000),
     "results": Parser(".parquet", lambda path: experiments_in(read_table(path)), results),
     "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),
     "picture": Parser(".png", lambda path: read_picture(str(path)), picture),

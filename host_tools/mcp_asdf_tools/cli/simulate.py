@@ -24,50 +24,40 @@ examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
-  mcp-asdf simulate --steps 2000 --trials 2 --authors-json runs    # for the authors' own scripts
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
-FILE is an experiment (.toml) or the authors' parameter file (.yml). Equal parameters give equal results.
+FILE is an experiment (.toml). Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml, .yml"
-    )
+    parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml")
     options.add_parameters(parser)
     options.add_limits(parser)
     output = parser.add_argument_group("output")
     output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
     options.add_record(output)
-    output.add_argument(
-        "--authors-json", metavar="FOLDER", type=Path, help="write each trial as the authors' simulator does"
-    )
     options.add_workers(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, keep and print what came out."""
     experiment = settings_of(args)
-    workers, sampling_interval = options.check_workers(args.workers), _sampling_interval(args, experiment)
+    workers, interval = options.check_workers(args.workers), options.sampling_interval(args, [experiment])
     with tempfile.TemporaryDirectory() as folder:
         output = (
             Path(folder, "results.parquet") if args.output is None else options.checked_output(args.output)
         )
-        store = Store(output, [experiment], sampling_interval)
+        store = Store(output, [experiment], interval)
         missing = len(store.missing(experiment))
         with progress("trials", missing, args.json) as report:
             # A few seconds' work is done sooner than processes start.
             is_short = (
                 experiment.firmware == "native" and missing * experiment.robots * experiment.steps < 10**8
             )
-            table = run_sweep(store, 1 if is_short else workers, sampling_interval, report)
+            table = run_sweep(store, 1 if is_short else workers, interval, report)
     experiments = experiments_in(table)
     limits = options.limits_of(args)
-    if args.authors_json is not None:
-        from mcp_asdf_tools.experiments import write_authors_json  # noqa: PLC0415 (an extra)
-
-        write_authors_json(args.authors_json, experiments[0])
     if args.json:
         print(json.dumps({**metadata_of(table), **options.summary(experiments, limits)[0]}, indent=2))
     else:
@@ -84,14 +74,3 @@ def settings_of(args: argparse.Namespace) -> Experiment:
     if len(experiments) != 1:
         raise UsageError(f"{args.file} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
     return options.with_parameters(experiments[0], args)
-
-
-def _sampling_interval(args: argparse.Namespace, experiment: Experiment) -> int:
-    interval = options.sampling_interval(args, [experiment])
-    if args.authors_json is None:
-        return interval
-    if interval > 1:
-        raise UsageError(
-            f"--record is {interval}; the authors' layout holds every step: leave it out or give 1"
-        )
-    return 1

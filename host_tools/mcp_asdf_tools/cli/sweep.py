@@ -17,7 +17,6 @@ from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_
 EPILOG = """\
 examples:
   mcp-asdf sweep grid.toml                          # results in grid.parquet
-  mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet
   mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
   mcp-asdf sweep grid.toml --record 100 --output recorded.parquet     # with values over time
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
@@ -28,7 +27,7 @@ exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished i
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="describes the experiments: .toml, .yml")
+    parser.add_argument("file", metavar="FILE", type=Path, help="describes the experiments: .toml")
     parser.add_argument(
         "--output", metavar="FILE", type=Path, help="where results go (default: FILE's name with .parquet)"
     )

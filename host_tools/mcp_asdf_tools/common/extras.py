@@ -10,7 +10,6 @@ EXTRAS = {
     "matplotlib": "study",
     "pyarrow": "study",
     "scipy": "study",
-    "yaml": "study",
     "distributed": "cluster",
     "starlette": "view",
     "uvicorn": "view",

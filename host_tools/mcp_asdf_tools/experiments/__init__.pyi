@@ -5,13 +5,11 @@ from . import curves as curves
 from . import plots as plots
 from . import scatter_plots as scatter_plots
 from . import time_plots as time_plots
-from .authors_formats import write_authors_json as write_authors_json
 from .experiment import Convention as Convention
 from .experiment import Experiment as Experiment
 from .experiment import grid as grid
 from .experiment_files import STUDIES as STUDIES
 from .experiment_files import read_experiments as read_experiments
-from .measurement import QUANTITIES as QUANTITIES
 from .results import Trials as Trials
 from .results import experiments_in as experiments_in
 from .results import metadata_of as metadata_of
@@ -27,9 +25,9 @@ from .scores import chosen_limits as chosen_limits
 from .scores import paper_limits as paper_limits
 from .series_names import FILTER_NAMES as FILTER_NAMES
 from .series_names import trials_in_words as trials_in_words
-from .simulation import run_trials as run_trials
 from .sweep import Report as Report
 from .sweep import Store as Store
 from .sweep import default_workers as default_workers
 from .sweep import run_missing as run_missing
 from .sweep import run_sweep as run_sweep
+from .trials import run_trials as run_trials

@@ -1,4 +1,4 @@
-"""Run the jobs of a sweep on a Dask cluster.
+"""A Dask cluster that runs the jobs of a sweep.
 
 The scheduler gives a job to another worker if the one that has it dies. A result is fetched as soon as it is
 there and kept by the sweep's store on this machine; from then on nothing that happens to the cluster can harm
@@ -8,64 +8,23 @@ it.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
-from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from mcp_asdf_tools.common import UsageError, software_versions
-from mcp_asdf_tools.experiments.measurement import Measured
-
-if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments.simulation import Job
+from mcp_asdf_tools.common import UsageError
 
 _PATIENCE = 30
 """Seconds to wait for the scheduler, and then for a first worker."""
 
-_AHEAD = 2
-"""Jobs given out for each thread of the cluster: one that runs and one that waits."""
-
-
-def run_on_cluster(jobs: Iterator[Job], address: str) -> Iterator[tuple[Job, Measured]]:
-    """Run jobs on the cluster whose scheduler is at ``address``; yields results as they come.
-
-    Workers may come and go. Raises UsageError if the cluster cannot be reached or is lost, if it has another
-    version of this program, or if a job keeps killing its workers.
-    """
-    with _connected(address) as (client, completed):
-        running: dict[Any, Job] = {}
-        while True:
-            room = _AHEAD * max(1, sum(client.nthreads().values()))  # workers come and go
-            for job in islice(jobs, max(0, room - len(running))):
-                future = client.submit(_run, job, pure=False)
-                running[future] = job
-                completed.add(future)
-            if not running:
-                return
-            future = next(completed)
-            version, measured = future.result()
-            _check_version(version)
-            yield running.pop(future), measured
-
-
-def _run(job: Job) -> tuple[str, Measured]:
-    """Run a job on a worker; returns the worker's version too."""
-    return software_versions()["mcp-asdf"], job.run()
-
-
-def _check_version(version: str) -> None:
-    own = software_versions()["mcp-asdf"]
-    if version != own:
-        raise UsageError(
-            f"a worker of the cluster has mcp-asdf {version}, this is {own}; install the same on all"
-        )
-
 
 @contextmanager
-def _connected(address: str) -> Iterator[Any]:
-    """A client of the cluster with at least one worker, and a queue for what is done.
+def cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
+    """The cluster whose scheduler is at ``address``: what runs jobs, and how many threads it has now.
 
-    Failures there become UsageErrors.
+    Workers may come and go. Raises UsageError if the cluster cannot be reached, has no worker or is lost, or
+    if a job keeps killing its workers.
     """
     try:
         import distributed as dask  # noqa: PLC0415
@@ -75,10 +34,12 @@ def _connected(address: str) -> Iterator[Any]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is raised
     client = _client(dask, address)
     try:
-        _await_worker(client, address)
-        queue: Any = dask.as_completed
-        yield client, queue(loop=client.loop)
-    except (dask.KilledWorker, dask.client.FutureCancelledError, CommClosedError) as error:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+        yield client.get_executor(pure=False), lambda: max(1, sum(client.nthreads().values()))
+    except TimeoutError as error:
+        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
+        raise UsageError(message) from error
+    except (dask.KilledWorker, CancelledError, CommClosedError) as error:
         reason = " ".join(str(error).split())
         message = f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
         raise UsageError(message) from error
@@ -104,22 +65,6 @@ def _client(dask: Any, address: str) -> Any:
         dask.utils.LoopRunner().run_sync(greet, callback_timeout=_PATIENCE + 1)
         return dask.Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError, MemoryError) as error:
-        reason = _reason(error)
+        # A timeout may say nothing; where memory runs out, another server's words were taken for a length.
+        reason = "another server answers" if isinstance(error, MemoryError) else str(error) or "timed out"
         raise UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler") from error
-
-
-def _reason(error: Exception) -> str:
-    """Why there is no connection."""
-    if isinstance(error, TimeoutError):  # some say nothing
-        return f"timed out after {_PATIENCE} s"
-    if isinstance(error, MemoryError):  # its first bytes were taken for the length of the rest
-        return "another server answers"
-    return str(error)
-
-
-def _await_worker(client: Any, address: str) -> None:
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-    except TimeoutError as error:
-        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
-        raise UsageError(message) from error

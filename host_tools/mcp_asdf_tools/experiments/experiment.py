@@ -1,6 +1,6 @@
 """An experiment: a swarm in its world, to be run many times.
 
-Words and letters are the paper's; ``simulation`` runs experiments, ``experiment_files`` reads them.
+Words and letters are the paper's; ``trials`` runs experiments, ``experiment_files`` reads them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mcp_asdf_tools.robots import Population
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000
-"""Of one file."""
+"""Most experiments of one file."""
 
 
 class Convention(Enum):

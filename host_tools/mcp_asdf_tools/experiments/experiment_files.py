@@ -1,12 +1,8 @@
-"""Files that describe experiments: our TOML, and the YAML of the paper's authors' own simulator.
+"""Files that describe experiments, in TOML.
 
-TOML: a line ``key = value`` for every parameter of Experiment that differs from its default. A list in place
+A line ``key = value`` stands for every parameter of Experiment that differs from its default. A list in place
 of a value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own,
 each on top of the keys above them. Paths of pictures and graphs are relative to the file's folder.
-
-YAML: the parameter file of github.com/NESTLab/sensor-degradation-filter for its fully connected simulator,
-unchanged. That simulator ignores ``fullyConnected``; here, false selects the paper's dynamic topology, with
-density 1 and the latency of its physics simulation.
 
 Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
 folder ``studies``.
@@ -33,36 +29,14 @@ def read_experiments(path: Path) -> list[Experiment]:
     """The experiments of a file, in its order. Raises UsageError, naming the line, for anything invalid."""
     if not path.suffix and not path.exists():
         path = _shipped(path)
-    if path.suffix not in (".toml", ".yml", ".yaml"):
-        raise UsageError(f"{path}: unknown format; name it .toml, or .yml for the authors' parameters")
+    if path.suffix != ".toml":
+        raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise UsageError(f"cannot read {path}: {reason}") from error
-    if path.suffix == ".toml":
-        return _read_toml(path, text)
-    from mcp_asdf_tools.experiments.authors_formats import read_yaml  # noqa: PLC0415 (an extra)
-
-    return read_yaml(path, text)
-
-
-def _shipped(name: Path) -> Path:
-    shipped = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
-    if str(name) not in shipped:
-        raise UsageError(
-            f"there is no file {name}; those that come with the program are {', '.join(shipped)}"
-        )
-    return shipped[str(name)]
-
-
-# --- TOML ------------------------------------------------------------------------------------------------
-
-
-def _read_toml(path: Path, text: str) -> list[Experiment]:
-    try:
         content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # of a number with thousands of digits, and of deep lists
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # bad UTF-8, a number with thousands of digits, deep lists
         raise UsageError(f"{path}: {error}") from error
     grids = content.pop(GRID, [{}])
     if not (isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)):
@@ -76,6 +50,15 @@ def _read_toml(path: Path, text: str) -> list[Experiment]:
         except ParameterError as error:
             raise lines.error(number, error.key, str(error)) from error
     return experiments
+
+
+def _shipped(name: Path) -> Path:
+    shipped = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
+    if str(name) not in shipped:
+        raise UsageError(
+            f"there is no file {name}; those that come with the program are {', '.join(shipped)}"
+        )
+    return shipped[str(name)]
 
 
 class _TomlLines:

@@ -1,4 +1,4 @@
-"""The reference firmware in whole arrays, for studies that ``ReferenceRobot`` is too slow for.
+"""The reference firmware in whole arrays, for studies that ``ReferenceRobot`` is too slow for: 150 times.
 
 Between two filter steps no b_hat changes, so every local estimate is a function of counts that are known in
 advance. x_hat, alpha, b_hat and all decisions are those of ``mcp_asdf.reference.ReferenceRobot`` to the
@@ -24,7 +24,6 @@ from mcp_asdf.reference import (
     social_estimate,
 )
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.world import Scene, World
 
@@ -33,16 +32,6 @@ Integers = NDArray[np.int64]
 
 _MOST_STEPS = 1 << 11
 """At once, which bounds the memory."""
-
-
-class ArrayResults(NamedTuple):
-    """Of one trial: x of each robot in steps 0 .. T, shape (N, T + 1); b_hat after each filter step, shape
-    (T // filter_period, N); tests and updates of each robot, shape (N,)."""
-
-    x: Floats
-    b_hat: Floats
-    tests: Integers
-    updates: Integers
 
 
 class _Said(NamedTuple):
@@ -58,15 +47,17 @@ def conventions_of(experiment: Experiment) -> Conventions:
 
 
 def can_run(experiment: Experiment) -> bool:
-    """True if ``run`` has all that an experiment asks for: broadcasts in every step, and no forgetting."""
+    """True if ``run`` can do all that an experiment asks for: broadcasts in every step, and no forgetting."""
     is_plain = experiment.comms_period == 1 and experiment.memory > experiment.steps
     return experiment.firmware == "reference" and is_plain
 
 
-def run(experiment: Experiment, trial: int) -> ArrayResults:
-    """One trial. Raises UsageError if ``can_run`` is false, or as ``World``. O(steps N^2)."""
-    if not can_run(experiment):
-        raise UsageError("arrays lack this firmware, comms_period or memory; use run_trials")
+def run(experiment: Experiment, trial: int) -> tuple[Floats, Floats, Integers, Integers]:
+    """One trial that ``can_run`` allows: x of each robot in steps 0 .. T, shape (N, T + 1); b_hat after each
+    filter step, shape (T // filter_period, N); tests and updates of each robot, shape (N,).
+
+    Raises UsageError as ``World``. O(steps N^2).
+    """
     world, swarm = World(experiment, trial), _Swarm(experiment)
     x, b_hat = np.full((experiment.robots, experiment.steps + 1), 0.5), []
     step, period = 0, experiment.filter_period
@@ -77,7 +68,7 @@ def run(experiment: Experiment, trial: int) -> ArrayResults:
             swarm.filter()
             b_hat.append(swarm.b_hat.copy())
         step = stop
-    return ArrayResults(x, np.reshape(b_hat, (-1, experiment.robots)), swarm.tests, swarm.updates)
+    return x, np.reshape(b_hat, (-1, experiment.robots)), swarm.tests, swarm.updates
 
 
 class _Swarm:

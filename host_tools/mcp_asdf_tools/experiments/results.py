@@ -1,4 +1,4 @@
-"""Results of experiments as files: self-describing Parquet, and CSV.
+"""Results of trials, and their files: self-describing Parquet, and CSV.
 
 A Parquet file has a row for every trial: the experiment's parameters, a column each, and
 
@@ -7,8 +7,8 @@ A Parquet file has a row for every trial: the experiment's parameters, a column 
 - ``k`` and ``e``, lists over the robots: convergence steps and errors;
 - ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
 - ``tests`` and ``updates``, lists over the robots;
-- ``record_t`` to ``record_b_hat``, where recorded: values at step 0 and every ``sampling_interval`` steps, in
-  the same order.
+- ``record_t`` to ``record_b_hat``, lists in the same order: values at step 0 and every ``sampling_interval``
+  steps, where recorded.
 
 The file's metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the
 software, the threshold delta and ``sampling_interval``. Rows of equal parameters belong to one experiment.
@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import UsageError, software_versions, write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import QUANTITIES, Measured
 from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
 
 if TYPE_CHECKING:
@@ -37,18 +36,54 @@ if TYPE_CHECKING:
 else:
     from mcp_asdf_tools.experiments import arrow as pa
 
+QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
+"""Recorded values of a robot, named as the attributes of ``Robot``."""
+
 FORMAT = 5
 _KEY = b"mcp-asdf"
 SCORES = ("H", "h_K", "h_e")
 _LISTS = {
-    "k": "int32",
-    "e": "float64",
-    "b_hat": "float64",
-    "tests": "int32",
-    "updates": "int32",
+    "k": ("convergence_steps", "int32"),
+    "e": ("errors", "float64"),
+    "b_hat": ("b_hat", "float64"),
+    "tests": ("tests", "int32"),
+    "updates": ("updates", "int32"),
 }
-_RECORDS = tuple(f"record_{quantity}" for quantity in QUANTITIES)
+"""Columns of lists: the attribute of ``Trials`` that each holds, and the type of its elements."""
 _PARAMETERS = tuple(Experiment().parameters())
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Some or all trials of one experiment; the first axis of each array is the trial.
+
+    Attributes:
+        experiment: The definition; its ``trials`` may be more than these.
+        numbers: The trials' numbers.
+        convergence_steps: K of each robot, shape (trials, N).
+        errors: e of each robot, shape (trials, N).
+        b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
+        tests: Hypothesis tests run by each robot, shape (trials, N), modulo 65536, as ``updates``.
+        updates: Re-estimates of b_hat by each robot, shape (trials, N).
+        records: QUANTITIES by name, at step 0 and every ``sampling_interval`` steps, shape
+            (trials, T // sampling_interval + 1, N); empty without recording.
+    """
+
+    experiment: Experiment
+    numbers: list[int]
+    convergence_steps: NDArray[np.int64]
+    errors: NDArray[np.float64]
+    b_hat: NDArray[np.float64]
+    tests: NDArray[np.int64]
+    updates: NDArray[np.int64]
+    records: dict[str, NDArray[np.float64]]
+
+    def scores(self, limits_of: LimitsOf = paper_limits) -> Scores:
+        """Scores of each trial."""
+        return score(self.convergence_steps, self.errors, limits_of(self.experiment))
+
+
+# --- Tables ----------------------------------------------------------------------------------------------
 
 
 def require_arrow() -> None:
@@ -56,20 +91,18 @@ def require_arrow() -> None:
     pa.array([])
 
 
-def table_of(experiment: Experiment, measured: Measured, sampling_interval: int = 0) -> pa.Table:
+def table_of(trials: Trials, sampling_interval: int = 0) -> pa.Table:
     """Trials of an experiment as rows."""
-    count = len(measured.convergence_steps)
+    count = len(trials.numbers)
     columns: dict[str, Any] = {
-        name: pa.array([value] * count, _kind(name)) for name, value in experiment.parameters().items()
+        name: pa.array([value] * count, _kind(name)) for name, value in trials.experiment.parameters().items()
     }
-    columns["trial"] = pa.array(range(measured.first, measured.first + count), pa.int64())
-    scores = score(measured.convergence_steps, measured.errors, paper_limits(experiment))
-    columns |= dict(zip(SCORES, scores.values, strict=True))
-    values = (measured.convergence_steps, measured.errors, measured.b_hat, measured.tests, measured.updates)
-    for (name, kind), array in zip(_LISTS.items(), values, strict=True):
-        columns[name] = _rows(array, getattr(pa, kind)())
-    for name, array in zip(_RECORDS, measured.records, strict=True):
-        columns[name] = _rows(array, pa.float64())
+    columns["trial"] = pa.array(trials.numbers, pa.int64())
+    columns |= dict(zip(SCORES, trials.scores().values, strict=True))
+    for name, (attribute, kind) in _LISTS.items():
+        columns[name] = _rows(getattr(trials, attribute), getattr(pa, kind)())
+    for name in QUANTITIES:
+        columns[f"record_{name}"] = _rows(trials.records.get(name, np.empty((count, 0))), pa.float64())
     description = {
         "format": FORMAT,
         "versions": software_versions(),
@@ -89,6 +122,55 @@ def _rows(array: NDArray[Any], kind: Any) -> Any:
     """One list per trial with all of its values."""
     named = pa.field("element", kind)  # as in a file that was read, so that equal rows give equal files
     return pa.array([trial.ravel() for trial in array], pa.list_(named))
+
+
+def experiments_in(table: pa.Table) -> list[Trials]:
+    """The experiments of a table in the order of their first rows. O(rows)."""
+    groups: dict[str, list[int]] = {}
+    for index, row in enumerate(table.select(_PARAMETERS).to_pylist()):
+        groups.setdefault(json.dumps(row), []).append(index)
+    whole = table.combine_chunks()  # rows picked from many small pieces take long
+    return [_trials(json.loads(key), whole.take(indices)) for key, indices in groups.items()]
+
+
+def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
+    """The trials of rows that belong to one experiment, whose lists in a column are all of one length."""
+    experiment = Experiment.from_parameters(parameters)
+    table = table.sort_by("trial")
+
+    def values(name: str, *shape: int) -> NDArray[Any]:
+        flat: NDArray[Any] = pa.compute.list_flatten(table[name]).to_numpy()
+        return flat.reshape(len(table), *shape)
+
+    return Trials(
+        experiment,
+        table["trial"].to_pylist(),
+        **{
+            attribute: values(name, -1, experiment.robots) if name == "b_hat" else values(name, -1)
+            for name, (attribute, _) in _LISTS.items()
+        },
+        records={
+            name: values(f"record_{name}", -1, experiment.robots)
+            for name in QUANTITIES
+            if len(table[f"record_{name}"][0])
+        },
+    )
+
+
+def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
+    """The table with scores for other limits. O(rows)."""
+    rows = table.select([*_PARAMETERS, "k", "e"]).to_pylist()
+    scores = np.empty((len(SCORES), len(rows)))
+    for index, row in enumerate(rows):
+        experiment = Experiment.from_parameters({name: row[name] for name in _PARAMETERS})
+        own = score([row["k"]], [row["e"]], limits_of(experiment))
+        scores[:, index] = [values[0] for values in own.values]
+    for name, values in zip(SCORES, scores, strict=True):
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    return table
+
+
+# --- Parquet ---------------------------------------------------------------------------------------------
 
 
 def write_table(path: Path, table: pa.Table) -> None:
@@ -112,7 +194,7 @@ def read_table(path: Path) -> pa.Table:
         table = pa.parquet.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:
         parts = parts_of(path)
-        hint = f"; its sweep is not finished, {parts} has what there is" if parts.is_dir() else ""
+        hint = f"; its sweep is not finished, partial data is in {parts}" if parts.is_dir() else ""
         reason = error if path.exists() else "there is no such file"
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
     known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
@@ -128,82 +210,6 @@ def metadata_of(table: pa.Table) -> dict[str, Any]:
     """Format, versions, delta and sampling interval of a table."""
     metadata: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
     return metadata
-
-
-def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
-    """The table with scores for other limits. O(rows)."""
-    scores = np.empty((len(SCORES), len(table)))
-    for index, row in enumerate(table.select([*_PARAMETERS, "k", "e"]).to_pylist()):
-        experiment = Experiment.from_parameters({name: row[name] for name in _PARAMETERS})
-        own = score([row["k"]], [row["e"]], limits_of(experiment))
-        scores[:, index] = [values[0] for values in own.values]
-    for name, values in zip(SCORES, scores, strict=True):
-        table = table.set_column(table.column_names.index(name), name, pa.array(values))
-    return table
-
-
-@dataclass(frozen=True)
-class Trials:
-    """All trials of one experiment in a file, by number.
-
-    Attributes:
-        experiment: The definition; its ``trials`` may be more than these.
-        numbers: The trials' numbers.
-        convergence_steps: K, shape (trials, N).
-        errors: e, shape (trials, N).
-        b_hat: Shape (trials, T // filter_period, N).
-        tests: Shape (trials, N).
-        updates: Shape (trials, N).
-        records: By quantity, shape (trials, T // sampling_interval + 1, N); empty where nothing was recorded.
-    """
-
-    experiment: Experiment
-    numbers: list[int]
-    convergence_steps: NDArray[np.int64]
-    errors: NDArray[np.float64]
-    b_hat: NDArray[np.float64]
-    tests: NDArray[np.int64]
-    updates: NDArray[np.int64]
-    records: dict[str, NDArray[np.float64]]
-
-    def scores(self, limits_of: LimitsOf = paper_limits) -> Scores:
-        """Scores of each trial."""
-        return score(self.convergence_steps, self.errors, limits_of(self.experiment))
-
-
-def experiments_in(table: pa.Table) -> list[Trials]:
-    """The experiments of a table in the order of their first rows. O(rows)."""
-    groups: dict[str, list[int]] = {}
-    for index, row in enumerate(table.select(_PARAMETERS).to_pylist()):
-        groups.setdefault(json.dumps(row), []).append(index)
-    whole = table.combine_chunks()  # rows picked from many small pieces take long
-    return [_trials(json.loads(key), whole.take(indices)) for key, indices in groups.items()]
-
-
-def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
-    experiment = Experiment.from_parameters(parameters)
-    table = table.sort_by("trial")
-    robots = experiment.robots
-
-    def matrix(name: str) -> NDArray[Any]:
-        """A row for each trial, whose lists are all of one length."""
-        values: NDArray[Any] = pa.compute.list_flatten(table[name]).to_numpy()
-        return values.reshape(len(table), -1)
-
-    def steps(name: str) -> NDArray[np.float64]:
-        return matrix(name).reshape(len(table), -1, robots)
-
-    recorded = [name for name in _RECORDS if name in table.column_names and len(table[name][0])]
-    return Trials(
-        experiment,
-        table["trial"].to_pylist(),
-        matrix("k"),
-        matrix("e"),
-        steps("b_hat"),
-        matrix("tests"),
-        matrix("updates"),
-        {name.removeprefix("record_"): steps(name) for name in recorded},
-    )
 
 
 # --- CSV -------------------------------------------------------------------------------------------------

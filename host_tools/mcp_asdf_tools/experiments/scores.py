@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments.experiment import Experiment
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.experiment import Experiment
 
 DELTA = 0.01
 """Error bound within which an estimate has converged."""
@@ -60,7 +62,7 @@ class Limits(NamedTuple):
     e_max: float
 
 
-LimitsOf = Callable[[Experiment], Limits]
+LimitsOf = Callable[["Experiment"], Limits]
 """Chooses the limits for the trials of an experiment."""
 
 
@@ -116,7 +118,7 @@ def _scaled_mean(values: NDArray[np.float64], most: float) -> NDArray[np.float64
 
 
 def _interquartile_range(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each row; a quartile between two values is their middle."""
+    """Upper less lower quartile of each row; a quartile between two values is their middle."""
     upper, lower = np.percentile(values, [75, 25], axis=1, method="midpoint")
     result: NDArray[np.float64] = upper - lower
     return result

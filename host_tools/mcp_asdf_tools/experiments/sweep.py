@@ -12,7 +12,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import Measured
 from mcp_asdf_tools.experiments.results import (
+    Trials,
     metadata_of,
     parts_of,
     read_table,
@@ -33,7 +33,7 @@ from mcp_asdf_tools.experiments.results import (
     table_of,
     write_table,
 )
-from mcp_asdf_tools.experiments.simulation import Job
+from mcp_asdf_tools.experiments.trials import Job
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -41,10 +41,10 @@ else:
     from mcp_asdf_tools.experiments import arrow as pa
 
 _MOST_TRIALS = 32
-"""Of a job: twice as many as the engine runs side by side."""
+"""Most trials of a job: twice as many as the engine runs side by side."""
 
 _MOST_ROBOT_STEPS = 20_000_000
-"""Of a job with more than one trial, which bounds its memory."""
+"""Most steps of all robots in a job of several trials, which bounds its memory."""
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
@@ -99,15 +99,15 @@ class Store:
         """How many trials have no results yet."""
         return sum(len(self.missing(experiment)) for experiment in self.experiments)
 
-    def add(self, job: Job, measured: Measured) -> None:
+    def add(self, trials: Trials) -> None:
         """Write a job's results to disk. Raises UsageError if that fails."""
-        table = table_of(job.experiment, measured, self._interval)
-        name = self._names[job.experiment]
+        table = table_of(trials, self._interval)
+        name = self._names[trials.experiment]
         try:
             self.parts.mkdir(exist_ok=True)
         except OSError as error:
             raise UsageError(f"cannot make the folder {self.parts}: {error.strerror}") from error
-        write_table(self.parts / f"{name}-{job.first}-{job.count}.parquet", table)
+        write_table(self.parts / f"{name}-{trials.numbers[0]}-{len(table)}.parquet", table)
         self._take(table, [name] * len(table))
 
     def table(self) -> pa.Table:
@@ -200,39 +200,45 @@ def run_missing(
     KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
     or a worker process of this machine dies.
     """
-    jobs = jobs_of(store, sampling_interval)
-    for job, measured in _results_of(jobs, workers, scheduler):
-        store.add(job, measured)
-        report(job.count)
+    for trials in _results_of(jobs_of(store, sampling_interval), workers, scheduler):
+        store.add(trials)
+        report(len(trials.numbers))
 
 
-def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[tuple[Job, Measured]]:
+def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[Trials]:
+    """Results as they come."""
     if scheduler is not None:
-        from mcp_asdf_tools.experiments.cluster import run_on_cluster  # noqa: PLC0415 (Dask loads slowly)
+        from mcp_asdf_tools.experiments.cluster import cluster  # noqa: PLC0415 (Dask loads slowly)
 
-        return run_on_cluster(jobs, scheduler)
-    return _run_here(jobs) if workers == 1 else _run_on_workers(jobs, workers)
+        with cluster(scheduler) as (executor, threads):
+            yield from _run_on(executor, threads, jobs)
+    elif workers == 1:
+        yield from (job.run() for job in jobs)
+    else:
+        with _processes(workers) as executor:
+            yield from _run_on(executor, lambda: workers, jobs)
 
 
-def _run_here(jobs: Iterator[Job]) -> Iterator[tuple[Job, Measured]]:
-    for job in jobs:
-        yield job, job.run()
+def _run_on(executor: Executor, width: Callable[[], int], jobs: Iterator[Job]) -> Iterator[Trials]:
+    """Run jobs on an executor that runs ``width`` at once; one for each of these is queued."""
+    running: set[Future[Trials]] = set()
+    while True:
+        with _interrupts_held():
+            running |= {executor.submit(job.run) for job in islice(jobs, max(0, 2 * width() - len(running)))}
+        if not running:
+            return
+        done, running = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            yield future.result()
 
 
-def _run_on_workers(jobs: Iterator[Job], workers: int) -> Iterator[tuple[Job, Measured]]:
-    """Run jobs in processes; yields results as they come. At most two per worker are queued."""
+@contextmanager
+def _processes(workers: int) -> Iterator[Executor]:
+    """Processes of this machine, which end when this is left, or with this process however that dies."""
     others = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
-        running: dict[Future[Measured], Job] = {}
-        while True:
-            with _interrupts_held():
-                for job in islice(jobs, 2 * workers - len(running)):
-                    running[pool.submit(job.run)] = job
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
+        yield pool
     except BrokenProcessPool as error:
         raise UsageError(
             "a worker process was killed; what was finished is kept: run the same again"
@@ -260,11 +266,8 @@ def _interrupts_held() -> Iterator[None]:
     """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
 
     They inherit the signal mask before Python starts in them. In this process another thread may still
-    receive the signal, so its handler waits, too. Windows has no such mask.
+    receive the signal, so its handler waits, too.
     """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     with stopping() as is_asked:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
@@ -277,4 +280,4 @@ def _interrupts_held() -> Iterator[None]:
 
 def default_workers() -> int:
     """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))

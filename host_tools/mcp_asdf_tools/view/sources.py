@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import QUANTITIES as RECORDED
 from mcp_asdf_tools.experiments import Trials, run_trials
 from mcp_asdf_tools.recording import SidecarHeader, SidecarReader, rerun, sidecar_path
 from mcp_asdf_tools.robots import Population, parameter_names
@@ -49,7 +48,7 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"
         )
-    values = np.stack([again.records[RECORDED.index(name), 0] for name in QUANTITIES[:3]], axis=1)
+    values = np.stack([again.records[name][0] for name in QUANTITIES[:3]], axis=1)
     ticks = np.arange(len(values)) * spacing
     return Film(stage_of(experiment, trial), _in_the_world(experiment, trial, ticks, values))
 

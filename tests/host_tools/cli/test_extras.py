@@ -89,7 +89,7 @@ def test_the_base_knows_all_options(tmp_path: Path) -> None:
     """Of commands, too, that need more to run."""
     done = in_base(tmp_path, commands(*(f"{name} --help" for name in cli.COMMANDS), "completion bash"))
     assert done.stdout.splitlines()[-1:] == ["codes" + " 0" * (len(cli.COMMANDS) + 1)], done.stderr
-    assert "--authors-json" in done.stdout
+    assert "--record" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,6 @@ def test_the_base_knows_all_options(tmp_path: Path) -> None:
     [
         ("simulate --steps 1000 --trials 1", "pyarrow", "study"),
         ("sweep physical --output physical.parquet", "pyarrow", "study"),
-        ("sweep authors.yml", "yaml", "study"),
         ("score x.parquet", "pyarrow", "study"),
         ("plot x.parquet x.png", "matplotlib", "study"),
         ("reproduce --quick", "pyarrow", "study"),

@@ -24,7 +24,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two experiments of two trials."""
     common = Experiment(robots=5, steps=60, filter_period=20, trials=2)
     experiments = [common, replace(common, filter=Filtering.NONE)]
-    tables = [table_of(each, run_trials(each, 0, 2)) for each in experiments]
+    tables = [table_of(run_trials(each, 0, 2)) for each in experiments]
     path = tmp_path_factory.mktemp("results") / "grid.parquet"
     write_table(path, pa.concat_tables(tables))
     return path

@@ -16,7 +16,7 @@ from mcp_asdf_tools.experiments.curves import LETTERS, MEASURES, curve, median_i
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of, write_table
 from mcp_asdf_tools.experiments.scores import paper_limits
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 
 BASE = {"robots": 6, "flawed": "50%", "steps": 300, "filter_period": 100, "trials": 8, "topology": "dynamic"}
@@ -24,7 +24,7 @@ GRID = grid(**BASE, omega=[0.02, 0.05, 0.9], density=[0.5, 2.0], fill_ratio=[0.5
 
 
 def results_of(experiment: Experiment) -> Trials:
-    (trials,) = experiments_in(table_of(experiment, run_trials(experiment, 0, experiment.trials)))
+    (trials,) = experiments_in(table_of(run_trials(experiment, 0, experiment.trials)))
     return trials
 
 
@@ -98,7 +98,7 @@ def test_what_varies_beside_is_named(results: list[Trials]) -> None:
 
 
 def test_the_command_draws_curves(tmp_path: Path, results: list[Trials]) -> None:
-    tables = [table_of(each, run_trials(each, 0, each.trials)) for each in GRID]
+    tables = [table_of(run_trials(each, 0, each.trials)) for each in GRID]
     write_table(tmp_path / "r.parquet", pa.concat_tables(tables))
     picture = tmp_path / "curves.svg"
     options = ["--kind", "curve", "--x", "omega", "--hue", "density", "--y", "K"]

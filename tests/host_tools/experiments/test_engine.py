@@ -17,8 +17,7 @@ from mcp_asdf.robot import B_HAT_MARGIN, FirmwareError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import QUANTITIES
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world import philox
 from mcp_asdf_tools.world.settings import Drift
@@ -230,8 +229,7 @@ def test_float64_follows_the_firmware() -> None:
     other = run_trials(replace(SHORT, firmware="reference"), 0, 1, sampling_interval=1)
     assert np.array_equal(own.updates, other.updates)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
-        index = QUANTITIES.index(name)
-        assert np.abs(own.records[index] - other.records[index]).max() < 1e-5, name
+        assert np.abs(own.records[name] - other.records[name]).max() < 1e-5, name
 
 
 def test_settings_that_robots_must_share_are_checked() -> None:

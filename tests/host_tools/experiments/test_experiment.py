@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import fields
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -17,16 +15,13 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import local_estimate
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError, meaning_of, plain_value
+from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world.philox import CERTAIN
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
-from mcp_asdf_tools.world.settings import Drift, Floor, Topology
-
-AUTHORS = Path(__file__).parents[2] / "data/authors_parameters.yml"
-
+from mcp_asdf_tools.world.settings import Drift, Floor
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -283,100 +278,3 @@ def test_the_physical_experiment_comes_with_the_program() -> None:
     assert density == pytest.approx(1.3, abs=0.05)
     with pytest.raises(UsageError, match=r"no file studio; those that come with the program are .*physical"):
         read_experiments(Path("studio"))
-
-
-# --- The authors' YAML -----------------------------------------------------------------------------------
-
-
-def test_the_authors_file_runs_as_it_is() -> None:
-    found = read_experiments(AUTHORS)
-    assert [each.flawed for each in found] == [1, 3, 5]
-    common = Experiment(
-        robots=10,
-        filter=Filtering.ASDF_MINUS,
-        filter_period=200,
-        steps=1000,
-        trials=2,
-        omega=Decimal("0.1"),
-        flawed=1,
-    )
-    assert found[0] == common
-
-
-def test_numbers_may_be_written_in_any_way(tmp_path: Path) -> None:
-    for written in ("4.0e+4", "4e4", "40000", "40000.0", '"40000"'):
-        found = experiments_of(tmp_path, AUTHORS.read_text().replace("1.0e+3", written), "file.yml")
-        assert found[0].steps == 40_000
-
-
-def test_what_is_not_fully_connected_moves(tmp_path: Path) -> None:
-    text = AUTHORS.read_text().replace("fullyConnected: True", "fullyConnected: False")
-    found = experiments_of(tmp_path, text, "file.yml")
-    assert {(each.topology, each.latency, each.density, each.robots) for each in found} == {
-        (Topology.DYNAMIC, 1, 1.0, 10)
-    }
-
-
-def test_alpha_filters_without_a_test_and_needs_no_probability(tmp_path: Path) -> None:
-    text = (
-        AUTHORS.read_text().replace("BRAVO", "ALPHA").replace("correctFilter: False", "correctFilter: True")
-    )
-    text = text.replace("filterSpecificParams:\n  type_2_err_prob: 0.1\n", "")
-    found = experiments_of(tmp_path, text, "file.yaml")
-    assert {(each.activation, each.filter) for each in found} == {(Activation.ALWAYS, Filtering.ASDF_PLUS)}
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("numRobots: 10", "numRobots: ten", "line 2: numRobots is 'ten'; give a number"),
-        ("numRobots: 10", "numRobots: 0", "line 2: numRobots: robots is 0"),
-        ("numRobots: 10", "numRobotz: 10", "line 2: unknown key 'numRobotz'"),
-        ("numRobots: 10", "? [numRobots]\n: 10", "line 2: a key is a list or a table; give it a name"),
-        pytest.param("numRobots: 10", "? " * 300, "line 2: a key is a list or a table", id="deep"),
-        ("numTrials: 2", "numSteps: 2", "line 16: numSteps stands here twice"),
-        ("numTrials: 2\n", "", "line 21: the file ends without numTrials"),
-        ("  incSteps: 3\n", "", "without flawedRobotRange.incSteps"),
-        ("incSteps: 3", "incSteps: 4", "line 6: incSteps is 4"),
-        ("  max: 5", "  max: 11", "line 5: flawedRobotRange.max: flawed is 11"),
-        ("AccW: 0.55", "AccW: 0.6", "line 9: flawedSensorAccW is 0.6"),
-        ("numRobots: 10", "numRobots: 129", "line 2: numRobots: robots is 129"),
-        ("fullyConnected: True", "fullyConnected: 7", "line 17: fullyConnected is '7'"),
-        ("BRAVO", "DELTA", "line 18: method is 'DELTA'; choose one of ALPHA, BRAVO"),
-        ("type_2_err_prob: 0.1", "type_2_err_prob: 1.5", "line 20: filterSpecificParams.type_2_err_prob"),
-        ("numTrials: 2", "numTrials: 2.5", "line 16: numTrials: trials is 2.5"),
-        ("numTrials: 2", "numTrials: [2]", "line 16: numTrials is no single value"),
-        ("commsPeriod: 1", "commsPeriod: 3", "line 14: sensorFilterPeriod: filter_period is 200"),
-        ("numRobots: 10", "numRobots: [", "file.yml"),
-    ],
-)
-def test_errors_in_the_authors_file_name_the_line(tmp_path: Path, old: str, new: str, words: str) -> None:
-    text = AUTHORS.read_text()
-    assert old in text
-    with pytest.raises(UsageError, match=words):
-        experiments_of(tmp_path, text.replace(old, new), "file.yml")
-
-
-def test_a_file_without_parameters_is_told(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no parameters"):
-        experiments_of(tmp_path, "", "file.yml")
-
-
-def test_the_grids_of_the_documentation_are_grids(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "docs/experiments.md"
-    grids = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    for grid, size in zip(grids, (2 * 2 * 2 * 3 * 4 * 3, 4 * 3), strict=True):
-        found = experiments_of(tmp_path, grid)
-        assert len(set(found)) == len(found) == size
-
-
-def test_the_documentation_lists_every_parameter() -> None:
-    """Its table is made of the parameters themselves."""
-    page = (Path(__file__).parents[3] / "docs/experiments.md").read_text(encoding="utf-8")
-    lines = []
-    for each in fields(Experiment):
-        meaning = meaning_of(each)
-        assert meaning is not None
-        default = str(plain_value(each.default))
-        lines.append(f"| `{each.name}` | {meaning.text} | {f'`{default}`' if default else ''} |")
-    assert "\n".join(lines) in page, "\n".join(lines)

@@ -23,8 +23,8 @@ from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of,
 from mcp_asdf_tools.experiments.scatter_plots import scatter
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.series_names import by_series, styles_of
-from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.time_plots import bands, series_beside
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.arenas import make_arena
 from mcp_asdf_tools.world.settings import Topology
@@ -42,7 +42,7 @@ MOVING = Experiment(topology=Topology.DYNAMIC, robots=12, flawed=5, steps=400, f
 
 def results_of(experiment: Experiment, sampling_interval: int = 0) -> Trials:
     measured = run_trials(experiment, 0, experiment.trials, sampling_interval)
-    (trials,) = experiments_in(table_of(experiment, measured, sampling_interval))
+    (trials,) = experiments_in(table_of(measured, sampling_interval))
     return trials
 
 
@@ -355,7 +355,7 @@ STARTS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 @pytest.mark.parametrize(("kind", "suffix"), [("trajectories", "pdf"), ("network", "svg"), ("alpha", "png")])
 def test_the_command_draws(kind: str, suffix: str, tmp_path: Path) -> None:
     results, picture = tmp_path / "run.parquet", tmp_path / f"picture.{suffix}"
-    write_table(results, table_of(MOVING, run_trials(MOVING, 0, 1)))
+    write_table(results, table_of(run_trials(MOVING, 0, 1)))
     given = [str(picture)] if kind == "alpha" else [str(results), str(picture), "--step", "50"]
     written = []
     for _ in range(2):
@@ -388,7 +388,7 @@ def test_bad_usage_is_told(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    tables = [table_of(replace(BASE, seed=seed), run_trials(BASE, 0, 1)) for seed in (1, 2)]
+    tables = [table_of(run_trials(replace(BASE, seed=seed), 0, 1)) for seed in (1, 2)]
     write_table(Path("r.parquet"), tables[0])
     write_table(Path("two.parquet"), pa.concat_tables(tables))
     assert cli.main(["plot", *arguments]) == 2

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.experiments import reference_arrays
-from mcp_asdf_tools.experiments.by_message import run_by_message
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world.settings import Drift, Floor, Topology
 
@@ -66,15 +66,15 @@ def random_cases(seed: int, count: int) -> Iterator[Experiment]:
 
 def assert_same(experiment: Experiment) -> int:
     """Returns the number of updates."""
-    arrays = reference_arrays.run(experiment, 1)
-    robots = run_by_message(experiment, 1, sampling_interval=1)
+    own_x, b_hat, tests, updates = reference_arrays.run(experiment, 1)
+    robots = run_by_message(experiment, 1, 1)
     replay = f"replay: {experiment.parameters()}"
-    assert np.array_equal(arrays.b_hat, robots.b_hat[0]), replay
-    assert np.array_equal(arrays.tests, robots.tests[0]), replay
-    assert np.array_equal(arrays.updates, robots.updates[0]), replay
-    x = robots.records[6, 0].T
-    assert np.abs(arrays.x - x).max() < 1e-14, replay
-    return int(arrays.updates.sum())
+    assert np.array_equal(b_hat, robots.b_hat[0]), replay
+    assert np.array_equal(tests, robots.tests[0]), replay
+    assert np.array_equal(updates, robots.updates[0]), replay
+    x = robots.records["x"][0].T
+    assert np.abs(own_x - x).max() < 1e-14, replay
+    return int(updates.sum())
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -88,10 +88,10 @@ def test_arrays_equal_the_robots_in_random_experiments() -> None:
 
 
 def test_the_reference_runs_in_arrays_where_it_can() -> None:
-    own, other = run_trials(MOVING, 1, 1), run_by_message(MOVING, 1)
+    own, other = run_trials(MOVING, 1, 1), run_by_message(MOVING, 1, 0)
     assert np.array_equal(own.b_hat, other.b_hat)
     assert np.array_equal(own.convergence_steps, other.convergence_steps)
     assert np.allclose(own.errors, other.errors, rtol=0, atol=1e-14)
     for experiment in (replace(MOVING, comms_period=5), replace(MOVING, memory=64)):
         assert not reference_arrays.can_run(experiment)
-        assert np.array_equal(run_trials(experiment, 0, 1).b_hat, run_by_message(experiment, 0).b_hat)
+        assert np.array_equal(run_trials(experiment, 0, 1).b_hat, run_by_message(experiment, 0, 0).b_hat)

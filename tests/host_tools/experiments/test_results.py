@@ -14,11 +14,10 @@ import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.experiments.authors_formats import write_authors_json
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
+    QUANTITIES,
     experiments_in,
     metadata_of,
     read_table,
@@ -28,7 +27,7 @@ from mcp_asdf_tools.experiments.results import (
     write_table,
 )
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.experiments.simulation import run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 
 SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
@@ -38,7 +37,7 @@ OTHER = replace(SHORT, filter=Filtering.NONE, seed=2**64 - 1)
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A file of two experiments, the first recorded."""
-    tables = [table_of(each, run_trials(each, 0, 3, sampling_interval=10), 10) for each in (SHORT, OTHER)]
+    tables = [table_of(run_trials(each, 0, 3, sampling_interval=10), 10) for each in (SHORT, OTHER)]
     write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
     return tmp_path / "results.parquet"
 
@@ -52,13 +51,13 @@ def test_results_come_back(path: Path) -> None:
         assert trials.numbers == [0, 1, 2]
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
             assert np.array_equal(getattr(trials, name), getattr(measured, name)), name
-        for index, name in enumerate(QUANTITIES):
-            assert np.array_equal(trials.records[name], measured.records[index]), name
+        for name in QUANTITIES:
+            assert np.array_equal(trials.records[name], measured.records[name]), name
         assert trials.records["x"].shape == (3, 31, 4)
 
 
 def test_trials_are_sorted(tmp_path: Path) -> None:
-    tables = [table_of(SHORT, run_trials(SHORT, first, 1)) for first in (2, 0, 1)]
+    tables = [table_of(run_trials(SHORT, first, 1)) for first in (2, 0, 1)]
     write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
     (trials,) = experiments_in(read_table(tmp_path / "results.parquet"))
     assert trials.numbers == [0, 1, 2]
@@ -139,31 +138,3 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
     assert float(rows[1]["mean_e"]) == pytest.approx(found[0].errors[1].mean())
     assert float(rows[1]["mean_b_hat"]) == pytest.approx(found[0].b_hat[1, -1].mean())
     assert float(rows[1]["updates"]) == found[0].updates[1].sum()
-
-
-def test_the_authors_scripts_find_their_layout(tmp_path: Path) -> None:
-    """Decoded as their analysis does: robot by robot and step by step, columns by place."""
-    table = table_of(SHORT, run_trials(SHORT, 0, 3, sampling_interval=1), 1)
-    (trials,) = experiments_in(table)
-    paths = write_authors_json(tmp_path / "runs", trials)
-    assert len(paths) == 3
-    for number, path in enumerate(paths):
-        content = json.loads(path.read_text())
-        assert "static_topo" in content["sim_type"]
-        assert (content["trial_ind"], content["num_trials"], content["num_steps"]) == (number, 3, 300)
-        assert (content["num_robots"], content["num_flawed_robots"], content["tfr"]) == (4, 1, 0.55)
-        values = np.array(
-            [[[float(v) for v in row.split(",")] for row in robot] for robot in content["data_str"]]
-        )
-        assert values.shape == (4, 301, 10)
-        assert (values[..., 0] == SHORT.seed).all()
-        columns = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat")
-        for place, name in enumerate(columns, start=1):
-            assert pytest.approx(trials.records[name][number], rel=1e-11) == values[..., place].T, name
-        assert (values[:, :, 2] == np.arange(301)).all()
-
-
-def test_the_authors_layout_needs_every_step(path: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="sampling interval of 1"):
-        write_authors_json(tmp_path / "runs", experiments_in(read_table(path))[0])
-    assert not (tmp_path / "runs").exists()

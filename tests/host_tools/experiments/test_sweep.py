@@ -19,10 +19,9 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import sweep
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.experiments.simulation import Job
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.experiments.sweep import Store, identity, jobs_of, run_sweep
+from mcp_asdf_tools.experiments.trials import Job
 from mcp_asdf_tools.robots.population import Filtering
 from support import PATIENCE, ROOT, interruptible, slow
 
@@ -52,7 +51,7 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
     started: list[Job] = []
     run = Job.run
 
-    def noted(job: Job) -> Measured:
+    def noted(job: Job) -> Trials:
         started.append(job)
         return run(job)
 
@@ -64,7 +63,7 @@ def interrupt_after(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     """Make the job after ``count`` jobs end in Ctrl-C."""
     run, left = Job.run, iter(range(count))
 
-    def interrupted(job: Job) -> Measured:
+    def interrupted(job: Job) -> Trials:
         if next(left, None) is None:
             raise KeyboardInterrupt
         return run(job)
@@ -110,7 +109,7 @@ def test_a_sweep_that_was_interrupted_can_be_read_and_goes_on(
     assert cli.main(["score", str(store.parts)]) == 0
     assert "32 of 40" in capsys.readouterr().out
     assert cli.main(["score", str(output)]) == 2
-    assert f"its sweep is not finished, {store.parts} has what there is" in capsys.readouterr().err
+    assert f"its sweep is not finished, partial data is in {store.parts}" in capsys.readouterr().err
     assert len(list(jobs_of(store))) == 12 - 5
     assert run_sweep(store, 1).equals(whole)
     assert read_table(output).equals(read_table(tmp_path / "whole.parquet"))
@@ -138,7 +137,7 @@ def test_gaps_are_filled(output: Path, jobs_run: list[Job]) -> None:
     store = Store(output, [experiment])
     for first, count in ((2, 3), (7, 1)):
         job = Job(experiment, first, count)
-        store.add(job, job.run())
+        store.add(job.run())
     jobs_run.clear()
     run_sweep(Store(output, [experiment]), 1)
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
@@ -186,7 +185,7 @@ def test_an_error_in_a_worker_is_told(output: Path) -> None:
 class Deadly(Job):
     """A job that kills the process that runs it."""
 
-    def run(self) -> Measured:
+    def run(self) -> Trials:
         os.kill(os.getpid(), signal.SIGKILL)
         raise AssertionError
 
@@ -194,8 +193,9 @@ class Deadly(Job):
 def run_sweep_of_deaths(output: Path) -> None:
     store = Store(output, GRID)
     deadly = (Deadly(job.experiment, job.first, job.count) for job in jobs_of(store))
-    for job, measured in sweep._run_on_workers(deadly, 2):
-        store.add(job, measured)
+    with sweep._processes(2) as executor:
+        for trials in sweep._run_on(executor, lambda: 2, deadly):
+            store.add(trials)
 
 
 # --- Commands --------------------------------------------------------------------------------------------
@@ -266,11 +266,6 @@ def test_a_recorded_trial_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "there is no trial 2; choose one of 0 .. 1" in capsys.readouterr().err
 
 
-def test_the_authors_layout_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    answer(capsys, "simulate", "--steps", "20", "--trials", "2", "--authors-json", tmp_path / "runs")
-    assert len(list((tmp_path / "runs").iterdir())) == 2
-
-
 def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
     out = capsys.readouterr().out
@@ -288,11 +283,10 @@ def test_tables_for_people_name_what_varies(grid_file: Path, capsys: pytest.Capt
         (["simulate", "--filter", "none", "--omega", "0.1"], "--omega would do nothing: filter is none"),
         (["simulate", "--workers", "0"], "--workers is 0"),
         (["simulate", "--record", "-1"], "--record is -1"),
-        (["simulate", "--record", "5", "--authors-json", "x"], "--record is 5"),
         (["simulate", "--output", "results.csv"], "ends in .parquet"),
         (["simulate", "--output", "no/such/folder/r.parquet"], "its folder does not exist"),
         (["simulate", "--steps", "10", "--k-max", "0"], "K_max is 0"),
-        (["simulate", str(ROOT / "tests/data/authors_parameters.yml")], "run it with mcp-asdf sweep"),
+        (["simulate", "dynamic"], "run it with mcp-asdf sweep"),
         (["sweep", "absent.toml"], "cannot read"),
         (["score", "absent.parquet"], "cannot read"),
         (["plot", "absent.parquet", "x.gif"], "ends in"),

@@ -21,9 +21,10 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import cluster as cluster_module
+from mcp_asdf_tools.experiments import trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import read_table
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments.sweep import Store, jobs_of, run_sweep
 from support import ROOT
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: make setup")
@@ -108,7 +109,9 @@ def test_the_cluster_runs_only_what_is_missing(
 
 
 def test_another_version_is_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+    monkeypatch.setattr(trials, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+    other = replace(next(jobs_of(Store(tmp_path / "x.parquet", [SLOW]))), version="9.9.9")
+    assert other.run().experiment == SLOW
     with pytest.raises(UsageError, match="install the same on all"):
         run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
 
@@ -170,12 +173,6 @@ def test_a_scheduler_lost_before_the_client_is_there_is_told(
     monkeypatch.setattr(distributed, "Client", lost)
     with pytest.raises(UsageError, match=f"no Dask scheduler at {cluster}: connection reset; start one"):
         run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
-
-
-@pytest.mark.parametrize("text", ["", "timed out after 31 s."])
-def test_the_reason_of_a_timeout_is_never_empty(text: str) -> None:
-    """Of the two clocks that watch a greeting, one says nothing."""
-    assert cluster_module._reason(TimeoutError(text)) == "timed out after 30 s"
 
 
 def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,10 +14,9 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.figures import empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.measurement import Measured
-from mcp_asdf_tools.experiments.results import experiments_in, read_table
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.experiments.scores import Limits, score
-from mcp_asdf_tools.experiments.simulation import Job, run_trials
+from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.reproduction import report_text, resampling, study, study_report
 from mcp_asdf_tools.reproduction.claims import CLAIMS
 from mcp_asdf_tools.reproduction.decisions import Decision, abouts
@@ -148,7 +147,7 @@ def count_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
     started: list[Job] = []
     run = Job.run
 
-    def counted(job: Job) -> Measured:
+    def counted(job: Job) -> Trials:
         if len(started) == most:
             raise KeyboardInterrupt
         started.append(job)

@@ -52,7 +52,7 @@ def filmed(**more: Any) -> Film:
 
 def trials_of(**more: Any) -> Trials:
     experiment = Experiment(**PARAMETERS | more, trials=2)
-    return experiments_in(table_of(experiment, run_trials(experiment, 0, 2)))[0]
+    return experiments_in(table_of(run_trials(experiment, 0, 2)))[0]
 
 
 def equal(left: Film, right: Film) -> bool:

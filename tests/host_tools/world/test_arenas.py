@@ -17,10 +17,9 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.measurement import QUANTITIES
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.experiments.simulation import run_trials
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.world.arenas import arena_settings, make_arena
 from mcp_asdf_tools.world.floor_images import CODE_MODULES, code
@@ -309,8 +308,8 @@ def test_results_hold_the_world_and_sweeps_go_on(tmp_path: Path) -> None:
 
 def records_of(experiment: Experiment) -> dict[str, Any]:
     """Values by quantity, shape (T + 1, N), of one trial."""
-    records = run_trials(experiment, 0, 1, sampling_interval=1).records[:, 0]
-    return dict(zip(QUANTITIES, records, strict=True))
+    records = run_trials(experiment, 0, 1, sampling_interval=1).records
+    return {name: values[0] for name, values in records.items()}
 
 
 def test_two_robots_hear_each_other_at_once_or_a_step_late() -> None:
@@ -379,5 +378,4 @@ def test_float64_follows_the_firmware() -> None:
     other = run_trials(replace(LATE, firmware="reference"), 0, 1, sampling_interval=1)
     assert np.array_equal(own.updates, other.updates)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
-        index = QUANTITIES.index(name)
-        assert np.abs(own.records[index] - other.records[index]).max() < 1e-5, name
+        assert np.abs(own.records[name] - other.records[name]).max() < 1e-5, name
