@@ -17,6 +17,7 @@ from .frames import TELEMETRY as TELEMETRY
 from .frames import TRANSFER_IDS as TRANSFER_IDS
 from .frames import Action as Action
 from .frames import Command as Command
+from .frames import Content as Content
 from .frames import FrameFormat as FrameFormat
 from .frames import Health as Health
 from .frames import Heartbeat as Heartbeat
@@ -27,6 +28,7 @@ from .frames import alpha_bits as alpha_bits
 from .frames import binary32_of as binary32_of
 from .frames import bits_of as bits_of
 from .frames import decode as decode
+from .frames import decode_any as decode_any
 from .frames import decode_command as decode_command
 from .frames import decode_heartbeat as decode_heartbeat
 from .frames import decode_telemetry as decode_telemetry
@@ -42,6 +44,6 @@ from .interfaces import BusChoice as BusChoice
 from .load import BIT_RATES as BIT_RATES
 from .load import LIMIT as LIMIT
 from .load import bus_load as bus_load
-from .load import wire_bits as wire_bits
+from .load import worst_bits as worst_bits
 from .slcan_server import HOST as HOST
 from .slcan_server import SlcanServer as SlcanServer

@@ -356,6 +356,22 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> 
     return Command(frame.arbitration_id & NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
 
 
+Content = Message | Heartbeat | Telemetry | Rejection
+"""Content of a frame, or the reason why it has none."""
+
+
+def decode_any(frame: can.Message, estimates: FrameFormat) -> Content:
+    """Estimate, heartbeat or telemetry in any frame, or the reason why it is no estimate."""
+    found: Content = decode(frame, estimates)
+    if found is not Rejection.SUBJECT:
+        return found
+    heartbeat = decode_heartbeat(frame)
+    if isinstance(heartbeat, Heartbeat):
+        return heartbeat
+    telemetry = decode_telemetry(frame)
+    return telemetry if isinstance(telemetry, Telemetry) else found
+
+
 def binary32_of(alpha: int) -> int:
     """The IEEE binary32 bits of an alpha word, 0 .. 2**32 - 1: the same value, exactly."""
     mantissa, exponent = alpha >> 8, UNIT_EXPONENT + (alpha & SHIFT_MAX)

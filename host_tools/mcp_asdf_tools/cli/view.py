@@ -17,7 +17,6 @@ import can
 from mcp_asdf_tools.bus import FrameFormat, interfaces
 from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
 from mcp_asdf_tools.common import UsageError, check_target, stopping, write_atomically
-from mcp_asdf_tools.robots import Decoder
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.experiments import Trials
@@ -158,12 +157,12 @@ def _watch(args: argparse.Namespace) -> int:
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
     try:
-        decoder = Decoder(FrameFormat(args.subject))
+        frames = FrameFormat(args.subject)
     except ValueError as error:
         raise UsageError(str(error)) from error
     try:
         with choice.open() as bus, stopping() as should_stop:
-            watch = BusFilm(bus, decoder, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
+            watch = BusFilm(bus, frames, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
             with serving(watch.film, args.port) as url:
                 announce(args, url)
                 watch.record(should_stop)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.common import UsageError, check_types
-from mcp_asdf_tools.robots import BusRobot, Decoder, RobotRecord, Subjects
-from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Air, Fault, Faults, SentFrame, SwarmSettings
+from mcp_asdf_tools.robots import BusRobot, RobotRecord, Subjects
+from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Delivery, Fault, Faults, SentFrame, SwarmSettings
 from mcp_asdf_tools.world import World
 
 
@@ -93,13 +93,14 @@ class Neighbourhood:
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
-        decoder = Decoder(settings.subjects.estimates)
-        self.nodes = {each.id: BusRobot(each.id, each.make, decoder) for each in settings.neighbours}
+        self.nodes = {
+            each.id: BusRobot(each.id, each.make, settings.subjects.estimates) for each in settings.neighbours
+        }
         self.faults = Faults(settings.faults, settings.swarm.seed, settings.subjects.estimates)
         self.tick = 0
         self._ids = sorted([settings.controller.id, *self.nodes])
         self._world = World(settings.swarm)
-        self._air = Air(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
+        self._delivery = Delivery(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
         self._sent: list[SentFrame] = []
 
     def begin(self) -> Observation | None:
@@ -120,7 +121,7 @@ class Neighbourhood:
         """
         controller = self.settings.controller.id
         frames = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(sent))]
-        arrivals = self._air.arrivals(self.tick, frames)
+        arrivals = self._delivery.arrivals(self.tick, frames)
         for robot, node in self.nodes.items():
             node.hear(*arrivals.of(robot))
         for node in self.nodes.values():

@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
 
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import (
@@ -24,7 +25,7 @@ from mcp_asdf_tools.bus import (
     frame_as_text,
 )
 from mcp_asdf_tools.recording.sidecar import SidecarReader
-from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Decoder, Estimates, Event, RobotRecord
+from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
 _SLICE = 0.1
@@ -60,7 +61,7 @@ class Rerun:
     def __init__(self, record: RobotRecord) -> None:
         """Prepare a robot that starts like the one recorded."""
         self.broadcasts: deque[Broadcast] = deque()
-        self._robot = BusRobot(record.id, record.make, Decoder(FrameFormat()))
+        self._robot = BusRobot(record.id, record.make, FrameFormat())
 
     @property
     def state(self) -> Robot:
@@ -71,7 +72,7 @@ class Rerun:
         """Let ``events`` happen to it. O(1) each; raises ValueError for one that cannot follow the last."""
         for is_message, group in groupby(events, _is_message):
             if is_message:
-                self._robot.receive(Estimates.of([each for each in group if isinstance(each, list)]))
+                self._robot.receive(np.array(list(group), np.uint32))
                 continue
             for event in group:
                 self._suffer(event)

@@ -1,7 +1,7 @@
 """One robot on a bus: firmware, population, node, clock, and how it is driven in lockstep."""
 
 from .bus_robot import BusRobot as BusRobot
-from .bus_robot import Participant as Participant
+from .bus_robot import Reception as Reception
 from .clock import Clock as Clock
 from .clock import ClockKind as ClockKind
 from .clock import RealTimeClock as RealTimeClock
@@ -48,13 +48,7 @@ from .population import Population as Population
 from .population import parameter_names as parameter_names
 from .processes import NodeProcesses as NodeProcesses
 from .processes import start_nodes as start_nodes
-from .reception import Content as Content
-from .reception import Decoder as Decoder
-from .reception import Estimates as Estimates
-from .reception import Reception as Reception
-from .reception import rows_of as rows_of
 from .record import RobotRecord as RobotRecord
-from .rounds import RoundTimer as RoundTimer
 from .rounds import TickConfig as TickConfig
 from .rounds import TickedRobot as TickedRobot
 from .series_plot import TimeSeries as TimeSeries

@@ -7,11 +7,12 @@ differ in when heartbeats and telemetry are due, and in what carries the frames.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
 
 import can
+import numpy as np
 
 from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus import (
@@ -20,117 +21,61 @@ from mcp_asdf_tools.bus import (
     ONE,
     TELEMETRY,
     TRANSFER_IDS,
+    Content,
     FrameFormat,
     Heartbeat,
     Message,
+    Rejection,
     Telemetry,
+    decode_any,
+    decode_estimates,
     encode,
     encode_heartbeat,
     encode_telemetry,
 )
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.firmwares import Words
-from mcp_asdf_tools.robots.reception import Content, Decoder, Estimates, Reception, rows_of
 from mcp_asdf_tools.robots.rounds import TickedRobot
 
 
-class Ticked(Protocol):
-    """A firmware driven tick by tick, here or in another process."""
-
-    @property
-    def counters(self) -> Counters:
-        """The firmware's diagnostics, in numbers that do not wrap."""
-
-    def observe(self, z: Observation | None) -> bool:
-        """Begin a tick; returns whether a broadcast is due."""
-
-    def receive_all(self, words: Words) -> int:
-        """Take neighbours' messages in order; returns how many were accepted."""
-
-    def settle(self) -> None:
-        """End the tick."""
-
-
-class Participant:
-    """The part of a robot's life on a bus that does not depend on where its firmware runs.
+@dataclass
+class Reception:
+    """Frames that one robot heard.
 
     Attributes:
-        id: Robot id and node id.
-        ticks: Control ticks begun since the robot started.
-        is_alive: Whether the robot has not crashed.
-        heard: Neighbours whose estimate was accepted since the last broadcast.
-        reception: Frames heard, counted.
-        recorder: Takes the robot's events; None if they are not recorded.
+        delivered: Estimates handed to the firmware.
+        refused: Those among them that the firmware did not accept (repeated or invalid).
+        id_conflicts: Estimates under the robot's own id: another node has it, too.
+        strays: Legal estimates from outside the swarm: another program uses the subject.
+        heartbeats: Heartbeats.
+        telemetry: Telemetry, that of other processes' robots included.
+        errors: Error frames.
+        rejected: Other frames, by the reason why they are no estimate.
+        last_telemetry: The last telemetry of each sender, by id.
     """
 
-    def __init__(self, robot_id: int, ticked: Ticked, decoder: Decoder, recorder: Recorder | None) -> None:
-        self.id = robot_id
-        self.is_alive = True
-        self.reception = Reception()
-        self.recorder = recorder
-        self._decode = decoder
-        self._drive(ticked)
-
-    def _drive(self, ticked: Ticked) -> None:
-        """Drive this firmware from now on; it has done nothing yet."""
-        self.ticks = self.heard = 0
-        self._ticked = ticked
-
-    @property
-    def counters(self) -> Counters:
-        """The firmware's diagnostics, in numbers that do not wrap."""
-        return self._ticked.counters
-
-    def begin(self, z: Observation | None) -> bool:
-        """Begin a tick, with an observation or without; returns whether a broadcast is due."""
-        if self.recorder is not None:
-            self.recorder.observe(z)
-        self.ticks += 1
-        is_due = self._ticked.observe(z)
-        if is_due:
-            self.heard = 0
-        return is_due
-
-    def hear(self, *frames: can.Message) -> None:
-        """Take any frames of other nodes, in the order in which they came. A dead robot hears nothing."""
-        contents = [self._decode(frame) for frame in frames]
-        self.receive(Estimates.of(rows_of(contents)))
-        self.count([content for content in contents if not isinstance(content, Message)])
-
-    def receive(self, estimates: Estimates) -> None:
-        """Hand estimates to the firmware. A dead robot receives nothing. O(estimates)."""
-        if not self.is_alive:
-            return
-        if self.recorder is not None:
-            self.recorder.receive(estimates.texts)
-        received, accepted = len(estimates), self._ticked.receive_all(estimates.words)
-        self.heard += accepted
-        self.reception.delivered += received
-        if accepted < received:
-            self.reception.refused += received - accepted
-            self.reception.id_conflicts += estimates.words[:, 0].tolist().count(self.id)
+    delivered: int = 0
+    refused: int = 0
+    id_conflicts: int = 0
+    strays: int = 0
+    heartbeats: int = 0
+    telemetry: int = 0
+    errors: int = 0
+    rejected: Counter[Rejection] = field(default_factory=Counter)
+    last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
     def count(self, contents: Sequence[Content]) -> None:
-        """Count frames that are no estimates. A dead robot counts nothing."""
-        if self.is_alive and contents:
-            self.reception.count(contents)
-
-    def hear_stranger(self, frame: can.Message) -> None:
-        """Count a frame from outside the swarm; the firmware does not get it."""
-        if not self.is_alive:
-            return
-        content = self._decode(frame)
-        if isinstance(content, Message):
-            self.reception.strays += 1
-            self.reception.id_conflicts += content.sender == self.id
-        else:
-            self.reception.count([content])
-
-    def settle(self) -> None:
-        """End the tick."""
-        self._ticked.settle()
-        if self.recorder is not None:
-            self.recorder.settle()
+        """Count frames that are no estimates."""
+        for each in contents:
+            if isinstance(each, Heartbeat):
+                self.heartbeats += 1
+            elif isinstance(each, Telemetry):
+                self.telemetry += 1
+                self.last_telemetry[each.sender] = each
+            elif each is Rejection.ERROR_FRAME:
+                self.errors += 1
+            elif isinstance(each, Rejection):
+                self.rejected[each] += 1
 
 
 @dataclass
@@ -148,37 +93,57 @@ class FramesSent:
     telemetry: int = 0
 
 
-class BusRobot(Participant):
-    """A robot whose firmware runs here.
+class BusRobot:
+    """A robot on a bus.
 
     Attributes:
+        id: Robot id and node id.
+        ticks: Control ticks begun since the robot started.
+        is_alive: Whether the robot has not crashed.
+        heard: Neighbours whose estimate was accepted since the last broadcast.
         sent: Frames made since the robot started.
+        reception: Frames heard, counted.
+        recorder: Takes the robot's events; None if they are not recorded.
     """
-
-    _ticked: TickedRobot
 
     def __init__(
         self,
         robot_id: int,
         make: Callable[[], TickedRobot],
-        decoder: Decoder,
+        estimates: FrameFormat,
         recorder: Recorder | None = None,
         telemetry: FrameFormat = TELEMETRY,
     ) -> None:
         """Start the robot that ``make`` returns; it is called again after a crash that loses the state.
 
-        Estimates are sent where ``decoder`` reads them. Raises as ``make``.
+        Estimates and telemetry are sent in these formats. Raises as ``make``.
         """
+        self.id = robot_id
+        self.is_alive = True
+        self.reception = Reception()
+        self.recorder = recorder
         self._make = make
-        self._estimates, self._telemetry = decoder.frames, telemetry
+        self._estimates, self._telemetry = estimates, telemetry
         self._loses_state = False
-        self.sent = FramesSent()
-        super().__init__(robot_id, make(), decoder, recorder)
+        self.restart()
 
     @property
     def robot(self) -> Robot:
         """The firmware; another one after a crash that lost the state."""
         return self._ticked.robot
+
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, in numbers that do not wrap."""
+        return self._ticked.counters
+
+    # --- Its life ---
+
+    def restart(self) -> None:
+        """Begin anew, as after a reset that loses everything. Raises as ``make``."""
+        self.ticks = self.heard = 0
+        self.sent = FramesSent()
+        self._ticked = self._make()
 
     def die(self, loses_state: bool) -> None:
         """Crash. The state is lost, or there again when the robot wakes."""
@@ -193,14 +158,27 @@ class BusRobot(Participant):
             if self.recorder is not None:
                 self.recorder.restart()
 
-    def restart(self) -> None:
-        """Begin anew, as after a reset that loses everything. Raises as ``make``."""
-        self.sent = FramesSent()
-        self._drive(self._make())
+    def begin(self, z: Observation | None) -> bool:
+        """Begin a tick, with an observation or without; returns whether a broadcast is due."""
+        if self.recorder is not None:
+            self.recorder.observe(z)
+        self.ticks += 1
+        is_due = self._ticked.observe(z)
+        if is_due:
+            self.heard = 0
+        return is_due
 
     def observe(self, z: Observation | None, now: float) -> list[can.Message]:
         """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
         return [encode(self.estimate(), self._estimates, now)] if self.begin(z) else []
+
+    def settle(self) -> None:
+        """End the tick."""
+        self._ticked.settle()
+        if self.recorder is not None:
+            self.recorder.settle()
+
+    # --- The frames that it makes ---
 
     def estimate(self) -> Message:
         """The next broadcast, with the present estimate."""
@@ -221,3 +199,39 @@ class BusRobot(Participant):
         self.sent.telemetry += 1
         telemetry = Telemetry(self.id, int(self.robot.x * ONE), b_hat, updates, transfer_id)
         return encode_telemetry(telemetry, self._telemetry, now)
+
+    # --- The frames that it takes; a dead robot takes none ---
+
+    def hear(self, *frames: can.Message) -> None:
+        """Take any frames of other nodes, in the order in which they came."""
+        words, is_estimate = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
+        self.receive(words[is_estimate])
+        others = [frame for frame, known in zip(frames, is_estimate.tolist(), strict=True) if not known]
+        self.count([decode_any(frame, self._estimates) for frame in others])
+
+    def receive(self, words: Words) -> None:
+        """Hand estimates to the firmware. O(estimates)."""
+        if not self.is_alive:
+            return
+        if self.recorder is not None:
+            self.recorder.receive(words)
+        received, accepted = len(words), self._ticked.receive_all(words)
+        self.heard += accepted
+        self.reception.delivered += received
+        if accepted < received:
+            self.reception.refused += received - accepted
+            self.reception.id_conflicts += words[:, 0].tolist().count(self.id)
+
+    def count(self, contents: Sequence[Content]) -> None:
+        """Count frames that are no estimates."""
+        if self.is_alive and contents:
+            self.reception.count(contents)
+
+    def hear_stranger(self, frame: can.Message) -> None:
+        """Count a frame from outside the swarm; the firmware does not get it."""
+        content = decode_any(frame, self._estimates)
+        if not isinstance(content, Message):
+            self.count([content])
+        elif self.is_alive:
+            self.reception.strays += 1
+            self.reception.id_conflicts += content.sender == self.id

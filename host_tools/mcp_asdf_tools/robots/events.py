@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import can
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import Action, frame_as_text
+from mcp_asdf_tools.robots.firmwares import Words
 
 SETTLE = 3
 SILENT, RESTART = "silent", "restart"
@@ -19,7 +20,7 @@ Event = int | str | list[int]
 
 
 class Recorder:
-    """Recorder of one robot's events, each in O(1), that writes a line per settle."""
+    """Recorder of one robot's events, that writes a line per settle."""
 
     def __init__(self, robot: int, write: Callable[[str], object]) -> None:
         self._head = f"[{robot}"
@@ -30,9 +31,10 @@ class Recorder:
         """The robot began a tick and observed ``z``, if anything."""
         self._parts.append(_OBSERVED[z])
 
-    def receive(self, messages: Iterable[str]) -> None:
-        """The robot took messages, each a ``message_text``."""
-        self._parts.extend(messages)
+    def receive(self, words: Words) -> None:
+        """The robot took messages. O(messages)."""
+        if len(words):
+            self._parts.append(str(words.tolist())[1:-1].replace(" ", ""))
 
     def settle(self) -> None:
         """The robot ended the tick."""
@@ -60,8 +62,3 @@ class Recorder:
         if len(self._parts) > 1:
             self._write(",".join(self._parts) + "]\n")
             self._parts = [self._head]
-
-
-def message_text(sender: int, x_hat: int, alpha: int) -> str:
-    """The event of a message with these raw values."""
-    return f"[{sender},{x_hat},{alpha}]"

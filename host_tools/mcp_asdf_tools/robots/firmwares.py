@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast, runtime_checkable
 
 from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
-from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Robot, Status
+from mcp_asdf.robot import Config, FirmwareError, Robot, Status
 from mcp_asdf_tools.common import UsageError, extensions
 
 if TYPE_CHECKING:  # numpy is slow to load, and help needs the names below only
@@ -50,6 +50,7 @@ def load_firmware(name: str) -> RobotMaker:
         ) from error
 
 
+@runtime_checkable
 class Port(Protocol):
     """A robot's side of the bus: the raw integers of a message (units: ``bus.frames.Message``)."""
 
@@ -67,7 +68,7 @@ class Port(Protocol):
 
 def port_of(robot: Robot) -> Port:
     """Return ``robot`` itself if it speaks raw integers, else a port that rounds for it."""
-    return robot if isinstance(robot, FixedPointRobot) else RoundingPort(robot)
+    return robot if isinstance(robot, Port) else RoundingPort(robot)
 
 
 class RoundingPort:

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import can
+import numpy as np
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import Counters, Observation, Robot
+from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
@@ -32,9 +33,8 @@ from mcp_asdf_tools.bus import (
     decode_command,
 )
 from mcp_asdf_tools.common import UsageError, check_types
-from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.reception import Decoder, Estimates, Reception, rows_of
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
 
 ACCEPTANCE_MASK = 0x039F_FF80
@@ -117,10 +117,10 @@ class NodeSettings:
                 raise UsageError(f"{name.replace('_', '-')} is {value}; it must be {low} to {high}")
 
 
-class RobotNode:
-    """Robot node: a ``BusRobot`` with a schedule of its own that obeys commands.
+class RobotNode(BusRobot):
+    """Robot with a schedule of its own that obeys commands.
 
-    Every method returns the frames to send now, in order.
+    Its methods return the frames to send now, in order.
 
     Attributes:
         settings: Id, subjects and periods.
@@ -130,70 +130,44 @@ class RobotNode:
 
     def __init__(self, robot: TickedRobot, settings: NodeSettings, recorder: Recorder | None = None) -> None:
         """Make a node of a robot that has done nothing yet; ``recorder`` takes its events."""
+        subjects = settings.subjects
+        # A node ends with its process: it is never asked to crash and start again.
+        super().__init__(settings.id, lambda: robot, subjects.estimates, recorder, subjects.telemetry)
         self.settings = settings
         self.is_settled = True
         self._watch = IdConflictWatch(settings.id)
         self.traffic = NodeTraffic(id_conflicts=self._watch.found)
-        subjects = settings.subjects
-        decoder = Decoder(subjects.estimates)
-        # A node ends with its process: it is never asked to crash and start again.
-        self._bus_robot = BusRobot(settings.id, lambda: robot, decoder, recorder, subjects.telemetry)
         self._tick_of_command: int | None = None
-
-    @property
-    def robot(self) -> Robot:
-        """The firmware."""
-        return self._bus_robot.robot
-
-    @property
-    def counters(self) -> Counters:
-        """The firmware's diagnostics, in numbers that do not wrap."""
-        return self._bus_robot.counters
-
-    @property
-    def ticks(self) -> int:
-        """Control ticks begun: observations made."""
-        return self._bus_robot.ticks
-
-    @property
-    def sent(self) -> FramesSent:
-        """Frames made so far."""
-        return self._bus_robot.sent
-
-    @property
-    def reception(self) -> Reception:
-        """Frames heard so far; those that are neither estimates nor commands count as rejected."""
-        return self._bus_robot.reception
 
     def start(self) -> list[can.Message]:
         """Announce the node."""
-        return [self._bus_robot.heartbeat(self._now)]
+        return [self.heartbeat(self._now)]
 
-    def observe(self, z: Observation | None) -> list[can.Message]:
+    def begin_tick(self, z: Observation | None) -> list[can.Message]:
         """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
         if not self.is_settled:
             self.traffic.unsettled += 1
-            self._bus_robot.settle()
+            self.settle()
         self.is_settled = False
         is_second = self.ticks and self.ticks % self.settings.steps_per_second == 0
         heartbeats = self.start() if is_second else []
-        return heartbeats + self._bus_robot.observe(z, self._now)
+        return heartbeats + self.observe(z, self._now)
 
-    def settle(self) -> list[can.Message]:
+    def end_tick(self) -> list[can.Message]:
         """End the tick."""
-        self._bus_robot.settle()
+        self.settle()
         self.is_settled = True
         is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
-        return [self._bus_robot.telemetry(self._now)] if is_due else []
+        return [self.telemetry(self._now)] if is_due else []
 
-    def hear(self, frame: can.Message) -> list[can.Message]:
+    def take(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
         message = decode(frame, self.settings.subjects.estimates)
         if isinstance(message, Message):
-            recorder = self._bus_robot.recorder
-            if message.sender == self.settings.id and recorder is not None:
-                recorder.foreign(frame)
-            self._receive(message)
+            if message.sender == self.id and self.recorder is not None:
+                self.recorder.foreign(frame)
+            self._watch.hear(message)
+            self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
             return []
         if message is Rejection.SUBJECT:
             command = decode_command(frame, self.settings.subjects.commands)
@@ -205,9 +179,8 @@ class RobotNode:
 
     def lost(self, frame: can.Message) -> None:
         """Note that the bus did not take ``frame``, which was to be sent."""
-        recorder = self._bus_robot.recorder
-        if recorder is not None and isinstance(decode(frame, self.settings.subjects.estimates), Message):
-            recorder.silent()
+        if self.recorder is not None and isinstance(decode(frame, self.settings.subjects.estimates), Message):
+            self.recorder.silent()
 
     def figures(self) -> dict[str, Any]:
         """The frames sent and heard so far as plain values, for JSON."""
@@ -221,10 +194,6 @@ class RobotNode:
             "id_conflicts": {str(sender): conflict.value for sender, conflict in conflicts},
         }
 
-    def _receive(self, message: Message) -> None:
-        self._watch.hear(message)
-        self._bus_robot.receive(Estimates.of(rows_of([message])))
-
     def _obey(self, command: Command) -> list[can.Message]:
         if command.target not in (self.settings.id, EVERY_ROBOT):
             return []
@@ -235,9 +204,9 @@ class RobotNode:
             return []
         self.traffic.obeyed += 1
         if settles:
-            return self.settle()
+            return self.end_tick()
         self._tick_of_command = command.tick
-        return self.observe(command.action.observation)
+        return self.begin_tick(command.action.observation)
 
     @property
     def _now(self) -> float:

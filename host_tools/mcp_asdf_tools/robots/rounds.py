@@ -1,9 +1,8 @@
 """Control ticks of a robot: when it broadcasts, and when its firmware closes a round.
 
 The firmware counts rounds and leaves their length to its caller. Here a round has ``comms_period`` ticks: in
-the last of them the robot broadcasts, and at the end of that tick the firmware settles. A robot that a tool
-drives, on a bus or from a log, is a ``TickedRobot``; for a robot that runs elsewhere the tool keeps a
-``RoundTimer``. ``c_ref/ports/node`` does the same in C.
+the last of them the robot broadcasts, and at the end of that tick the firmware settles. ``c_ref/ports/node``
+does the same in C.
 """
 
 from __future__ import annotations
@@ -64,27 +63,8 @@ class TickConfig:
         return Config(self.table, self.filter, self.filter_period // self.comms_period, self.memory)
 
 
-class RoundTimer:
-    """Counts control ticks to the end of a round."""
-
-    def __init__(self, comms_period: int) -> None:
-        self._period = self._left = comms_period
-
-    def begin(self) -> bool:
-        """Begin a tick; returns whether its broadcast is due. It stays due until a tick has ended."""
-        self._left = max(self._left - 1, 0)
-        return self._left == 0
-
-    def end(self) -> bool:
-        """End the tick; returns whether that closes the round."""
-        closes = self._left == 0
-        if closes:
-            self._left = self._period
-        return closes
-
-
 class TickedRobot:
-    """A robot that is driven tick by tick.
+    """A firmware that is driven tick by tick.
 
     Attributes:
         robot: The firmware.
@@ -97,19 +77,24 @@ class TickedRobot:
         self.robot = robot
         self.port = port_of(robot)
         self.receive_all = self.port.receive_all
-        self._timer = RoundTimer(comms_period)
+        self._comms_period = self._left = comms_period
         self._ticks = 0
         self._counted = robot.counters
 
     def observe(self, z: Observation | None) -> bool:
-        """Begin a tick, with an observation or without; returns whether the broadcast is due."""
+        """Begin a tick, with an observation or without; returns whether the broadcast is due.
+
+        It stays due until a tick has ended.
+        """
         if z is not None:
             self.robot.observe(z)
-        return self._timer.begin()
+        self._left = max(self._left - 1, 0)
+        return self._left == 0
 
     def settle(self) -> None:
         """End the tick, and its round if that is due."""
-        if self._timer.end():
+        if self._left == 0:
+            self._left = self._comms_period
             self.robot.settle()
         self._ticks += 1
         if self._ticks % _TICKS_BETWEEN_COUNTS == 0:

@@ -17,8 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from mcp_asdf_tools.bus import ONE, bus_load
-from mcp_asdf_tools.swarm.run import Companion
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRobot
+from mcp_asdf_tools.robots import BusRobot
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm
 from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
 from mcp_asdf_tools.swarm.watch import Recalibration, Watch, mean_error
 
@@ -152,7 +152,7 @@ class SwarmPicture:
             drawn.put(places[node.id], *self._glyph(node))
         return drawn.text()
 
-    def _glyph(self, node: SwarmRobot) -> tuple[str, str]:
+    def _glyph(self, node: BusRobot) -> tuple[str, str]:
         """The sign of a robot, which can be told from others without colour."""
         if not node.is_alive:
             return "+" if self._ascii else "†", _SOFT
@@ -160,7 +160,7 @@ class SwarmPicture:
             return "x" if self._ascii else "▲", f"bold {_WRONG}"
         return "o" if self._ascii else "●", _RIGHT
 
-    def _is_wrong(self, node: SwarmRobot) -> bool:
+    def _is_wrong(self, node: BusRobot) -> bool:
         return abs(node.robot.b_hat - _accuracy(self._swarm, node)) > _WRONG_BY
 
     def _legend(self) -> Text:
@@ -205,7 +205,7 @@ class SwarmPicture:
             line = sparkline(errors, room, top, self._ascii)
             yield Text.assemble(f"{name:11} {now}  ", (line, style))
 
-    def _bars(self, nodes: list[SwarmRobot], width: int, rows: int) -> Iterator[Text]:
+    def _bars(self, nodes: list[BusRobot], width: int, rows: int) -> Iterator[Text]:
         is_cut = len(nodes) > rows
         for node in nodes[: rows - is_cut]:
             b_hat = node.robot.b_hat
@@ -261,7 +261,7 @@ class SwarmPicture:
         return Group(*(Text(line, style=_SOFT, no_wrap=True, overflow="ellipsis") for line in lines))
 
 
-def _accuracy(swarm: Swarm, node: SwarmRobot) -> float:
+def _accuracy(swarm: Swarm, node: BusRobot) -> float:
     """True accuracy of a robot's sensor at present."""
     return float(swarm.world.accuracy[node.id]) if swarm.ticks else swarm.settings.true_accuracy
 

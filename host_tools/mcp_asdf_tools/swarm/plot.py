@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common import plain_value
 from mcp_asdf_tools.robots import Filtering, TimeSeries, draw_time_series
-from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import SwarmRun
 from mcp_asdf_tools.world import Graph
 
 _LETTERS = 100

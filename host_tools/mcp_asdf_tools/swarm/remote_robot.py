@@ -1,17 +1,18 @@
 """Robots of a swarm that run elsewhere, in a process or a controller of their own, driven in lockstep.
 
-A ``RemoteNode`` stands for one of them here and follows its state from its frames. ``Driver`` commands those
-on one bus.
+A robot's half here follows its state from its frames (``RemoteFirmware``). ``Driver`` commands those on one
+bus.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import cast
 
 import can
 
 from mcp_asdf.fixed_point import word_to_alpha
-from mcp_asdf.robot import Counters, Observation
+from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus import (
     MAX_NODE_ID,
     ONE,
@@ -24,18 +25,17 @@ from mcp_asdf_tools.bus import (
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots import (
     DRIVER_ID,
-    Decoder,
+    BusRobot,
     Lockstep,
     LockstepSettings,
-    Participant,
     Recorder,
     RobotRecord,
-    RoundTimer,
     Subjects,
+    TickedRobot,
     Words,
 )
+from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
-from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.world import Topology
 
@@ -75,32 +75,44 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
 EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
 
 
-class RemoteRobot:
+class RemoteFirmware:
     """State of a robot elsewhere, as far as commands and its frames reveal it. b_hat has 24 bits, x 23.
 
+    It takes the place of a firmware in the robot's half here.
+
     Attributes:
+        id: Robot id.
         t: Observations commanded.
         n: Black ones among them.
         b_hat: Assumed accuracy.
-        x_hat: Local estimate.
-        alpha: Local confidence.
         x: Informed estimate.
+        x_hat_raw: Local estimate of the last broadcast.
+        alpha_raw: Local confidence of the last broadcast.
         counters: Only that of updates is known.
     """
 
     def __init__(self, record: RobotRecord) -> None:
+        self.id = record.id
         self.t = self.n = 0
         self.b_hat = record.b_hat
-        self.x_hat = self.x = 0.5
-        self.alpha = 0.0
+        self.x = 0.5
+        self.x_hat_raw, self.alpha_raw = ONE // 2, 0
         self.counters = Counters()
-        self._timer = RoundTimer(record.config.comms_period)
 
-    def observe(self, z: Observation | None) -> bool:
-        """The robot was commanded to observe; returns whether its broadcast is due."""
-        self.t += z is not None
+    @property
+    def x_hat(self) -> float:
+        """Local estimate."""
+        return self.x_hat_raw / ONE
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence."""
+        return word_to_alpha(self.alpha_raw)
+
+    def observe(self, z: Observation) -> None:
+        """The robot was commanded to observe."""
+        self.t += 1
         self.n += z is Observation.BLACK
-        return self._timer.begin()
 
     def receive_all(self, words: Words) -> int:
         """The robot hears these by itself."""
@@ -108,11 +120,10 @@ class RemoteRobot:
 
     def settle(self) -> None:
         """The robot was commanded to settle."""
-        self._timer.end()
 
     def take_estimate(self, message: Message) -> None:
         """Note the robot's broadcast."""
-        self.x_hat, self.alpha = message.x_hat / ONE, word_to_alpha(message.alpha)
+        self.x_hat_raw, self.alpha_raw = message.x_hat, message.alpha
 
     def take_telemetry(self, telemetry: Telemetry) -> None:
         """Note the robot's answer to a *settle*."""
@@ -122,17 +133,10 @@ class RemoteRobot:
         self.counters = Counters(updates=updates + (telemetry.updates - updates) % 256)
 
 
-class RemoteNode(Participant):
-    """A robot whose firmware runs elsewhere.
-
-    Attributes:
-        robot: What is known of the firmware here.
-    """
-
-    def __init__(self, record: RobotRecord, decoder: Decoder, recorder: Recorder | None = None) -> None:
-        """Stand for the robot of ``record``; ``recorder`` takes its events."""
-        self.robot = RemoteRobot(record)
-        super().__init__(record.id, self.robot, decoder, recorder)
+def remote_robot(record: RobotRecord, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
+    """The half here of a robot whose firmware runs elsewhere; ``recorder`` takes its events."""
+    firmware = cast(Robot, RemoteFirmware(record))
+    return BusRobot(record.id, lambda: TickedRobot(firmware, record.config.comms_period), frames, recorder)
 
 
 class Driver:
@@ -145,7 +149,7 @@ class Driver:
     def __init__(
         self,
         bus: can.BusABC,
-        nodes: Sequence[RemoteNode],
+        nodes: Sequence[BusRobot],
         frames: FrameFormat,
         log: Callable[[can.Message], None] | None = None,
     ) -> None:
@@ -173,7 +177,7 @@ class Driver:
         self._check = check
         self._lockstep.wait_until_up(self.nodes, timeout)
 
-    def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[RemoteNode, can.Message]]:
+    def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[BusRobot, can.Message]]:
         """Let robots observe, by id; returns the frames that they send in this tick, by rising id.
 
         Other frames than estimates count in the next tick, since their time is unpredictable.
@@ -184,7 +188,7 @@ class Driver:
         self._lockstep.observe(observations)
         due = [robot for robot, z in observations.items() if self.nodes[robot].begin(z)]
         for robot, message in self._lockstep.estimates(due).items():
-            self.nodes[robot].robot.take_estimate(message)
+            self._firmware(robot).take_estimate(message)
         return [(self.nodes[_sender(f)], f) for f in sent] + [
             (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
         ]
@@ -192,12 +196,17 @@ class Driver:
     def settle(self, robots: Collection[int]) -> None:
         """Let ``robots`` settle. Raises as ``Lockstep``."""
         for robot, telemetry in self._lockstep.settle(robots).items():
-            self.nodes[robot].robot.take_telemetry(telemetry)
+            self._firmware(robot).take_telemetry(telemetry)
             self.nodes[robot].settle()
         self._held.sort(key=_sender)
 
     def _look_after(self) -> None:
         self._check()
+
+    def _firmware(self, robot: int) -> RemoteFirmware:
+        firmware = self.nodes[robot].robot
+        assert isinstance(firmware, RemoteFirmware)
+        return firmware
 
     def _see(self, frame: can.Message) -> None:
         """Keep the robots' frames except their answers."""

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mcp_asdf_tools.bus import LIMIT
-from mcp_asdf_tools.swarm.run import SwarmRun
+from mcp_asdf_tools.swarm.swarm import SwarmRun
 
 Rows = Sequence[tuple[str, str]]
 """A name and a text each."""

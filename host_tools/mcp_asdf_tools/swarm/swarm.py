@@ -8,25 +8,34 @@ the faults have not taken away, so that a run depends on its settings alone, not
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import fmean
+from typing import Any
 
 import can
+import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import Message, alpha_bits
+from mcp_asdf_tools.bus import BIT_RATES, FrameFormat, Message, alpha_bits, bus_load, decode
+from mcp_asdf_tools.common import software_versions
 from mcp_asdf_tools.recording import SidecarWriter
-from mcp_asdf_tools.robots import BusRobot, Decoder, FrameTaker, RobotRecord, make_clock
-from mcp_asdf_tools.swarm.air import Air
-from mcp_asdf_tools.swarm.faults import Faults, SentFrame
-from mcp_asdf_tools.swarm.in_process import InProcess
-from mcp_asdf_tools.swarm.medium import ChannelPerRobot, Medium, RemoteBus, SharedBus, Wiring
-from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteNode, check_remote
+from mcp_asdf_tools.robots import BusRobot, ClockKind, FrameTaker, LockstepError, RobotRecord, make_clock
+from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
+from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
+from mcp_asdf_tools.swarm.faults import Faults
+from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remote, remote_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
 from mcp_asdf_tools.world import World
 
-SwarmRobot = BusRobot | RemoteNode
-"""A robot of a swarm, here or elsewhere."""
+QUANTITIES = ("b_hat", "x_hat", "x")
+"""Quantities of each robot in a history."""
+
+MAX_SAMPLES = 2000
+"""About as many as a plot can show."""
 
 
 class Swarm:
@@ -61,37 +70,32 @@ class Swarm:
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
         self.clock = make_clock(settings.clock, settings.steps_per_second)
         self._sidecar = sidecar
-        self._decode = Decoder(settings.frames)
-        self.nodes: list[SwarmRobot] = [
-            _robot_of(record, record.id in wiring.remote, self._decode, sidecar)
+        self._remote = wiring.remote
+        check_remote(settings, wiring)
+        self.nodes = [
+            _robot_of(record, record.id in wiring.remote, settings.frames, sidecar)
             for record in settings.records()
         ]
-        self._here = [node for node in self.nodes if isinstance(node, BusRobot)]
+        self._here = [node for node in self.nodes if node.id not in wiring.remote]
         self.traffic = Traffic([node.reception for node in self.nodes])
-        self._air = Air(self.world, self.faults, settings.latency)
+        self._delivery = Delivery(self.world, self.faults, settings.latency)
         taker = None if log is None else _as_received(log, wiring)
-        self._medium, self._drivers = self._connect(wiring, taker)
+        self._carrier = Carrier(self.nodes, self._delivery, settings.frames, self.clock)
+        self._carrier.join(wiring, taker)
+        self._drivers = self._drive(wiring, taker)
 
-    def _connect(self, wiring: Wiring, log: FrameTaker | None) -> tuple[Medium, list[Driver]]:
-        """Medium of the frames, and drivers of remote robots."""
-        check_remote(self.settings, wiring)
-        if wiring.open_bus is None:
-            return InProcess(self._here, self._air, self._decode, log), []
-        frames = self.settings.frames
-        away = [node for node in self.nodes if isinstance(node, RemoteNode)]
-        if not wiring.is_shared:
-            channels = ChannelPerRobot(self.nodes, self._air, wiring, self.clock, log)
-            return channels, [Driver(channels.ends[n.id].bus, [n], frames, log) for n in away]
-        if away:
-            remote = RemoteBus(self.nodes, self._air, wiring)
-            return remote, [Driver(remote.end, away, frames, log)]
-        return SharedBus(self.nodes, self._air, wiring, self.clock, log), []
+    def _drive(self, wiring: Wiring, log: FrameTaker | None) -> list[Driver]:
+        """Drivers of the robots elsewhere, one a bus."""
+        away = [node for node in self.nodes if node.id in wiring.remote]
+        groups = [away] if wiring.is_shared and away else [[node] for node in away]
+        ends = self._carrier.ends
+        return [Driver(ends[nodes[0].id].bus, nodes, self.settings.frames, log) for nodes in groups]
 
     def __enter__(self) -> Swarm:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._medium.__exit__()
+        self._carrier.__exit__()
 
     def wait_until_up(self, timeout: float, check: Callable[[], None] = lambda: None) -> None:
         """Return when all remote robots are there.
@@ -112,13 +116,13 @@ class Swarm:
         self.clock.begin(self.ticks)
         seen = self.world.step()
         alive = [node for node in self._here if self.faults.survives(node, self.ticks)]
-        frames: list[tuple[SwarmRobot, can.Message]] = [*self._reports(alive)]
+        frames: list[tuple[BusRobot, can.Message]] = [*self._reports(alive)]
         frames += self._estimates(alive, seen)
         frames += self._commanded(seen)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
         if self.faults.babbles:
             sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
-        self._medium.carry(self.ticks)
+        self._carrier.carry(self.ticks)
         for node in alive:
             node.settle()
         for driver in self._drivers:
@@ -126,11 +130,11 @@ class Swarm:
         self.ticks += 1
         self._count(sent)
 
-    def _commanded(self, seen: Sequence[Observation | None]) -> Iterator[tuple[RemoteNode, can.Message]]:
+    def _commanded(self, seen: Sequence[Observation | None]) -> Iterator[tuple[BusRobot, can.Message]]:
         """Let remote robots observe; yields what they send."""
         for driver in self._drivers:
             for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
-                is_estimate = isinstance(self._decode(frame), Message)
+                is_estimate = isinstance(decode(frame, self.settings.frames), Message)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
                 yield node, frame
@@ -155,17 +159,17 @@ class Swarm:
         self.traffic.sent += len(due)
         return due
 
-    def _send(self, node: SwarmRobot, frame: can.Message, is_own: bool = True) -> list[SentFrame]:
+    def _send(self, node: BusRobot, frame: can.Message, is_own: bool = True) -> list[SentFrame]:
         """Let a robot send the frames that the faults make of one, its own or one that it babbles."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # A frame of a robot elsewhere is on its bus already, unchanged by faults.
-        if self._sidecar is not None and isinstance(node, BusRobot):
-            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self._decode)
+        if self._sidecar is not None and node.id not in self._remote:
+            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
         for sent in leaving:
-            self._medium.send(sent)
+            self._carrier.send(sent)
         return leaving
 
-    def _babble(self, node: SwarmRobot) -> list[SentFrame]:
+    def _babble(self, node: BusRobot) -> list[SentFrame]:
         frames = self.faults.babble(node.id, self.ticks, self._now)
         return [sent for frame in frames for sent in self._send(node, frame, is_own=False)]
 
@@ -177,17 +181,17 @@ class Swarm:
     def _count(self, sent: list[SentFrame]) -> None:
         traffic = self.traffic
         traffic.add([each.frame for each in sent])
-        traffic.in_range, traffic.arrived = self._air.in_range, self._air.arrived
-        traffic.missed = self._medium.missed
+        traffic.in_range, traffic.arrived = self._delivery.in_range, self._delivery.arrived
+        traffic.missed = self._carrier.missed
 
 
 def _robot_of(
-    record: RobotRecord, is_remote: bool, decoder: Decoder, sidecar: SidecarWriter | None
-) -> SwarmRobot:
+    record: RobotRecord, is_remote: bool, frames: FrameFormat, sidecar: SidecarWriter | None
+) -> BusRobot:
     recorder = None if sidecar is None else sidecar.robots[record.id]
     if is_remote:
-        return RemoteNode(record, decoder, recorder)
-    return BusRobot(record.id, record.make, decoder, recorder)
+        return remote_robot(record, frames, recorder)
+    return BusRobot(record.id, record.make, frames, recorder)
 
 
 def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
@@ -207,15 +211,15 @@ def _note_fate(
     robot: int,
     frame: can.Message | None,
     leaving: Sequence[SentFrame],
-    decode: Decoder,
+    frames: FrameFormat,
 ) -> None:
     """Record how the frames ``leaving`` the robot differ from its own ``frame``, None if it babbles."""
     if [sent.frame for sent in leaving] == [frame]:
         return
-    own = None if frame is None else decode(frame)
+    own = None if frame is None else decode(frame, frames)
     is_heard = False
     for sent in leaving:
-        said = decode(sent.frame)
+        said = decode(sent.frame, frames)
         if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
             is_heard = True
             if frame is not None and sent.frame.data != frame.data:
@@ -224,3 +228,197 @@ def _note_fate(
             sidecar.injected(sent.frame)
     if isinstance(own, Message) and not is_heard:
         sidecar.robots[robot].silent()
+
+
+# --- A run from start to end ---
+
+SwarmHook = Callable[[Swarm], None]
+"""Called after every tick."""
+
+
+class History:
+    """Every robot's b_hat, x_hat and x over time, thinned so that memory does not grow with the run."""
+
+    def __init__(self, ticks: int) -> None:
+        """Prepare for a run of ``ticks``."""
+        self._sampling_interval = -(-ticks // MAX_SAMPLES)
+        self._ticks: list[int] = []
+        self._rows: list[list[list[float]]] = []
+
+    def sample(self, swarm: Swarm) -> None:
+        """Keep the present state if a sample is due."""
+        if swarm.ticks % self._sampling_interval == 0:
+            self.add(swarm)
+
+    def add(self, swarm: Swarm) -> None:
+        """Keep the present state, once."""
+        if self._ticks[-1:] != [swarm.ticks]:
+            self._ticks.append(swarm.ticks)
+            self._rows.append([[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES])
+
+    @property
+    def ticks(self) -> NDArray[np.int64]:
+        """Ticks done at each sample, rising from 0."""
+        return np.array(self._ticks, dtype=np.int64)
+
+    def values(self, quantity: str) -> NDArray[np.float64]:
+        """One of QUANTITIES, of shape (samples, robots)."""
+        index = QUANTITIES.index(quantity)
+        return np.array([row[index] for row in self._rows], dtype=np.float64)
+
+
+@dataclass
+class SwarmRun:
+    """Run of a swarm, finished or not.
+
+    Attributes:
+        settings: Its parameters.
+        nodes: The robots in their last state.
+        history: Their states over time.
+        results: Results as plain values, for JSON.
+        interrupted: Whether Ctrl-C ended it.
+        failure: Failure of the bus that ended it; None if there was none.
+    """
+
+    settings: SwarmSettings
+    nodes: Sequence[BusRobot]
+    history: History
+    results: dict[str, Any] = field(default_factory=dict)
+    interrupted: bool = False
+    failure: str | None = None
+
+    def report(self, bus: dict[str, Any]) -> dict[str, Any]:
+        """Everything needed to repeat the run, and its results, as plain values; equal for equal runs."""
+        return {
+            "parameters": self.settings.plain(),
+            "bus": bus,
+            "versions": software_versions(),
+            "interrupted": self.interrupted,
+            "failure": self.failure,
+            "results": self.results,
+        }
+
+
+def run_swarm(swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
+    """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
+
+    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; the ticks done count.
+    """
+    history = History(swarm.settings.steps)
+    history.add(swarm)
+    outcome = SwarmRun(swarm.settings, swarm.nodes, history)
+    try:
+        while swarm.ticks < swarm.settings.steps:
+            swarm.tick()
+            history.sample(swarm)
+            for hook in hooks:
+                hook(swarm)
+    except KeyboardInterrupt:
+        outcome.interrupted = True
+    except (SwarmError, LockstepError, can.CanError) as error:
+        outcome.failure = f"tick {swarm.ticks + 1}: {error}"
+    history.add(swarm)
+    outcome.results = _results(swarm, history)
+    return outcome
+
+
+class Companion:
+    """Hook that keeps the same swarm without the filter in step, so that both can be compared at any time.
+
+    It has no bus, which makes no difference to its robots.
+
+    Attributes:
+        swarm: The swarm without the filter.
+        seconds: Time spent on it.
+    """
+
+    def __init__(self, settings: SwarmSettings) -> None:
+        """Make the other swarm. Raises as ``Swarm``."""
+        self.swarm = Swarm(replace(settings.without_filter(), clock=ClockKind.LOCKSTEP), Wiring())
+        self.seconds = 0.0
+        self._history = History(settings.steps)
+        self._history.add(self.swarm)
+
+    def __call__(self, swarm: Swarm) -> None:
+        """Take a step, as ``swarm`` has."""
+        began = time.monotonic()
+        self.swarm.tick()
+        self._history.sample(self.swarm)
+        self.seconds += time.monotonic() - began
+
+    def results(self) -> dict[str, Any]:
+        """Its results so far, as those of a run."""
+        self._history.add(self.swarm)
+        return _results(self.swarm, self._history)
+
+
+def _results(swarm: Swarm, history: History) -> dict[str, Any]:
+    x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
+    counters = [node.counters for node in swarm.nodes]
+    has_remote = any(isinstance(node.robot, RemoteFirmware) for node in swarm.nodes)
+    flawed = [node.id for node in swarm.nodes if swarm.settings.is_flawed(node.id)]
+    other = [node.id for node in swarm.nodes if not swarm.settings.is_flawed(node.id)]
+    tick = 1 / swarm.settings.steps_per_second
+    return {
+        "steps": swarm.ticks,
+        "mean_x": fmean(x),
+        "mean_error": fmean(np.abs(x - swarm.settings.fill_ratio)),
+        "spread_x": float(np.ptp(x)),
+        "spread_x_hat": float(np.ptp(x_hat)),
+        "tests": None if has_remote else sum(each.tests for each in counters),
+        "updates": sum(each.updates for each in counters),
+        "b_hat": {
+            "flawed": _before_and_after(history, flawed),
+            "other": _before_and_after(history, other),
+        },
+        "frames": swarm.traffic.figures(),
+        "faults": swarm.faults.figures(),
+        "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
+        "clock": swarm.clock.figures(),
+        "robots": [_robot_figures(node) for node in swarm.nodes],
+    }
+
+
+def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any] | None:
+    """Mean b_hat of ``robots`` at the start and at the end; None if there are none."""
+    if not robots:
+        return None
+    chosen = history.values("b_hat")[:, robots]
+    after = chosen[-1]
+    return {
+        "robots": len(robots),
+        "before": fmean(chosen[0]),
+        "after": fmean(after),
+        "after_min": float(after.min()),
+        "after_max": float(after.max()),
+    }
+
+
+def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, float]]:
+    """Load of a run's traffic on one real bus, by bit rate.
+
+    ``mean`` over the ``seconds`` of the run, and ``peak`` in the busiest tick, of ``tick`` seconds.
+    """
+    return {
+        str(rate): {
+            "mean": bus_load(traffic.bits, seconds, rate) if seconds else 0.0,
+            "peak": bus_load(traffic.peak_bits, tick, rate),
+        }
+        for rate in BIT_RATES
+    }
+
+
+def _robot_figures(node: BusRobot) -> dict[str, Any]:
+    """Figures of one robot."""
+    reception, counters = node.reception, node.counters
+    return {
+        "id": node.id,
+        "delivered": reception.delivered,
+        "refused": reception.refused,
+        "rejected": {reason.name: count for reason, count in reception.rejected.items()},
+        "tests": None if isinstance(node.robot, RemoteFirmware) else counters.tests,
+        "updates": counters.updates,
+        "t": node.robot.t,
+        "b_hat": node.robot.b_hat,
+        "x": node.robot.x,
+    }

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import can
-import numpy as np
 
-from mcp_asdf_tools.bus import Rejection, Telemetry, wire_bits
+from mcp_asdf_tools.bus import Rejection, Telemetry, worst_bits
 from mcp_asdf_tools.robots import Reception
-
-_TICKS_AT_ONCE = 64
-_COUNTS = ("sent", "heartbeats_sent", "telemetry_sent", "on_the_bus", "in_range", "arrived", "missed")
 
 
 @dataclass
@@ -30,6 +26,8 @@ class Traffic:
         in_range: Those, counted once for each robot in range of their senders.
         arrived: Frames that robots heard of those, late ones and copies included.
         missed: Frames that the bus lost or delivered after their tick; none in lockstep.
+        bits: Length of all frames on a bus shared by all, at worst.
+        peak_bits: The same in the busiest tick.
     """
 
     receptions: Sequence[Reception]
@@ -40,36 +38,15 @@ class Traffic:
     in_range: int = 0
     arrived: int = 0
     missed: int = 0
-    _bits: int = 0
-    _peak_bits: int = 0
-    _unmeasured: list[Sequence[can.Message]] = field(default_factory=list)
+    bits: int = 0
+    peak_bits: int = 0
 
     def add(self, frames: Sequence[can.Message]) -> None:
-        """Count the frames that got onto the bus in one tick; they must not change any more."""
+        """Count the frames that got onto the bus in one tick."""
+        bits = sum(map(worst_bits, frames))
         self.on_the_bus += len(frames)
-        self._unmeasured.append(frames)
-        if len(self._unmeasured) == _TICKS_AT_ONCE:
-            self._measure()
-
-    def _measure(self) -> None:
-        """Measure the frames of several ticks at once, which is faster."""
-        ticks, self._unmeasured = self._unmeasured, []
-        lengths = np.cumsum([0, *wire_bits([frame for frames in ticks for frame in frames])])
-        bits = np.diff(lengths[np.cumsum([0, *map(len, ticks)])])
-        self._bits += int(bits.sum())
-        self._peak_bits = max(self._peak_bits, *bits.tolist(), 0)
-
-    @property
-    def bits(self) -> int:
-        """Length of all frames on a bus shared by all (``mcp_asdf_tools.bus.load.wire_bits``)."""
-        self._measure()
-        return self._bits
-
-    @property
-    def peak_bits(self) -> int:
-        """The same in the busiest tick."""
-        self._measure()
-        return self._peak_bits
+        self.bits += bits
+        self.peak_bits = max(self.peak_bits, bits)
 
     def total(self, name: str) -> int:
         """The sum over robots of one of the numbers in ``Reception``."""
@@ -92,10 +69,8 @@ class Traffic:
 
     def figures(self) -> dict[str, Any]:
         """The counts as plain values, for JSON."""
-        own = {name: value for name, value in vars(self).items() if name in _COUNTS}
+        own = {name: value for name, value in vars(self).items() if name != "receptions"}
         return own | {
-            "bits": self.bits,
-            "peak_bits": self.peak_bits,
             "delivered": self.total("delivered"),
             "heartbeats_heard": self.total("heartbeats"),
             "telemetry_heard": self.total("telemetry"),

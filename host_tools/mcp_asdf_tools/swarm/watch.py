@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from statistics import fmean
 from typing import NamedTuple
 
-from mcp_asdf_tools.swarm.run import Companion
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm
 
 _MOST_ERRORS = 400
 """About as many as a terminal can show."""

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus import ONE, Message, Telemetry
-from mcp_asdf_tools.robots import Decoder
+from mcp_asdf_tools.bus import ONE, FrameFormat, Message, Telemetry, decode_any
 from mcp_asdf_tools.view.film import QUANTITIES, LiveFilm, Sample, Stage
 
 SAMPLES_PER_SECOND = 10
@@ -27,13 +26,13 @@ class BusFilm:
     """
 
     def __init__(
-        self, bus: can.BusABC, decoder: Decoder, title: str, f: float | None = None, b: float | None = None
+        self, bus: can.BusABC, frames: FrameFormat, title: str, f: float | None = None, b: float | None = None
     ) -> None:
-        """Listen on ``bus``; the true ``f`` and ``b`` are drawn if they are known."""
+        """Listen on ``bus`` for these estimates; the true ``f`` and ``b`` are drawn if they are known."""
         self.film = LiveFilm(Stage(title, [], fill_ratio=f, steps_per_second=SAMPLES_PER_SECOND))
         self.has_telemetry = False
         self._bus = bus
-        self._decode = decoder
+        self._frames = frames
         self._unknown = [np.nan, np.nan, np.nan, np.nan if b is None else b]
         self._states: dict[int, list[float]] = {}
 
@@ -51,7 +50,7 @@ class BusFilm:
 
     def hear(self, frame: can.Message) -> None:
         """Take a frame of any node. O(1)."""
-        content = self._decode(frame)
+        content = decode_any(frame, self._frames)
         if isinstance(content, Message):
             self._state(content.sender)[_X_HAT] = content.x_hat / ONE
         elif isinstance(content, Telemetry):

@@ -1,0 +1,294 @@
+"""Carrier of frames from robot to robot, over python-can buses or inside this process.
+
+``Delivery`` decides which frames each robot hears, and when. The ``Carrier`` brings them there:
+
+- inside this process where no other program can listen;
+- over one bus: what robots send is on it, and the carrier listens with a connection of its own. Another
+  program on the bus sees the frames sent;
+- over a bus for every robot: the carrier reads there what the robot sends, and writes what it hears. Another
+  program on that bus sees what this robot sees.
+
+Robots may also run elsewhere, on any of these buses. However frames are carried, a robot hears the same ones
+in the same order.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.bus import FrameFormat, decode_any, decode_estimates
+from mcp_asdf_tools.robots import BusRobot, Clock, FrameTaker
+from mcp_asdf_tools.swarm.delivery import Arrivals, Content, Delivery, SentFrame, content_of
+
+TIMEOUT = 2.0
+"""Seconds after which a frame that has not come counts as lost."""
+
+_BATCH = 64
+"""Frames sent between two reads: a socket of usual size holds more than 200."""
+
+_MOST_RETURNED = 256
+"""Sent frames remembered, since the bus may return them."""
+
+_MOST_LATE = 4096
+"""Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
+
+
+class SwarmError(RuntimeError):
+    """The swarm cannot go on: the bus lost a frame."""
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """Assignment of robots to buses.
+
+    Attributes:
+        open_bus: Joins the bus of a robot, by id. None for no bus: robots of this process that nothing else
+            hears.
+        is_shared: Whether that is one bus for all, else every robot has its own.
+        remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
+        channel: Name of the bus in logs where there is none.
+    """
+
+    open_bus: Callable[[int], can.BusABC] | None = None
+    is_shared: bool = True
+    remote: frozenset[int] = frozenset()
+    channel: str = ""
+
+
+class Connection:
+    """Bus connection that tracks the frames it expects.
+
+    Attributes:
+        bus: The connection.
+        missed: Expected frames that were late or lost so far.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        who: str,
+        stranger: FrameTaker = lambda frame: None,
+        every: FrameTaker | None = None,
+    ) -> None:
+        """``stranger`` takes each unexpected frame, ``every`` all frames; errors name ``who`` listens."""
+        self.bus = bus
+        self.missed = 0
+        self._who = who
+        self._stranger = stranger
+        self._every = every
+        self._late: list[SentFrame] = []
+        self._own: deque[Content] = deque(maxlen=_MOST_RETURNED)
+
+    def send(self, frame: can.Message) -> None:
+        """Put ``frame`` on the bus. Raises can.CanError if that does not take it."""
+        self.bus.send(frame, timeout=TIMEOUT)
+        self._own.append(content_of(frame))
+
+    def take(self, expected: Sequence[SentFrame], patience: float | None) -> Sequence[SentFrame]:
+        """Read until all ``expected`` have come, or for ``patience`` seconds; returns those that have.
+
+        They are in the order given, after late ones of earlier calls. Raises SwarmError if one is missing
+        after TIMEOUT seconds and ``patience`` is None. O(frames on the bus).
+        """
+        wanted = [*self._late, *expected] if self._late else expected
+        left = Counter(each.content for each in wanted)
+        self._read(left, TIMEOUT if patience is None else patience)
+        self._late = []
+        if not left:
+            return wanted
+        if patience is None:
+            raise self._error([each for each in wanted if each.content in left])
+        come: list[SentFrame] = []
+        for each in reversed(wanted):  # of frames that are the same those sent last are missing
+            (self._late if _took(left, each.content) else come).insert(0, each)
+        self.missed += sum(each in expected for each in self._late)
+        return come
+
+    def _read(self, left: Counter[Content], seconds: float) -> None:
+        """Take frames off ``left`` until it is empty or the time is over."""
+        deadline, late = time.monotonic() + seconds, 0
+        while left and late < _MOST_LATE:
+            seconds = max(0.0, deadline - time.monotonic())
+            late += seconds == 0.0
+            frame = self.bus.recv(seconds)
+            if frame is None:
+                return
+            self._sort(frame, left)
+
+    def drain(self, frames: int) -> None:
+        """Read up to ``frames`` frames while none is expected: strangers, and sent ones that come back."""
+        for _ in range(frames):
+            frame = self.bus.recv(0)
+            if frame is None:
+                return
+            self._sort(frame, Counter())
+
+    def _sort(self, frame: can.Message, left: Counter[Content]) -> None:
+        """Take a frame off ``left``, or hand over a stranger."""
+        if self._every is not None:
+            self._every(frame)
+        content = content_of(frame)
+        # A bus may return sent frames. SocketCAN does not mark frames from this computer as received.
+        if not _took(left, content) and (frame.is_rx or content not in self._own):
+            self._stranger(frame)
+
+    def _error(self, missing: Sequence[SentFrame]) -> SwarmError:
+        names = ", ".join(dict.fromkeys(f"frame {each.frame.arbitration_id:08X}" for each in missing[:8]))
+        return SwarmError(
+            f"{self._who} did not hear {names}{', ...' * (len(missing) > 8)} within {TIMEOUT:g} s on "
+            f"{self.bus.channel_info}: the bus loses frames; use a faster bus or fewer robots"
+        )
+
+
+def _took(left: Counter[Content], content: Content) -> bool:
+    """Take one of ``content`` off; False if none is left."""
+    number = left.get(content, 0)
+    if number == 1:
+        del left[content]
+    elif number:
+        left[content] = number - 1
+    return number > 0
+
+
+class Carrier:
+    """Carries frames. A context manager: leaving it closes the buses.
+
+    Attributes:
+        ends: The carrier's own connection to the bus of each robot, by id; none without a bus.
+    """
+
+    def __init__(
+        self, robots: Sequence[BusRobot], delivery: Delivery, frames: FrameFormat, clock: Clock
+    ) -> None:
+        """Carry between these robots, which hear ``frames`` as estimates."""
+        self.ends: dict[int, Connection] = {}
+        self._robots = robots
+        self._delivery = delivery
+        self._frames = frames
+        self._clock = clock
+        self._log: FrameTaker = lambda frame: None
+        self._has_own_buses = False
+        self._radios: dict[int, Connection] = {}
+        self._sent: list[SentFrame] = []
+        self._come: list[SentFrame] = []
+        self._stack = ExitStack()
+
+    def join(self, wiring: Wiring, log: FrameTaker | None = None) -> None:
+        """Join the buses, for the robots here and for the carrier. Fails as ``wiring.open_bus``.
+
+        ``log`` takes every frame that robots send.
+        """
+        everyone = range(len(self._robots))
+        if wiring.open_bus is None:
+            self._log = log or self._log
+            return
+        self._has_own_buses = not wiring.is_shared
+        with ExitStack() as stack:
+            for members in [everyone] if wiring.is_shared else [[robot] for robot in everyone]:
+                first = members[0]
+                if first not in wiring.remote:
+                    radio = Connection(stack.enter_context(wiring.open_bus(first)), "a robot")
+                    self._radios |= dict.fromkeys(members, radio)
+                bus = stack.enter_context(wiring.open_bus(first))
+                end = Connection(bus, "the carrier", partial(self._meet, members), log)
+                self.ends |= dict.fromkeys(members, end)
+            self._stack = stack.pop_all()
+
+    def _meet(self, robots: Sequence[int], stranger: can.Message) -> None:
+        """Let these robots hear a frame from outside the swarm."""
+        for robot in robots:
+            self._robots[robot].hear_stranger(stranger)
+
+    def send(self, sent: SentFrame) -> None:
+        """Let the sender put a frame on its bus; that of a robot elsewhere is there already.
+
+        Raises can.CanError if the bus does not take it, and as ``carry``.
+        """
+        self._log(sent.frame)
+        if sent.sender in self._radios:
+            self._radios[sent.sender].send(sent.frame)
+        self._sent.append(sent)
+        if len(self._sent) == _BATCH:
+            self._read(sent.tick)
+
+    def _read(self, tick: int) -> None:
+        """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
+        sent, self._sent = self._sent, []
+        for end, frames in groupby(sent, self._end_of):
+            expected = list(frames)
+            self._come += end.take(expected, self._clock.patience(tick)) if end is not None else expected
+
+    def _end_of(self, sent: SentFrame) -> Connection | None:
+        """The connection at which the carrier hears the sender; None where it knows the frame already."""
+        return self.ends[sent.sender] if sent.sender in self._radios else None
+
+    def carry(self, tick: int) -> None:
+        """Let every robot hear its frames of this tick, after all have sent.
+
+        Raises SwarmError if a bus loses a frame and the clock waits for it.
+        """
+        self._read(tick)
+        if self._radios and not self._has_own_buses:
+            self._radios[0].drain(_BATCH)
+        come, self._come = self._come, []
+        arrivals = self._delivery.arrivals(tick, come)
+        if not self._has_own_buses:
+            self._hand_over(arrivals)
+            return
+        for robot, hearer in enumerate(self._robots):
+            frames = arrivals.of(robot)
+            for start in range(0, len(frames), _BATCH):
+                hearer.hear(*self._pass_on(robot, frames[start : start + _BATCH], tick))
+
+    def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
+        """Put ``frames`` on the robot's bus; returns what it reads there."""
+        radio, end = self._radios.get(robot), self.ends[robot]
+        if radio is None:
+            # An error frame is a driver's report: it cannot be sent on a real bus.
+            frames = [frame for frame in frames if not frame.is_error_frame]
+        for frame in frames:
+            end.send(frame)
+        if radio is None:
+            return frames
+        heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._clock.patience(tick))
+        if len(frames) == _BATCH:
+            end.drain(_BATCH)
+        return [each.frame for each in heard]
+
+    def _hand_over(self, arrivals: Arrivals) -> None:
+        """Let each robot receive all of its estimates at once, decoded once for all, and count the rest."""
+        words, is_estimate = decode_estimates(arrivals.sent, self._frames, arrivals.flips)
+        reach = arrivals.reach[is_estimate]
+        heard = words[is_estimate][reach.T.nonzero()[1]]
+        ends = np.count_nonzero(reach, axis=0).cumsum().tolist()
+        for robot, start, end in zip(self._robots, [0, *ends], ends, strict=False):
+            robot.receive(heard[start:end])
+        if not is_estimate.all():
+            self._count(arrivals, np.flatnonzero(~is_estimate))
+
+    def _count(self, arrivals: Arrivals, others: NDArray[np.intp]) -> None:
+        """Let each robot count the ``others`` among its frames, those that are no estimates."""
+        contents = [decode_any(arrivals.frame(number), self._frames) for number in others.tolist()]
+        for robot, is_heard in zip(self._robots, arrivals.reach[others].T, strict=True):
+            robot.count([contents[number] for number in is_heard.nonzero()[0].tolist()])
+
+    @property
+    def missed(self) -> int:
+        """Frames that a bus did not bring in time so far."""
+        return sum(each.missed for each in {*self._radios.values(), *self.ends.values()})
+
+    def __enter__(self) -> Carrier:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()

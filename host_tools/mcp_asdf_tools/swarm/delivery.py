@@ -1,0 +1,174 @@
+"""Delivery: the frames that each robot hears, and when, by topology, latency and faults."""
+
+from __future__ import annotations
+
+import copy
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+Mask = NDArray[np.bool_]
+"""One value for each frame of a tick and each receiver, by id, shape (frames, receivers)."""
+
+Content = tuple[int, bytes, bool]
+"""Identifier and data of a frame, and whether it is an error frame."""
+
+
+@dataclass(frozen=True)
+class SentFrame:
+    """A frame that has got onto the bus.
+
+    Attributes:
+        frame: As it is there.
+        sender: The node that has sent it, which may differ from the id in the frame.
+        tick: When.
+        number: Frames with its identifier that the node has sent before in this tick.
+    """
+
+    frame: can.Message
+    sender: int
+    tick: int
+    number: int = 0
+
+    @cached_property
+    def content(self) -> Content:
+        """What tells the frame from others; it must not change any more."""
+        return content_of(self.frame)
+
+
+def content_of(frame: can.Message) -> Content:
+    """What tells a frame on a bus from others."""
+    return frame.arbitration_id, bytes(frame.data), frame.is_error_frame
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Paths of one kind that frames of one tick take to receivers.
+
+    Attributes:
+        reach: Whether a frame reaches a receiver on such a path.
+        delay: Ticks that it takes.
+        version: Number that tells copies for one receiver apart.
+        places: Where in its tick a frame arrives, above 0 up to 1, shape (frames, receivers); None for
+            its turn.
+        flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,
+            receivers); None if none do.
+    """
+
+    reach: Mask
+    delay: int = 0
+    version: int = 0
+    places: NDArray[np.float64] | None = None
+    flips: NDArray[np.uint64] | None = None
+
+    def arrivals(self, sent: Sequence[SentFrame]) -> Arrivals:
+        """The arrivals of ``sent`` on these paths, in the order of sending."""
+        frames = [each.frame for each in sent]
+        if self.flips is None and self.places is None:
+            return Arrivals(frames, np.zeros(len(frames), np.uint64), self.reach)
+        numbers, receivers = self.reach.nonzero()
+        own = np.zeros((len(numbers), self.reach.shape[1]), np.bool_)
+        own[np.arange(len(numbers)), receivers] = True
+        flips = np.zeros(len(numbers), np.uint64) if self.flips is None else self.flips[self.reach]
+        return Arrivals([frames[number] for number in numbers.tolist()], flips, own)
+
+    def places_of(self, arrivals: Arrivals) -> NDArray[np.float64]:
+        """Place in its tick of each of these arrivals, 0 for its turn."""
+        return np.zeros(len(arrivals.sent)) if self.places is None else self.places[self.reach]
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Frames that robots hear in one tick, in an order that is right for each of them.
+
+    Attributes:
+        sent: The frames as they were sent; one that arrives differently is here once for each receiver.
+        flips: Bits of the data that arrive flipped, as in ``Paths``, shape (frames,).
+        reach: True for the robots that hear a frame, shape (frames, robots).
+    """
+
+    sent: Sequence[can.Message]
+    flips: NDArray[np.uint64]
+    reach: Mask
+
+    def frame(self, number: int) -> can.Message:
+        """A frame as it arrives."""
+        flips = int(self.flips[number])
+        return flipped(self.sent[number], flips) if flips else self.sent[number]
+
+    def of(self, robot: int) -> list[can.Message]:
+        """The frames that ``robot`` hears, in order."""
+        return [self.frame(number) for number in self.reach[:, robot].nonzero()[0].tolist()]
+
+
+def flipped(frame: can.Message, flips: int) -> can.Message:
+    """The frame with these bits of its data flipped, the lowest that of the first byte."""
+    damaged, length = copy.copy(frame), len(frame.data)
+    data = int.from_bytes(frame.data, "little") ^ flips
+    damaged.data = bytearray(data.to_bytes(length, "little"))
+    return damaged
+
+
+class InRange(Protocol):
+    """World as seen by the delivery."""
+
+    @property
+    def hears(self) -> NDArray[np.bool_]:
+        """True if robot i hears j at present, by id; never itself."""
+
+
+class Links(Protocol):
+    """Faults as seen by the delivery."""
+
+    def paths(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Paths]:
+        """Paths of the frames that arrive in this tick, if undisturbed, at the receivers in range."""
+
+
+class Delivery:
+    """The frames that each robot hears of those sent.
+
+    Attributes:
+        in_range: Frames sent so far, counted once for each neighbour in range.
+        arrived: Frames heard so far.
+    """
+
+    def __init__(self, world: InRange, faults: Links, latency: int) -> None:
+        """Bring frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed."""
+        self.in_range = self.arrived = 0
+        self._world = world
+        self._faults = faults
+        self._is_late = latency > 0
+        self._held: Sequence[SentFrame] = ()
+        self._due: defaultdict[int, list[tuple[Paths, Arrivals]]] = defaultdict(list)
+
+    def arrivals(self, tick: int, sent: Sequence[SentFrame]) -> Arrivals:
+        """The frames that robots hear in this tick, of those ``sent`` in it and late ones.
+
+        Call once per tick, and pass no frame twice. O(faults frames robots).
+        """
+        if self._is_late:
+            sent, self._held = self._held, sent
+        in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
+        for paths in self._faults.paths(tick, sent, in_range):
+            self._due[tick + paths.delay].append((paths, paths.arrivals(sent)))
+        due = self._due.pop(tick, [])
+        self.in_range += int(np.count_nonzero(in_range))
+        self.arrived += sum(int(np.count_nonzero(paths.reach)) for paths, _ in due)
+        return _joined(due, in_range.shape[1])
+
+
+def _joined(due: Sequence[tuple[Paths, Arrivals]], robots: int) -> Arrivals:
+    """Those in their turn as they come, then those that fall behind, by rising place."""
+    sent = [frame for _, each in due for frame in each.sent]
+    flips = np.concatenate([np.zeros(0, np.uint64), *(each.flips for _, each in due)])
+    reach = np.concatenate([np.zeros((0, robots), np.bool_), *(each.reach for _, each in due)])
+    if all(paths.places is None for paths, _ in due):
+        return Arrivals(sent, flips, reach)
+    order = np.concatenate([paths.places_of(each) for paths, each in due]).argsort(kind="stable")
+    return Arrivals([sent[number] for number in order.tolist()], flips[order], reach[order])
