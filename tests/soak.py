@@ -50,11 +50,10 @@ from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
 from mcp_asdf_tools.robots.observations import WorldSource
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
-from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
-from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 ROOT = Path(__file__).parents[1]

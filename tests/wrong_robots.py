@@ -410,7 +410,7 @@ class HearsItself(RobotNode):
 class ForgetsAfterAConflict(RobotNode):
     def _receive(self, message: Message) -> None:
         if message.sender == ID:
-            self._bus_robot._drive(right().make())
+            self._ticked = right().make()
         super()._receive(message)
 
 
@@ -602,7 +602,7 @@ class ObservesTwice(RobotNode):
     def _obey(self, command: Command) -> Frames:
         is_repeated = not self.is_settled and command.tick == self._tick_of_command
         if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-            self._bus_robot._ticked.observe(command.action.observation)
+            self._ticked.observe(command.action.observation)
         return super()._obey(command)
 
 

@@ -5,8 +5,8 @@
 
 Each swarm runs in lockstep in one process, for the given time after one tick to warm up. *x virtual* is the
 speed relative to python-can's virtual bus in the same run; *in process* is the run without a bus.
-*python-can alone* and *sockets alone* exchange as many frames over as many connections and do nothing else:
-no swarm with a connection for each robot can be faster on that interface.
+*python-can alone* and *sockets alone* send as many frames over one connection, read them from another, as the
+carrier of a swarm does on one bus, and do nothing else: no such swarm can be faster on that interface.
 Seconds are of processor time, that of the kernel included. *Delivered* are messages that reached a
 neighbour's firmware. *Send* and *receive* are the shares that python-can and the kernel take for that; *rest*
 is all that is ours: world, codec, firmware, medium.
@@ -21,7 +21,6 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -31,7 +30,7 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho, wrapped
-from mcp_asdf_tools.swarm.medium import OpenBus, Wiring
+from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 
@@ -109,41 +108,32 @@ def measure(settings: SwarmSettings, open_bus: OpenBus | None, is_shared: bool, 
     }
 
 
-def alone(send: Sequence[Callable[[], object]], read: Sequence[Callable[[], object]], seconds: float) -> Row:
-    """Figures of ticks in which each connection sends one frame and then reads one of each connection."""
-    robots, ticks, began = len(send), 0, time.process_time()
+def alone(send: Callable[[int], object], read: Callable[[], object], robots: int, seconds: float) -> Row:
+    """Figures of ticks in which one connection sends a frame of each robot and another reads them."""
+    ticks, began = 0, time.process_time()
     while (took := time.process_time() - began) < seconds:
-        for each in send:
-            each()
-        for each in read:
-            for _ in range(robots):
-                each()
+        for robot in range(robots):
+            send(robot)
+        for _ in range(robots):
+            read()
         ticks += 1
     return {"ticks/s": ticks / took, "robot-ticks/s": robots * ticks / took}
 
 
 def python_can_alone(open_bus: Callable[[], can.BusABC], robots: int, seconds: float) -> Row:
-    """Figures of python-can, on an interface that returns a frame to its sender, too."""
+    """Figures of python-can."""
     frames = [encode(Message(robot, 0, 0, 0), FrameFormat()) for robot in range(robots)]
-    with ExitStack() as stack:
-        buses = [stack.enter_context(open_bus()) for _ in frames]
-        send = [partial(bus.send, frame) for bus, frame in zip(buses, frames, strict=True)]
-        return alone(send, [partial(bus.recv, 1.0) for bus in buses], seconds)
+    with open_bus() as sender, open_bus() as listener:
+        return alone(lambda robot: sender.send(frames[robot]), partial(listener.recv, 1.0), robots, seconds)
 
 
 def sockets_alone(
     open_socket: Callable[[], socket.socket], frame: bytes, address: Any, robots: int, seconds: float
 ) -> Row:
-    """Figures of plain sockets, each of which hears itself."""
-    with ExitStack() as stack:
-        found = [stack.enter_context(open_socket()) for _ in range(robots)]
-        for each in found:
-            each.settimeout(1.0)
-        return alone(
-            [partial(each.sendto, frame, address) for each in found],
-            [partial(each.recv, 64) for each in found],
-            seconds,
-        )
+    """Figures of plain sockets."""
+    with open_socket() as sender, open_socket() as listener:
+        listener.settimeout(1.0)
+        return alone(lambda robot: sender.sendto(frame, address), partial(listener.recv, 64), robots, seconds)
 
 
 def udp_socket() -> socket.socket:
@@ -157,9 +147,8 @@ def udp_socket() -> socket.socket:
 
 
 def can_socket(channel: str) -> socket.socket:
-    """A socket on a SocketCAN interface that hears itself."""
+    """A socket on a SocketCAN interface."""
     one = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-    one.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 1)
     one.bind((channel,))
     return one
 
@@ -171,9 +160,7 @@ def without_robots(robots: int, seconds: float, socketcan: str | None) -> dict[s
         return can.Bus(interface="udp_multicast", port=PORT + 129, hop_limit=0, ignore_config=True)
 
     def vcan() -> can.BusABC:
-        return can.Bus(
-            interface="socketcan", channel=socketcan, receive_own_messages=True, ignore_config=True
-        )
+        return can.Bus(interface="socketcan", channel=socketcan, ignore_config=True)
 
     limits = {
         "udp_multicast, python-can alone": python_can_alone(udp, robots, seconds),

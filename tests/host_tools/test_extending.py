@@ -20,7 +20,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation
-from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.sensors import CheckedSensors

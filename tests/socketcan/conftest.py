@@ -11,7 +11,8 @@ from collections.abc import Iterator
 import pytest
 
 from mcp_asdf_tools.cli import swarm as swarm_command
-from mcp_asdf_tools.swarm import connection, remote_robot
+from mcp_asdf_tools.swarm import carrier as connection
+from mcp_asdf_tools.swarm import remote_robot
 from socketcan.guest import why_not_native
 from socketcan.relay import REPORTS, Reporter, reports_of
 from socketcan.vcan import Vcan, interfaces

@@ -123,10 +123,10 @@ class Neighbourhood:
         frames = [*self._sent, *(SentFrame(frame, controller, self.tick, n) for n, frame in enumerate(sent))]
         arrivals = self._delivery.arrivals(self.tick, frames)
         for robot, node in self.nodes.items():
-            node.hear(*arrivals.of(robot))
+            node.listen(arrivals.of(robot))
         for node in self.nodes.values():
             if node.is_alive:
-                node.settle()
+                node.end()
         heard = arrivals.of(controller)
         self.tick += 1
         # Error frames are a driver's report: they cannot be sent.
@@ -135,7 +135,7 @@ class Neighbourhood:
     def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:
         now = node.ticks / self._steps_per_second
         heartbeats = [node.heartbeat(now)] if node.ticks % self._steps_per_second == 0 else []
-        return heartbeats + node.observe(z, now)
+        return heartbeats + node.broadcast(z, now)
 
     @property
     def _steps_per_second(self) -> int:

@@ -268,7 +268,7 @@ class Stage:
         """Take a frame on the bus, in either direction; the model hears those sent to the controller."""
         if not frame.is_rx:
             frame.timestamp = time.time()
-            self._expected += self.model.take(frame)
+            self._expected += self.model.hear(frame)
         self.bench.log(frame)
         if frame.is_rx and is_from(frame, self._id):
             self._said.append(frame)

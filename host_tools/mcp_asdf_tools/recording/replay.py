@@ -87,7 +87,7 @@ class Rerun:
         elif isinstance(event, str):
             self._last(event)
         elif event == SETTLE:
-            self._robot.settle()
+            self._robot.end()
         else:
             self._observe(Action(event))
 

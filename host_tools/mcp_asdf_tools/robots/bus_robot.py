@@ -1,6 +1,6 @@
 """One robot of a bus, without the bus: the frames that it makes and the frames that it takes.
 
-A tick is ``observe``, which returns the estimate if one is due, any number of ``hear``, and ``settle``. The
+A tick is ``broadcast``, which returns the estimate if one is due, any number of ``listen``, and ``end``. The
 robots of a swarm, the neighbours of a real controller and the node of a process are all driven this way; they
 differ in when heartbeats and telemetry are due, and in what carries the frames.
 """
@@ -168,11 +168,11 @@ class BusRobot:
             self.heard = 0
         return is_due
 
-    def observe(self, z: Observation | None, now: float) -> list[can.Message]:
+    def broadcast(self, z: Observation | None, now: float) -> list[can.Message]:
         """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
         return [encode(self.estimate(), self._estimates, now)] if self.begin(z) else []
 
-    def settle(self) -> None:
+    def end(self) -> None:
         """End the tick."""
         self._ticked.settle()
         if self.recorder is not None:
@@ -202,7 +202,7 @@ class BusRobot:
 
     # --- The frames that it takes; a dead robot takes none ---
 
-    def hear(self, *frames: can.Message) -> None:
+    def listen(self, frames: Sequence[can.Message]) -> None:
         """Take any frames of other nodes, in the order in which they came."""
         words, is_estimate = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
         self.receive(words[is_estimate])

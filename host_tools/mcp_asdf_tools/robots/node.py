@@ -143,31 +143,30 @@ class RobotNode(BusRobot):
         """Announce the node."""
         return [self.heartbeat(self._now)]
 
-    def begin_tick(self, z: Observation | None) -> list[can.Message]:
+    def observe(self, z: Observation | None) -> list[can.Message]:
         """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
         if not self.is_settled:
             self.traffic.unsettled += 1
-            self.settle()
+            self.end()
         self.is_settled = False
         is_second = self.ticks and self.ticks % self.settings.steps_per_second == 0
         heartbeats = self.start() if is_second else []
-        return heartbeats + self.observe(z, self._now)
+        return heartbeats + self.broadcast(z, self._now)
 
-    def end_tick(self) -> list[can.Message]:
+    def settle(self) -> list[can.Message]:
         """End the tick."""
-        self.settle()
+        self.end()
         self.is_settled = True
         is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
         return [self.telemetry(self._now)] if is_due else []
 
-    def take(self, frame: can.Message) -> list[can.Message]:
+    def hear(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
         message = decode(frame, self.settings.subjects.estimates)
         if isinstance(message, Message):
             if message.sender == self.id and self.recorder is not None:
                 self.recorder.foreign(frame)
-            self._watch.hear(message)
-            self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
+            self._receive(message)
             return []
         if message is Rejection.SUBJECT:
             command = decode_command(frame, self.settings.subjects.commands)
@@ -194,6 +193,10 @@ class RobotNode(BusRobot):
             "id_conflicts": {str(sender): conflict.value for sender, conflict in conflicts},
         }
 
+    def _receive(self, message: Message) -> None:
+        self._watch.hear(message)
+        self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
+
     def _obey(self, command: Command) -> list[can.Message]:
         if command.target not in (self.settings.id, EVERY_ROBOT):
             return []
@@ -204,9 +207,9 @@ class RobotNode(BusRobot):
             return []
         self.traffic.obeyed += 1
         if settles:
-            return self.end_tick()
+            return self.settle()
         self._tick_of_command = command.tick
-        return self.begin_tick(command.action.observation)
+        return self.observe(command.action.observation)
 
     @property
     def _now(self) -> float:

@@ -189,7 +189,7 @@ class NodeRun:
                 self.outcome.ending = "the observations ended"
                 return
             self._settle()
-            self._send(self.node.begin_tick(z))
+            self._send(self.node.observe(z))
             self._watch()
         clock.begin(self.node.ticks)
         self.link.catch_up(self._take)
@@ -210,7 +210,7 @@ class NodeRun:
             self._take(frame)
 
     def _take(self, frame: can.Message) -> None:
-        self._send(self.node.take(frame))
+        self._send(self.node.hear(frame))
 
     def _send(self, frames: Iterable[can.Message]) -> None:
         for frame in frames:
@@ -219,7 +219,7 @@ class NodeRun:
 
     def _settle(self) -> None:
         if not self.node.is_settled:
-            self._send(self.node.end_tick())
+            self._send(self.node.settle())
 
 
 def state_of(node: RobotNode) -> dict[str, Any]:

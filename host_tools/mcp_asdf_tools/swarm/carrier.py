@@ -43,6 +43,10 @@ _MOST_LATE = 4096
 """Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
 
 
+OpenBus = Callable[[int], can.BusABC]
+"""Joins the bus of a robot, by id."""
+
+
 class SwarmError(RuntimeError):
     """The swarm cannot go on: the bus lost a frame."""
 
@@ -52,14 +56,13 @@ class Wiring:
     """Assignment of robots to buses.
 
     Attributes:
-        open_bus: Joins the bus of a robot, by id. None for no bus: robots of this process that nothing else
-            hears.
+        open_bus: Joins the bus of a robot. None for no bus: robots of this process that nothing else hears.
         is_shared: Whether that is one bus for all, else every robot has its own.
         remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
         channel: Name of the bus in logs where there is none.
     """
 
-    open_bus: Callable[[int], can.BusABC] | None = None
+    open_bus: OpenBus | None = None
     is_shared: bool = True
     remote: frozenset[int] = frozenset()
     channel: str = ""
@@ -197,7 +200,7 @@ class Carrier:
             for members in [everyone] if wiring.is_shared else [[robot] for robot in everyone]:
                 first = members[0]
                 if first not in wiring.remote:
-                    radio = Connection(stack.enter_context(wiring.open_bus(first)), "a robot")
+                    radio = Connection(stack.enter_context(wiring.open_bus(first)), f"robot {first}")
                     self._radios |= dict.fromkeys(members, radio)
                 bus = stack.enter_context(wiring.open_bus(first))
                 end = Connection(bus, "the carrier", partial(self._meet, members), log)
@@ -215,11 +218,14 @@ class Carrier:
         Raises can.CanError if the bus does not take it, and as ``carry``.
         """
         self._log(sent.frame)
-        if sent.sender in self._radios:
-            self._radios[sent.sender].send(sent.frame)
+        radio = self._radios.get(sent.sender)
+        if radio is not None:
+            radio.send(sent.frame)
         self._sent.append(sent)
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
+            if radio is not None:
+                radio.drain(_BATCH)
 
     def _read(self, tick: int) -> None:
         """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
@@ -248,7 +254,7 @@ class Carrier:
         for robot, hearer in enumerate(self._robots):
             frames = arrivals.of(robot)
             for start in range(0, len(frames), _BATCH):
-                hearer.hear(*self._pass_on(robot, frames[start : start + _BATCH], tick))
+                hearer.listen(self._pass_on(robot, frames[start : start + _BATCH], tick))
 
     def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
         """Put ``frames`` on the robot's bus; returns what it reads there."""

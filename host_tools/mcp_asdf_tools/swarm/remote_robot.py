@@ -197,7 +197,7 @@ class Driver:
         """Let ``robots`` settle. Raises as ``Lockstep``."""
         for robot, telemetry in self._lockstep.settle(robots).items():
             self._firmware(robot).take_telemetry(telemetry)
-            self.nodes[robot].settle()
+            self.nodes[robot].end()
         self._held.sort(key=_sender)
 
     def _look_after(self) -> None:

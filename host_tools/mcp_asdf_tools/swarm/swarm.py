@@ -124,7 +124,7 @@ class Swarm:
             sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
         self._carrier.carry(self.ticks)
         for node in alive:
-            node.settle()
+            node.end()
         for driver in self._drivers:
             driver.settle(driver.nodes)
         self.ticks += 1
@@ -155,7 +155,7 @@ class Swarm:
     ) -> list[tuple[BusRobot, can.Message]]:
         """Let robots observe; returns the estimates due. They follow frames that no robot waits for."""
         now = self._now
-        due = [(node, frame) for node in alive for frame in node.observe(seen[node.id], now)]
+        due = [(node, frame) for node in alive for frame in node.broadcast(seen[node.id], now)]
         self.traffic.sent += len(due)
         return due
 

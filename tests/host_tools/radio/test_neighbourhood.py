@@ -36,8 +36,8 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.node_run import BusLink
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.swarm.medium import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.world import World

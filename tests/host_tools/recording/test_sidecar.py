@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 
 from mcp_asdf.robot import Filter, Observation
@@ -17,7 +18,7 @@ from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
-from mcp_asdf_tools.robots.events import Recorder, message_text
+from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
@@ -53,7 +54,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         sender = draw.randrange(128)
         calls: list[tuple[Callable[[], None], Any]] = [
             (lambda: recorder.observe(z), 2 if z is None else int(z)),
-            (lambda: recorder.receive([message_text(sender, *values)]), [sender, *values]),
+            (lambda: recorder.receive(np.array([[sender, *values]], np.uint32)), [sender, *values]),
             (recorder.settle, 3),
             (recorder.silent, "silent"),
             (lambda: recorder.falsified(values[0], values[1]), values),

@@ -20,25 +20,23 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.robots import reception
-from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.reception import Decoder
 from robots import ALPHA_ONE
 from wire import record
 
 ESTIMATES = FrameFormat()
 
 
-def robot(decoder: Decoder | None = None, recorder: Recorder | None = None) -> BusRobot:
-    return BusRobot(5, record(5).make, decoder or Decoder(ESTIMATES), recorder)
+def robot(recorder: Recorder | None = None) -> BusRobot:
+    return BusRobot(5, record(5).make, ESTIMATES, recorder)
 
 
 def transfer_ids(one: BusRobot) -> list[int]:
     """Those of the next estimate, heartbeat and telemetry frame, in a tick of its own."""
-    (estimate,) = one.observe(Observation.BLACK, 0)
+    (estimate,) = one.broadcast(Observation.BLACK, 0)
     heartbeat, telemetry = one.heartbeat(0), one.telemetry(0)
-    one.settle()
+    one.end()
     found = decode(estimate, ESTIMATES), decode_heartbeat(heartbeat), decode_telemetry(telemetry)
     assert [type(each) for each in found] == [Message, Heartbeat, Telemetry]
     return [each.transfer_id for each in found if isinstance(each, Message | Heartbeat | Telemetry)]
@@ -59,9 +57,9 @@ def test_a_dead_robot_hears_nothing_and_counts_nothing() -> None:
     one = robot()
     one.die(loses_state=False)
     for frame in frames_of_all_kinds(random.Random(1)):
-        one.hear(frame)
+        one.listen([frame])
         one.hear_stranger(frame)
-    assert one.reception == reception.Reception()
+    assert one.reception == Reception()
     assert one.robot.counters.accepted == one.robot.counters.rejected == 0
 
 
@@ -79,12 +77,13 @@ def frames_of_all_kinds(source: random.Random) -> list[can.Message]:
 def test_every_frame_is_counted_once_by_what_it_is() -> None:
     source, one = random.Random(2), robot()
     for _ in range(50):
-        one.observe(None, 0)
+        one.broadcast(None, 0)
         frames = frames_of_all_kinds(source)
         source.shuffle(frames)
-        for frame in frames:
-            one.hear(frame)
-        one.settle()
+        half = source.randrange(len(frames))
+        one.listen(frames[:half])
+        one.listen(frames[half:])
+        one.end()
     heard = one.reception
     assert (heard.delivered, heard.refused, heard.id_conflicts, one.heard) == (100, 50, 50, 1)
     assert (heard.heartbeats, heard.telemetry, heard.errors, heard.rejected.total()) == (50, 50, 50, 50)
@@ -100,38 +99,12 @@ def test_a_stranger_is_counted_but_does_not_reach_the_firmware() -> None:
     assert one.robot.counters.accepted == one.robot.counters.rejected == 0
 
 
-def test_a_frame_is_decoded_once_for_all_robots_that_hear_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def counting(frame: can.Message, frame_format: FrameFormat) -> object:
-        calls.append(frame)
-        return decode(frame, frame_format)
-
-    monkeypatch.setattr(reception, "decode", counting)
-    decoder = Decoder(ESTIMATES)
-    crowd = [robot(decoder) for _ in range(10)]
-    frames = frames_of_all_kinds(random.Random(4))
-    for one in crowd:
-        for frame in frames:
-            one.hear(frame)
-    # Their identifiers differ, so that none falls out of the cache.
-    assert len(calls) == len(frames)
-    assert all(one.reception == crowd[0].reception for one in crowd)
-
-
-def test_another_frame_of_the_same_identifier_is_decoded_again() -> None:
-    decoder = Decoder(ESTIMATES)
-    for x_hat in (1, 2, 3):
-        message = Message(6, x_hat, ALPHA_ONE, 0)
-        assert decoder(encode(message, ESTIMATES)) == message
-
-
 def test_a_crash_that_loses_the_state_is_in_the_events_and_one_that_keeps_it_is_not() -> None:
     lines: list[str] = []
     one = robot(recorder=Recorder(5, lines.append))
     for loses_state in (False, True):
         one.die(loses_state)
         one.wake()
-        one.observe(Observation.WHITE, 0)
-        one.settle()
+        one.broadcast(Observation.WHITE, 0)
+        one.end()
     assert lines == ["[5,0,3]\n", '[5,"restart",0,3]\n']

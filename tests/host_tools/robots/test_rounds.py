@@ -16,8 +16,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
-from mcp_asdf_tools.robots.reception import Decoder
-from mcp_asdf_tools.robots.rounds import RoundTimer, TickConfig, TickedRobot
+from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from robots import ALPHA_ONE
 from wire import TABLE, record
 
@@ -54,23 +53,11 @@ def test_a_period_that_is_no_integer_is_refused(name: str) -> None:
         TickConfig(**wrong)
 
 
-@pytest.mark.parametrize("period", [1, 2, 5])
-def test_every_so_many_ticks_one_is_due(period: int) -> None:
-    timer = RoundTimer(period)
-    due = []
-    for _ in range(20):
-        due.append(timer.begin())
-        assert timer.end() == due[-1]
-        assert not timer.end(), "a tick ends once"
-    assert due == [tick % period == 0 for tick in range(1, 21)]
-
-
-def test_a_tick_that_did_not_end_stays_due() -> None:
-    timer = RoundTimer(3)
-    assert not timer.end(), "no tick has begun"
-    assert [timer.begin() for _ in range(5)] == [False, False, True, True, True]
-    assert timer.end()
-    assert [timer.begin() for _ in range(3)] == [False, False, True]
+def test_a_broadcast_that_did_not_end_its_tick_stays_due() -> None:
+    ticked = TickedRobot(Counting(), 3)
+    assert [ticked.observe(None) for _ in range(5)] == [False, False, True, True, True]
+    ticked.settle()
+    assert [ticked.observe(None) for _ in range(3)] == [False, False, True]
 
 
 class Plain:
@@ -106,32 +93,28 @@ def test_nodes_do_what_the_plain_firmware_does(comms: int, tau: int) -> None:
     plain, node, member = (
         Plain(comms, tau),
         RobotNode(own.make(), NodeSettings(5)),
-        BusRobot(own.id, own.make, decoder()),
+        BusRobot(own.id, own.make, FrameFormat()),
     )
     draw = random.Random(comms)
     for tick in range(300):
         z, replay = draw.choice(SEEN), f"random.Random({comms}), tick {tick}"
         expected = plain.begin(z)
         assert said(node.observe(z)) == expected, replay
-        assert said(member.observe(z, 0)) == expected, replay
+        assert said(member.broadcast(z, 0)) == expected, replay
         for sender in draw.sample(range(6, 20), 5):
             message = Message(sender, draw.randint(0, 1 << 20), ALPHA_ONE, 0)
             plain.robot.receive_raw(sender, message.x_hat, message.alpha)
             frame = encode(message, FrameFormat())
-            member.hear(frame)
+            member.listen([frame])
             node.hear(frame)
         plain.end()
         node.settle()
-        member.settle()
+        member.end()
         assert state(node) == state(member) == plain.robot.state(), replay
         assert node.robot.x == plain.robot.x
     assert plain.robot.counters.updates > 0
     assert comms == 1 or plain.robot.counters.repeated > 0
     assert node.counters == member.counters == plain.robot.counters
-
-
-def decoder() -> Decoder:
-    return Decoder(FrameFormat())
 
 
 def state(node: RobotNode | BusRobot) -> dict[str, int]:

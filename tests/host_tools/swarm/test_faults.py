@@ -30,8 +30,10 @@ from mcp_asdf_tools.bus.frames import (
     float_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.swarm.faults import Fault, FaultKind, Faults, SentFrame, Ways, parse_fault
-from mcp_asdf_tools.swarm.ways import choices, flipped
+from mcp_asdf_tools.swarm.delivery import Paths, SentFrame, flipped
+from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
+from mcp_asdf_tools.swarm.faults import Faults
+from mcp_asdf_tools.swarm.link_faults import choices
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -65,7 +67,7 @@ class Delivery(NamedTuple):
     place: float
 
 
-def all_ways(ways: list[Ways], number: int, sent: SentFrame, receiver: int) -> list[Delivery]:
+def all_ways(ways: list[Paths], number: int, sent: SentFrame, receiver: int) -> list[Delivery]:
     """Deliveries of one frame to one receiver, each kind of ways in turn."""
     return [
         Delivery(
@@ -82,7 +84,7 @@ def deliver(faults: Faults, sent: SentFrame, receiver: int) -> list[Delivery]:
     """Deliveries of one frame to one receiver."""
     in_range = np.zeros((1, receiver + 1), np.bool_)
     in_range[0, receiver] = True
-    return all_ways(faults.ways(sent.tick, [sent], in_range), 0, sent, receiver)
+    return all_ways(faults.paths(sent.tick, [sent], in_range), 0, sent, receiver)
 
 
 def run(faults: Faults, robots: int = 4, ticks: int = 50) -> dict[Link, list[Delivery]]:
@@ -91,7 +93,7 @@ def run(faults: Faults, robots: int = 4, ticks: int = 50) -> dict[Link, list[Del
     everyone = ~np.eye(robots, dtype=np.bool_)
     for tick in range(ticks):
         sent = [each for k in range(robots) for each in faults.leave(estimate(k, tick), k, tick)]
-        ways = faults.ways(tick, sent, everyone[[each.sender for each in sent]])
+        ways = faults.paths(tick, sent, everyone[[each.sender for each in sent]])
         for sender, receiver in itertools.permutations(range(robots), 2):
             heard[tick, sender, receiver] = [
                 way

@@ -14,7 +14,7 @@ from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.swarm.medium import Wiring
+from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from trials import images_by_message

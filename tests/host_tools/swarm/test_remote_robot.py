@@ -27,14 +27,12 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
-from mcp_asdf_tools.robots.reception import Decoder
 from mcp_asdf_tools.swarm import remote_robot
-from mcp_asdf_tools.swarm.faults import parse_fault
-from mcp_asdf_tools.swarm.medium import Wiring
-from mcp_asdf_tools.swarm.remote_robot import RemoteNode
-from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.remote_robot import remote_robot as half_here
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
 
 MIX = (
@@ -105,12 +103,13 @@ def run_elsewhere(
 ) -> tuple[SwarmRun, list[can.Message], dict[int, RobotNode]]:
     """A run whose remote robots are in threads; with the frames it sent and those robots."""
     records = settings.records()
+    assert wiring.open_bus is not None
     nodes = {robot: RobotNode(records[robot].make(), NodeSettings(robot)) for robot in sorted(wiring.remote)}
     frames: list[can.Message] = []
     with ExitStack() as stack:
         swarm = stack.enter_context(Swarm(settings, wiring, frames.append))
         for robot, node in nodes.items():
-            bus = stack.enter_context(wiring.join(robot))
+            bus = stack.enter_context(wiring.open_bus(robot))
             stack.enter_context(robot_elsewhere(node, bus))
         swarm.wait_until_up(10)
         return run_swarm(swarm), frames, nodes
@@ -372,19 +371,19 @@ def test_the_events_of_a_robot_elsewhere_are_those_of_one_here() -> None:
     """From the same commands and frames. Its firmware is elsewhere, so its state is known only in part."""
     settings = make(comms_period=2)
     lines: dict[str, list[str]] = {"here": [], "elsewhere": []}
-    decoder, start = Decoder(settings.frames), settings.records()[1]
-    here = BusRobot(1, start.make, decoder, Recorder(1, lines["here"].append))
-    elsewhere = RemoteNode(start, decoder, Recorder(1, lines["elsewhere"].append))
+    start = settings.records()[1]
+    here = BusRobot(1, start.make, settings.frames, Recorder(1, lines["here"].append))
+    elsewhere = half_here(start, settings.frames, Recorder(1, lines["elsewhere"].append))
     draw = random.Random(5)
     for tick in range(60):
         z = draw.choice([None, Observation.WHITE, Observation.BLACK])
         assert here.begin(z) == elsewhere.begin(z)
         for sender in draw.sample([0, 2, 3], 2):
             frame = encode(Message(sender, draw.randrange(1 << 23), 1 << 30, tick % 32), settings.frames)
-            here.hear(frame)
-            elsewhere.hear(frame)
-        here.settle()
-        elsewhere.settle()
+            here.listen([frame])
+            elsewhere.listen([frame])
+        here.end()
+        elsewhere.end()
         assert (here.robot.t, here.robot.n) == (elsewhere.robot.t, elsewhere.robot.n)
     assert lines["here"] == lines["elsewhere"]
     assert here.reception.delivered == elsewhere.reception.delivered == 120

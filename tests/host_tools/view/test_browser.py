@@ -20,7 +20,7 @@ import pytest
 
 from browser import browser_page, until
 from mcp_asdf_tools.bus import FrameFormat
-from mcp_asdf_tools.robots import Decoder, Filtering
+from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, page, serving
 from mcp_asdf_tools.view.film import rows_of
@@ -153,7 +153,7 @@ def test_robots_of_a_bus_are_followed() -> None:
     """Also one that joins when the page is open already."""
     settings = SwarmSettings(robots=5, steps=400, telemetry_period=5)
     with can.Bus("view", "virtual") as listener, browser_page() as browser:
-        watch = BusFilm(listener, Decoder(FrameFormat()), "a bus", 0.55, 0.95)
+        watch = BusFilm(listener, FrameFormat(), "a bus", 0.55, 0.95)
         with serving(watch.film) as url, running(watch):
             play(settings, "view")
             browser.goto(url)

@@ -18,7 +18,7 @@ from mcp_asdf_tools.bus import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Experiment, Trials, experiments_in, run_trials, table_of
-from mcp_asdf_tools.robots import Decoder, Filtering
+from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, film_of_log, film_of_trial
 from mcp_asdf_tools.view import film as films
@@ -188,7 +188,7 @@ def test_readers_and_the_writer_do_not_disturb_each_other() -> None:
 
 def test_a_bus_is_filmed_as_robots_join() -> None:
     with can.Bus("films", "virtual") as bus:
-        watch = BusFilm(bus, Decoder(FrameFormat()), "a bus", b=0.9)
+        watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
         watch.hear(encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)))
         watch._take(0)
         watch.hear(encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)))

@@ -11,10 +11,11 @@ from can.interfaces import virtual
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
-from mcp_asdf_tools.swarm import connection
-from mcp_asdf_tools.swarm.air import Air
-from mcp_asdf_tools.swarm.connection import Connection, SwarmError
-from mcp_asdf_tools.swarm.faults import Faults, SentFrame, parse_fault
+from mcp_asdf_tools.swarm import carrier as connection
+from mcp_asdf_tools.swarm.carrier import Connection, SwarmError
+from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.faults import Faults
 
 
 class Everyone:
@@ -35,12 +36,12 @@ def faults_of(*texts: str) -> Faults:
 def test_frames_arrive_by_tick_then_place_then_in_the_order_sent() -> None:
     """Against a list of all that is under way, sorted anew in every tick."""
     texts = ("delay=0.4,ticks=2", "duplicate=0.3,ticks=1", "reorder=0.5", "loss=0.1", "corrupt=0.1")
-    air, twin = Air(Everyone(6), faults_of(*texts), latency=0), faults_of(*texts)
+    air, twin = Delivery(Everyone(6), faults_of(*texts), latency=0), faults_of(*texts)
     under_way: list[tuple[int, float, int, bytes]] = []
     arrived = 0
     for tick in range(200):
         sent = [estimate(sender, tick) for sender in range(1, 6)]
-        for ways in twin.ways(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0)):
+        for ways in twin.paths(tick, sent, np.eye(1, 6, dtype=np.bool_).repeat(5, axis=0)):
             for number in ways.reach[:, 0].nonzero()[0].tolist():
                 place = 0.0 if ways.places is None else ways.places[number, 0]
                 flips = 0 if ways.flips is None else int(ways.flips[number, 0])
@@ -61,7 +62,7 @@ def test_robots_hear_their_neighbours_only() -> None:
         hears = np.eye(5, k=1, dtype=np.bool_) | np.eye(5, k=-1, dtype=np.bool_)
 
     for faults in ((), ("loss=0",)):
-        air = Air(Line(), faults_of(*faults), latency=0)
+        air = Delivery(Line(), faults_of(*faults), latency=0)
         heard = air.arrivals(0, [estimate(sender, 0) for sender in (0, 1, 3, 4)]).of(2)
         assert [frame.arbitration_id & 127 for frame in heard] == [1, 3]
 
@@ -75,7 +76,7 @@ def test_late_frames_reach_the_robots_in_range_when_they_arrive() -> None:
             return np.array([[False, self.near, not self.near], [False] * 3, [False] * 3])
 
     world = Moving()
-    air = Air(world, faults_of(), latency=1)
+    air = Delivery(world, faults_of(), latency=1)
     heard = []
     for tick, world.near in enumerate((True, False, False, True)):
         frames = air.arrivals(tick, [estimate(sender, tick) for sender in (1, 2)]).of(0)
@@ -96,7 +97,7 @@ def pair(strangers: list[can.Message], returns: bool = False) -> tuple[can.BusAB
     """Another connection to a bus, and the one to try; the bus ``returns`` what is sent, or does not."""
     other = virtual.VirtualBus("pair")
     own = virtual.VirtualBus("pair", receive_own_messages=returns)
-    return other, Connection(own, "robot 7", "robot {0.sender}", strangers.append)
+    return other, Connection(own, "robot 7", strangers.append)
 
 
 def test_expected_frames_are_told_from_strangers(strangers: list[can.Message]) -> None:
@@ -114,7 +115,7 @@ def test_what_never_comes_is_named(strangers: list[can.Message], monkeypatch: py
     other, own = pair(strangers)
     with other, own.bus:
         other.send(estimate(1, 0).frame, timeout=1)
-        with pytest.raises(SwarmError, match=r"robot 7 did not hear robot 2, robot 4 within 0\.02 s on"):
+        with pytest.raises(SwarmError, match="robot 7 did not hear frame 106BB802, frame 106BB804 within"):
             own.take([estimate(1, 0), estimate(2, 0), estimate(4, 0)], None)
 
 
@@ -135,7 +136,7 @@ def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(
         monkeypatch.setattr(own.bus, "recv", receive)
         missing = estimate(1, 0)
         if patience is None:
-            with pytest.raises(SwarmError, match=r"robot 7 did not hear robot 1 within 0\.02 s"):
+            with pytest.raises(SwarmError, match=r"robot 7 did not hear frame 106BB801 within 0\.02 s"):
                 own.take([missing], None)
         else:
             assert own.take([missing], patience) == []
