@@ -6,6 +6,7 @@ from mcp_asdf_tools.common.errors import UsageError
 
 EXTRAS = {
     "PIL": "study",
+    "jinja2": "study",
     "markdown_it": "study",
     "matplotlib": "study",
     "pyarrow": "study",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from mcp_asdf_tools.reproduction.claims import CLAIMS
-from mcp_asdf_tools.reproduction.comparisons import Ask, Claim, Question
+from mcp_asdf_tools.reproduction.claims import CLAIMS, Claim, Question, Reading
 from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study
 from mcp_asdf_tools.reproduction.verdicts import CONFIDENCE, Finding, Scope, Verdict
 
@@ -38,8 +37,8 @@ class Decision:
         return self.claim.name, self.part
 
     @property
-    def file(self) -> str:
-        """Name of its picture, without a suffix."""
+    def anchor(self) -> str:
+        """Its place in the report."""
         return f"{self.part.value if self.part else 'equations'}-{self.claim.name}"
 
 
@@ -47,14 +46,9 @@ Decided = Sequence[Decision]
 """Decisions on all claims."""
 
 
-def abouts(claim: Claim) -> tuple[Part | None, ...]:
-    """Scope of a decision: each part of a claim, or the equations."""
-    return claim.parts or (None,)
-
-
-def needs(claim: Claim, part: Part | None) -> set[Part]:
+def needs(reading: Reading, part: Part | None) -> set[Part]:
     """The parts whose results decide a claim."""
-    return {cell.part for cell in _cells(_asked(claim.ask, part))}
+    return {cell.part for cell in _cells(reading.questions(part))}
 
 
 def decide(study: Study, scale: Scale, claims: Iterable[Claim] = CLAIMS) -> Decided:
@@ -62,18 +56,18 @@ def decide(study: Study, scale: Scale, claims: Iterable[Claim] = CLAIMS) -> Deci
     return [
         _decide(study, scale, claim, part)
         for claim in claims
-        for part in abouts(claim)
-        if needs(claim, part) <= study.parts
+        for part in claim.parts
+        if needs(claim.reading, part) <= study.parts
     ]
 
 
 def _decide(study: Study, scale: Scale, claim: Claim, part: Part | None) -> Decision:
-    questions = _asked(claim.ask, part)
-    finding = _answers(study, scale, questions, claim.scope)
+    questions = claim.reading.questions(part)
+    finding = _answers(study, scale, questions, claim.reading.scope)
     others: dict[str, Verdict] = {
-        each.words: _answers(study, scale, _asked(each.ask, part), each.scope).verdict
+        each.words: _answers(study, scale, each.questions(part), each.scope).verdict
         for each in claim.readings
-        if {cell.part for cell in _cells(_asked(each.ask, part))} <= study.parts
+        if needs(each, part) <= study.parts
     }
     if part is not None:
         others |= {words: finding.scaled(factor).verdict for words, factor in FACTORS.items()}
@@ -87,12 +81,8 @@ def _decide(study: Study, scale: Scale, claim: Claim, part: Part | None) -> Deci
     return Decision(claim, part, finding, readings, frozenset(unsettled))
 
 
-def _asked(ask: Ask, part: Part | None) -> Sequence[Question]:
-    return ask(part or Part.FULLY_CONNECTED)  # those of equations need none
-
-
 def _cells(questions: Iterable[Question]) -> set[Cell]:
-    return {cell.normal for question in questions for cell in question.cells}
+    return {cell for question in questions for cell in question.cells}
 
 
 def _answers(study: Study, scale: Scale, questions: Sequence[Question], scope: Scope) -> Finding:

@@ -29,8 +29,6 @@ RESAMPLES = 20_000
 """Enough for the corrected interval of the claim with most comparisons, whose tail is one in 8000."""
 
 _SEED = 1
-_BLOCK = 32
-"""Trials taken at once where they reach no place, or every place is behind them."""
 
 
 class Estimate(NamedTuple):
@@ -81,20 +79,12 @@ def _ranks_at(places: set[int], order: NDArray[np.intp]) -> dict[int, NDArray[np
     It is the number of trials up to which a resample has drawn no more than the place asks for. ``order`` are
     the sample's trials by rank.
     """
-    times = _times_drawn(len(order), RESAMPLES)
     wanted = np.array(sorted(places), np.uint16)[:, np.newaxis]
     so_far = np.zeros(RESAMPLES, np.uint16)
     ranks = np.zeros((len(places), RESAMPLES), np.uint16)
-    for start in range(0, len(order), _BLOCK):
-        block = times[order[start : start + _BLOCK]]
-        after = so_far + block.sum(axis=0, dtype=np.uint16)
-        if after.max() <= min(places):
-            ranks += np.uint16(len(block))
-        elif so_far.min() <= max(places):
-            for drawn in block:
-                so_far += drawn
-                ranks += so_far <= wanted
-        so_far = after
+    for drawn in _times_drawn(len(order), RESAMPLES)[order]:
+        so_far += drawn
+        ranks += so_far <= wanted
     return dict(zip(sorted(places), ranks, strict=True))
 
 

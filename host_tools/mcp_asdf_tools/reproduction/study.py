@@ -14,14 +14,7 @@ from enum import Enum
 from functools import cache
 from typing import Any, NamedTuple
 
-from mcp_asdf_tools.experiments import (
-    STUDIES,
-    Convention,
-    Experiment,
-    Scores,
-    Trials,
-    read_experiments,
-)
+from mcp_asdf_tools.experiments import STUDIES, Convention, Experiment, Scores, Trials, read_experiments
 from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, summarized
 from mcp_asdf_tools.robots import Filtering
 
@@ -45,7 +38,7 @@ class Cell:
     """One combination of what the paper varies.
 
     Attributes:
-        part: Of the study.
+        part: Set of experiments.
         fill_ratio: f.
         true_accuracy: b.
         flawed_accuracy: b_hat of flawed robots at the start.
@@ -108,8 +101,8 @@ class Effort(NamedTuple):
     """How much is run of a part.
 
     Attributes:
-        trials: Of each experiment.
-        most: Of one whose comparisons are open, after being doubled again and again.
+        trials: Number for each experiment.
+        most: Number for one whose comparisons are open, after being doubled again and again.
         seeds: How often the part is run, each time with another seed.
     """
 
@@ -120,7 +113,7 @@ class Effort(NamedTuple):
     @property
     def looks(self) -> int:
         """How often comparisons are looked at while trials are added."""
-        return 1 + (self.most // self.trials).bit_length() - 1
+        return (self.most // self.trials).bit_length()
 
 
 ENOUGH = {
@@ -140,11 +133,11 @@ class Scale:
 
     Attributes:
         trials: How many; None for as many as decide.
-        steps: Of a trial, at most.
+        steps: Most steps of a trial.
         seed: The first one.
         seeds: How many; None for as many as ``ENOUGH`` has.
         firmware: Name of the robots' firmware.
-        conventions: Of the reference firmware.
+        conventions: Conventions of the reference firmware.
     """
 
     trials: int | None = None
@@ -192,23 +185,14 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
 
 # --- Results ---------------------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True)
-class Measure:
-    """Something with a value for each trial.
-
-    Attributes:
-        name: In words.
-        of: Its values, shape (trials,).
-    """
-
-    name: str
-    of: Callable[[Trials, Scores], Sample]
-
-
-H = Measure("H", lambda trials, scores: scores.h)
-H_K = Measure("h_K", lambda trials, scores: scores.h_k)
-H_E = Measure("h_e", lambda trials, scores: scores.h_e)
+MEASURES: Mapping[str, Callable[[Trials, Scores], Sample]] = {
+    "H": lambda trials, scores: scores.h,
+    "h_K": lambda trials, scores: scores.h_k,
+    "h_e": lambda trials, scores: scores.h_e,
+    "b_hat": lambda trials, scores: trials.b_hat[:, -1, trials.experiment.flawed :].mean(axis=1),
+}
+"""A value for each trial: the scores; b_hat in the end, on average over the robots that began with the right
+one."""
 
 
 class Study:
@@ -218,7 +202,7 @@ class Study:
         """``trials`` of cells in their normal form."""
         self._trials = dict(trials)
         self._scores = {cell: each.scores() for cell, each in trials.items()}
-        self._summarized: dict[tuple[Cell, Measure, Summary, int], Summarized] = {}
+        self._summarized: dict[tuple[Cell, str, Summary, int], Summarized] = {}
 
     @property
     def parts(self) -> set[Part]:
@@ -233,11 +217,11 @@ class Study:
         """The results of a cell. Raises KeyError if it has not been run."""
         return self._trials[cell.normal]
 
-    def sample(self, cell: Cell, measure: Measure) -> Sample:
+    def sample(self, cell: Cell, measure: str) -> Sample:
         """A value for each trial of a cell. Raises KeyError if it has not been run."""
-        return measure.of(self._trials[cell.normal], self._scores[cell.normal])
+        return MEASURES[measure](self._trials[cell.normal], self._scores[cell.normal])
 
-    def summarized(self, cell: Cell, measure: Measure, summary: Summary, trials: int) -> Summarized:
+    def summarized(self, cell: Cell, measure: str, summary: Summary, trials: int) -> Summarized:
         """The summary of a cell's first ``trials``, and of their resamples; kept for the next comparison."""
         key = (cell.normal, measure, summary, trials)
         if key not in self._summarized:
