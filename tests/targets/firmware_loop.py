@@ -30,7 +30,6 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config
 from mcp_asdf_tools.bus.frames import Action, Command, encode_command
-from mcp_asdf_tools.bus.qemu import Board
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
@@ -38,6 +37,7 @@ from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
+from targets.qemu import Board
 
 SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
 BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import random
 import re
 import shutil
@@ -29,9 +28,7 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_command,
 )
-from mcp_asdf_tools.bus.qemu import Board, QemuBus, board_of
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
-from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from support import PATIENCE, ROOT, made_once, require, run, slow
 from targets import firmware_loop, matrix
@@ -47,6 +44,7 @@ from targets.firmware_loop import (
     over,
 )
 from targets.matrix import TARGETS
+from targets.qemu import Board
 from targets.slcan_model import OPENING, Model, frame_in
 from targets.slow_line import SlowLine
 
@@ -638,56 +636,6 @@ def test_a_program_that_ends_is_reported(tmp_path: Path) -> None:
         line.until(b"never")
 
 
-NO_IMAGE = "mps2-an385:/etc/passwd"
-COMMANDS = (
-    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --verify --steps 3",
-    f"radio --interface qemu --channel {NO_IMAGE} --id 0 --steps-per-second 100 --steps 30",
-    f"node --interface qemu --channel {NO_IMAGE} --id 0 --steps-per-second 100 --steps 30",
-    f"swarm --robots 3 --steps 3 --channel v{{robot}} --device 0=qemu:{NO_IMAGE}",
-)
-
-
-not_closed = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
-"""pyserial forgets to close a socket whose other end has gone."""
-
-
-@pytest.fixture
-def found_here() -> Iterator[None]:
-    """Lets the warnings of that come in the test that causes them, and in no later one."""
-    yield
-    gc.collect()
-
-
-@not_closed
-@pytest.mark.usefixtures("found_here")
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_file_that_is_no_image_is_bad_usage_in_one_line(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    require("qemu-system-arm", "qemu-system-arm")
-    assert cli.main(command.split()) == 2
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert "/etc/passwd on mps2-an385 ended with status -6; qemu: fatal: Lockup" in last
-    assert "info: QEMU waiting" not in last
-
-
-@not_closed
-@pytest.mark.usefixtures("found_here")
-def test_a_board_whose_program_has_gone_can_be_left(
-    image_of: Builder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its adapter no longer hears that the bus is closed."""
-    require_target("cortex-m3")
-    board = Board("mps2-an385", image_of("cortex-m3"))
-    monkeypatch.setattr("mcp_asdf_tools.bus.qemu.board_of", lambda channel: board)
-    bus = QemuBus("the board")
-    board._process.kill()
-    board._process.wait()
-    with pytest.raises(UsageError, match="slcan_robot on mps2-an385 ended with status -9"):
-        bus.shutdown()
-    bus.shutdown()
-
-
 PAGE = ROOT / "docs/firmware_in_the_loop.md"
 
 
@@ -704,14 +652,12 @@ def test_the_commands_of_the_page_work(verdict: bool, tmp_path: Path) -> None:
     )
     commands = [command for command in block.splitlines() if verdict or "--verify" not in command]
     shown = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
-    assert verdict == ("PASSED: 40 of 40 phases passed" in shown[2])
-    assert re.search(r"\b500 +broadcasts reproduced bit for bit", shown[-1])
+    assert verdict == ("PASSED: 40 of 40 phases passed" in shown[3])
+    assert re.search(r"\b500 +broadcasts reproduced bit for bit", shown[-2])
 
 
 def test_boards_that_do_not_exist_are_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="board is 'z80'; choose one of mps2-an385"):
-        board_of("z80:image")
+        Board("z80", tmp_path)
     with pytest.raises(UsageError, match=r"image is .*none; there is no such file"):
-        board_of(f"virt:{tmp_path}/none")
-    with pytest.raises(can.CanInitializationError, match="board is 'virt/image'; choose"):
-        QemuBus("virt/image")
+        Board("virt", tmp_path / "none")

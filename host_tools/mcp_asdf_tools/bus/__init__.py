@@ -1,4 +1,4 @@
-"""Frames on CAN: codec, DBC, bus load, python-can interfaces, slcan and QEMU adapters.
+"""Frames on CAN: codec, DBC, bus load, python-can interfaces, an slcan adapter.
 
 ``__init__.pyi`` names what other rooms may use; it is loaded when first used.
 """

@@ -1,4 +1,4 @@
-"""Frames on CAN: codec, DBC, bus load, python-can interfaces, slcan and QEMU adapters."""
+"""Frames on CAN: codec, DBC, bus load, python-can interfaces, an slcan adapter."""
 
 from . import interfaces as interfaces
 from .dbc import ANY_NODE_MASK as ANY_NODE_MASK

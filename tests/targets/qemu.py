@@ -1,9 +1,7 @@
 """Firmware images under QEMU, with their serial line at a TCP port: firmware in the loop without hardware.
 
 An image that speaks slcan there, such as ``c_ref/ports/slcan`` makes, is a CAN adapter for python-can and a
-robot on its bus. For python-can, and so for every tool that is built on it, this is one more interface::
-
-    can.Bus(interface="qemu", channel="mps2-an385:slcan_robot")
+robot on its bus.
 """
 
 from __future__ import annotations
@@ -12,12 +10,7 @@ import shutil
 import signal
 import socket
 import subprocess
-from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
-
-import can
-from can.interfaces.slcan import slcanBus
 
 from mcp_asdf_tools.common import UsageError
 
@@ -51,7 +44,7 @@ class Board:
         or the emulator is not installed.
         """
         if machine not in BOARDS:
-            raise UsageError(f"board is {machine!r}; choose one of {', '.join(BOARDS)}, such as virt:IMAGE")
+            raise UsageError(f"board is {machine!r}; choose one of {', '.join(BOARDS)}")
         if not image.is_file():
             raise UsageError(f"image is {image}; there is no such file")
         program, package, *options = BOARDS[machine]
@@ -101,44 +94,3 @@ def _reason(said: bytes) -> str:
     """First line of QEMU's output that is no mere information; registers and the like follow."""
     lines = [line for line in said.decode(errors="replace").splitlines() if ": info: " not in line]
     return f"{lines[0]}; is it an image for this board?" if lines else "the program failed"
-
-
-def board_of(channel: str) -> Board:
-    """The board of a text such as "mps2-an385:build/slcan_robot". Raises UsageError as Board does."""
-    machine, _, image = channel.partition(":")
-    return Board(machine, Path(image))
-
-
-class QemuBus(slcanBus):
-    """python-can's interface "qemu": the bus whose adapter and only robot is an image under QEMU.
-
-    The board is on as long as the bus is open.
-    """
-
-    def __init__(self, channel: str = "", **kwargs: Any) -> None:
-        """Switch the board ``channel``, as for ``board_of``, on; the rest is for python-can's slcan.
-
-        Raises can.CanInitializationError if there is no such board or image, or no emulator.
-        """
-        try:
-            with ExitStack() as stack:
-                board = stack.enter_context(board_of(channel))
-                super().__init__(board.channel, **{"sleep_after_open": 0, **kwargs})
-                self._board = stack.pop_all()
-        except UsageError as error:
-            raise can.CanInitializationError(str(error)) from error
-        self.channel_info = f"{channel} under QEMU"
-
-    def close(self) -> None:
-        """Close the bus; a program that has ended gets no notice."""
-        with suppress(can.CanOperationError):
-            super().close()
-
-    def shutdown(self) -> None:
-        """Close the bus and switch the board off; repeated calls do nothing.
-
-        Raises UsageError if the board had gone off by itself.
-        """
-        if not self._is_shutdown:
-            with self._board:
-                super().shutdown()
