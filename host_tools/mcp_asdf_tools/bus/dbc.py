@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
-    EVERY_ROBOT,
-    INFINITE_ALPHA,
-    MAX_B_HAT,
     MAX_NODE_ID,
-    MIN_B_HAT,
-    ONE,
     TELEMETRY,
-    Action,
     FrameFormat,
-    Health,
     Heartbeat,
-    Mode,
     encode_heartbeat,
-    float_of,
 )
 
 ANY_NODE_MASK = 0x1FFF_FF00
@@ -29,30 +19,56 @@ ANY_NODE_MASK = 0x1FFF_FF00
 
 _EXTENDED = 1 << 31
 
-
-@dataclass(frozen=True)
-class Signal:
-    """A run of bits in the data, lowest first.
-
-    Attributes:
-        name: As in the frame's description.
-        start: Number of its lowest bit, 0 .. 63.
-        bits: How many.
-        comment: Description.
-        low: Smallest legal value, in units of ``unit``.
-        high: Largest legal value.
-        unit: Value of the lowest bit; None for IEEE 754 binary32.
-        names: Names of single values.
-    """
-
-    name: str
-    start: int
-    bits: int
-    comment: str
-    low: float = 0
-    high: float = 0
-    unit: float | None = 1
-    names: tuple[tuple[int, str], ...] = ()
+# Signals are first bit | bits @ little endian, sign (factor, offset) [least | most]; # is the identifier.
+_KINDS = {
+    "Estimate": """\
+CM_ BO_ # "A robot's broadcast";
+SG_ x_hat : 0|24@1+ (1.1920928955078125E-07,0) [0|1]
+CM_ SG_ # x_hat "local estimate (eq. 3)";
+SG_ alpha : 24|32@1- (1,0) [0|3.4028234663852886E+38]
+CM_ SG_ # alpha "local confidence (eq. 4)";
+SIG_VALTYPE_ # alpha : 1;
+""",
+    "Heartbeat": """\
+CM_ BO_ # "A node's heartbeat, once per second";
+SG_ uptime : 0|32@1+ (1,0) [0|4294967295]
+CM_ SG_ # uptime "seconds since start";
+SG_ health : 32|2@1+ (1,0) [0|3]
+CM_ SG_ # health "health of the node";
+VAL_ # health 0 "NOMINAL" 1 "ADVISORY" 2 "CAUTION" 3 "WARNING" ;
+SG_ mode : 40|3@1+ (1,0) [0|3]
+CM_ SG_ # mode "operating mode of the node";
+VAL_ # mode 0 "OPERATIONAL" 1 "INITIALIZATION" 2 "MAINTENANCE" 3 "SOFTWARE_UPDATE" ;
+SG_ vendor_status : 48|8@1+ (1,0) [0|255]
+CM_ SG_ # vendor_status "the application's own code";
+""",
+    "Telemetry": """\
+CM_ BO_ # "A robot's state for observers of the bus";
+SG_ x : 0|24@1+ (1.1920928955078125E-07,0) [0|1]
+CM_ SG_ # x "informed estimate (eq. 7)";
+SG_ b_hat : 24|24@1+ (5.960464477539063E-08,0) [9.5367431640625E-07|0.9999990463256836]
+CM_ SG_ # b_hat "assumed accuracy";
+SG_ updates : 48|8@1+ (1,0) [0|255]
+CM_ SG_ # updates "number of re-estimates of b_hat (eq. 8) modulo 256";
+""",
+    "Command": """\
+CM_ BO_ # "A simulator's order";
+SG_ tick : 0|32@1+ (1,0) [0|4294967295]
+CM_ SG_ # tick "number of the control tick";
+SG_ target : 32|8@1+ (1,0) [0|255]
+CM_ SG_ # target "id of the robot addressed";
+VAL_ # target 255 "EVERY_ROBOT" ;
+SG_ action : 40|8@1+ (1,0) [0|3]
+CM_ SG_ # action "half of a tick to do";
+VAL_ # action 0 "OBSERVE_WHITE" 1 "OBSERVE_BLACK" 2 "OBSERVE_NONE" 3 "SETTLE" ;
+""",
+}
+_TAIL = """\
+SG_ transfer_id : 56|5@1+ (1,0) [0|31]
+CM_ SG_ # transfer_id "number of the sender's messages of this kind modulo 32";
+SG_ start_end_toggle : 61|3@1+ (1,0) [7|7]
+CM_ SG_ # start_end_toggle "7: the transfer is this one frame";
+"""
 
 
 @dataclass(frozen=True)
@@ -60,48 +76,16 @@ class Entry:
     """A message of the file.
 
     Attributes:
-        name: Of the kind, with the node's id if the entry is for one node.
+        kind: Kind of the message.
+        name: That of the kind, with the node's id if the entry is for one node.
         identifier: 29 bits; for any node, those of node 0.
         sender: Name of the node that sends it.
-        comment: Description.
-        signals: Its content.
     """
 
+    kind: str
     name: str
     identifier: int
     sender: str
-    comment: str
-    signals: tuple[Signal, ...]
-
-
-def _named(kind: type[Enum]) -> tuple[tuple[int, str], ...]:
-    return tuple((member.value, member.name) for member in kind)
-
-
-_TAIL = (
-    Signal("transfer_id", 56, 5, "number of the sender's messages of this kind modulo 32", high=31),
-    Signal("start_end_toggle", 61, 3, "7: the transfer is this one frame", 7, 7),
-)
-_ESTIMATE = (
-    Signal("x_hat", 0, 24, "local estimate (eq. 3)", high=1, unit=1 / ONE),
-    Signal("alpha", 24, 32, "local confidence (eq. 4)", high=float_of(INFINITE_ALPHA - 1), unit=None),
-)
-_HEARTBEAT = (
-    Signal("uptime", 0, 32, "seconds since start", high=2**32 - 1),
-    Signal("health", 32, 2, "health of the node", high=3, names=_named(Health)),
-    Signal("mode", 40, 3, "operating mode of the node", high=3, names=_named(Mode)),
-    Signal("vendor_status", 48, 8, "the application's own code", high=255),
-)
-_TELEMETRY = (
-    Signal("x", 0, 24, "informed estimate (eq. 7)", high=1, unit=1 / ONE),
-    Signal("b_hat", 24, 24, "assumed accuracy", MIN_B_HAT / 2**24, MAX_B_HAT / 2**24, 2**-24),
-    Signal("updates", 48, 8, "number of re-estimates of b_hat (eq. 8) modulo 256", high=255),
-)
-_COMMAND = (
-    Signal("tick", 0, 32, "number of the control tick", high=2**32 - 1),
-    Signal("target", 32, 8, "id of the robot addressed", high=255, names=((EVERY_ROBOT, "EVERY_ROBOT"),)),
-    Signal("action", 40, 8, "half of a tick to do", high=3, names=_named(Action)),
-)
 
 
 def dbc_entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> list[Entry]:
@@ -115,78 +99,37 @@ def dbc_entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> l
             raise ValueError(
                 f"subject {other.subject} is that of telemetry or commands; choose another for estimates"
             )
-    if nodes is None:
-        return _kinds(estimates, 0, "", "Robot")
-    for node in nodes:
+    for node in nodes or ():
         if not 0 <= node <= MAX_NODE_ID:
             raise ValueError(f"node {node} does not exist; ids are 0 to {MAX_NODE_ID}")
-        if nodes.count(node) > 1:
-            raise ValueError(f"node {node} is listed twice; each id belongs to one node")
-    return [entry for node in nodes for entry in _kinds(estimates, node, f"_{node}", f"Robot_{node}")]
+    if nodes is not None and len(set(nodes)) < len(nodes):
+        twice = next(node for node in nodes if nodes.count(node) > 1)
+        raise ValueError(f"node {twice} is listed twice; each id belongs to one node")
+    return [
+        Entry(kind, f"{kind}{suffix}", identifier, f"Robot{suffix}")
+        for node, suffix in ([(0, "")] if nodes is None else [(node, f"_{node}") for node in nodes])
+        for kind, identifier in zip(_KINDS, _identifiers(estimates, node), strict=True)
+    ]
 
 
-def _kinds(estimates: FrameFormat, node: int, suffix: str, sender: str) -> list[Entry]:
+def _identifiers(estimates: FrameFormat, node: int) -> tuple[int, ...]:
     heartbeat = encode_heartbeat(Heartbeat(node, 0, 0)).arbitration_id
-    kinds = (
-        ("Estimate", estimates.identifier(node), "A robot's broadcast", _ESTIMATE),
-        ("Heartbeat", heartbeat, "A node's heartbeat, once per second", _HEARTBEAT),
-        ("Telemetry", TELEMETRY.identifier(node), "A robot's state for observers of the bus", _TELEMETRY),
-        ("Command", COMMANDS.identifier(node), "A simulator's order", _COMMAND),
-    )
-    return [Entry(name + suffix, number, sender, what, body + _TAIL) for name, number, what, body in kinds]
+    return estimates.identifier(node), heartbeat, TELEMETRY.identifier(node), COMMANDS.identifier(node)
 
 
 def dbc_text(messages: Sequence[Entry]) -> str:
     """The text of a DBC file. O(len(messages))."""
     senders = " ".join(dict.fromkeys(entry.sender for entry in messages))
-    parts = [
-        'VERSION ""\n',
-        "NS_ :\n",
-        "BS_:\n",
-        f"BU_: {senders}\n",
-        *(_message(entry) for entry in messages),
-        *("\n".join(line for entry in messages for line in about(entry)) + "\n" for about in _ABOUT),
-    ]
+    parts = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {senders}\n"]
+    for entry in messages:
+        signals = "".join(f' {line} "" Vector__XXX\n' for line in _lines(entry, "SG_"))
+        parts.append(f"BO_ {entry.identifier | _EXTENDED} {entry.name}: 8 {entry.sender}\n{signals}")
+    for section in ("CM_", "VAL_", "SIG_VALTYPE_"):
+        parts.append("".join(f"{line}\n" for entry in messages for line in _lines(entry, section)))
     return "\n".join(parts)
 
 
-def _key(entry: Entry) -> int:
-    return entry.identifier | _EXTENDED
-
-
-def _message(entry: Entry) -> str:
-    signals = (f" SG_ {_signal(signal)}\n" for signal in entry.signals)
-    return f"BO_ {_key(entry)} {entry.name}: 8 {entry.sender}\n" + "".join(signals)
-
-
-def _signal(signal: Signal) -> str:
-    sign, factor = ("-", 1.0) if signal.unit is None else ("+", signal.unit)
-    bits = f"{signal.start}|{signal.bits}@1{sign} ({_number(factor)},0)"
-    return f'{signal.name} : {bits} [{_number(signal.low)}|{_number(signal.high)}] "" Vector__XXX'
-
-
-def _number(value: float) -> str:
-    """Shortest text that reads back as the same number."""
-    return str(int(value)) if value == int(value) and value < 2**53 else repr(value).upper()
-
-
-def _comments(entry: Entry) -> Iterator[str]:
-    yield f'CM_ BO_ {_key(entry)} "{entry.comment}";'
-    for signal in entry.signals:
-        yield f'CM_ SG_ {_key(entry)} {signal.name} "{signal.comment}";'
-
-
-def _value_names(entry: Entry) -> Iterator[str]:
-    for signal in entry.signals:
-        if signal.names:
-            names = " ".join(f'{value} "{name}"' for value, name in signal.names)
-            yield f"VAL_ {_key(entry)} {signal.name} {names} ;"
-
-
-def _float_types(entry: Entry) -> Iterator[str]:
-    for signal in entry.signals:
-        if signal.unit is None:
-            yield f"SIG_VALTYPE_ {_key(entry)} {signal.name} : 1;"
-
-
-_ABOUT = (_comments, _value_names, _float_types)
+def _lines(entry: Entry, keyword: str) -> list[str]:
+    """The lines of a message that begin with a keyword."""
+    text = (_KINDS[entry.kind] + _TAIL).replace("#", str(entry.identifier | _EXTENDED))
+    return [line for line in text.splitlines() if line.startswith(f"{keyword} ")]

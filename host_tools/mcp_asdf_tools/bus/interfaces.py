@@ -7,9 +7,8 @@ import configparser
 import errno
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import can
@@ -27,10 +26,15 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "virtual": {"channel": "vcan0", "preserve_timestamps": True},
     "udp_multicast": {"hop_limit": 0},
 }
+_VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
+_REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
+_MOST_ECHOES = 4096
+_PROTOCOL_ERROR = 0x8
+"""Class of an error frame in SocketCAN's identifiers: damaged on its way."""
 _ROBOT = "{robot}"
 _UDP_PORT = 43113
 """python-can's."""
-_OPTIONS = ("interface", "channel", "bitrate", "timing")
+_OPTIONS = ("interface", "channel", "bitrate")
 _SHOWN = {
     "interface": (
         "INTERFACE",
@@ -38,7 +42,10 @@ _SHOWN = {
     ),
     "channel": ("CHANNEL", "bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2"),
     "bitrate": ("BITRATE", "bits per second, where the interface sets them"),
-    "bus_kwargs": ("KEY=VALUE", "further settings of the interface, such as app_name=MyCanApp serial=1234"),
+    "bus_kwargs": (
+        "KEY=VALUE",
+        "further settings of the interface, such as app_name=MyCanApp serial=1234",
+    ),
 }
 """Options taken from python-can: metavar and help. Those for CAN FD are not, since FD frames are refused."""
 
@@ -57,7 +64,6 @@ class BusChoice:
     _args: argparse.Namespace
     _defaults: dict[str, Any]
     _is_plain: bool = True
-    _inherited: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
@@ -109,18 +115,6 @@ class BusChoice:
         return words + (
             ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
         )
-
-    def inherited_options(self) -> list[str]:
-        """Options for what python-can's variables and files say of this bus, for a shell without them."""
-        if not self._inherited:
-            return []
-        found = {
-            name: value for name, value in self._inherited.items() if name not in ("interface", "bustype")
-        }
-        own = [f"--{name}={found.pop(name)}" for name in ("channel", "bitrate") if name in found]
-        rest = [f"{name}={value}" for name, value in found.items()]
-        # The interface is last, since --bus-kwargs takes all words up to the next option.
-        return [*(["--bus-kwargs", *rest] if rest else []), *own, f"--interface={self.interface}"]
 
     def _explain(self, cause: BaseException | None) -> str:
         """The failure and its fix."""
@@ -247,10 +241,6 @@ class ByAdapter(_Wrapper):
             super().shutdown()
 
 
-_MOST_ECHOES = 4096
-_PROTOCOL_ERROR = 0x8
-"""Class of an error frame in SocketCAN's identifiers: damaged on its way."""
-
 _WRAPPERS: dict[str, type[_Wrapper]] = {
     "socketcan": AllReceived,
     "udp_multicast": Multicast,
@@ -262,63 +252,28 @@ def _content(frame: can.Message) -> tuple[int, bytes]:
     return frame.arbitration_id, bytes(frame.data)
 
 
-_VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
-_REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus options that python-can's own tools have, except those for CAN FD."""
     theirs = argparse.ArgumentParser(add_help=False)
     add_bus_arguments(theirs)
     group = parser.add_argument_group(
-        "bus (default: inside this process; python-can's CAN_* variables and files count)"
+        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)"
     )
     for action in theirs._actions:
         if action.dest in _SHOWN:
             action.metavar, action.help = _SHOWN[action.dest]
             group._add_action(action)
-    group.add_argument(
-        "--timing",
-        action=_Timing,
-        nargs="+",
-        default=argparse.SUPPRESS,
-        metavar="KEY=VALUE",
-        help="bit timing: f_clock=8000000 brp=1 tseg1=5 tseg2=2 sjw=1 nof_samples=1",
-    )
-
-
-class _Timing(argparse.Action):
-    """Option for the bit timing of classic CAN; python-can's own takes CAN FD and prints what it took."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        parts = (word.partition("=") for word in values)
-        try:
-            fields: dict[str, Any] = {key: int(value) for key, _, value in parts}
-            timing = can.BitTiming(**fields)
-        except (TypeError, ValueError) as error:
-            raise argparse.ArgumentError(
-                self, f"{' '.join(values)} is no timing of classic CAN: {error}"
-            ) from error
-        setattr(namespace, self.dest, timing)
 
 
 def choose_bus(args: argparse.Namespace) -> BusChoice:
     """Decide on a bus. Raises UsageError if python-can's variables or files cannot be read."""
-    inherited, given = _inherited(), _given(args)
-    asked = inherited | given
+    asked = _inherited() | _given(args)
     interface = str(asked.get("interface") or asked.get("bustype") or DEFAULT_INTERFACE)
     defaults = {"interface": interface, **_DEFAULTS.get(interface, {})}
     defaults = {key: value for key, value in defaults.items() if key not in asked}
     channel = asked.get("channel", defaults.get("channel"))
     is_plain = asked.keys() <= {"interface", "bustype", "channel"}
-    rest = {name: value for name, value in inherited.items() if name not in given}
-    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain, rest)
+    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain)
 
 
 def _inherited() -> dict[str, Any]:

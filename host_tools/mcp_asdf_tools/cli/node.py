@@ -265,7 +265,7 @@ def _print(
         print(json.dumps(report, indent=2))
     elif not args.quiet:
         Console(soft_wrap=True).print(_summary(run, report["results"], f"on {choice}"))
-        print_again(args, choice.inherited_options(), seed=args.seed)
+        print_again(args, seed=args.seed)
 
 
 def _summary(run: NodeRun, results: dict[str, Any], where: str) -> Table:

@@ -252,7 +252,7 @@ def _print_verdict(args: argparse.Namespace, report: dict[str, Any], choice: int
             f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
         )
     console.print(headline(verdict), markup=False)
-    print_again(args, choice.inherited_options(), seed=report["parameters"]["seed"])
+    print_again(args, seed=report["parameters"]["seed"])
 
 
 # --- Emulation in real time ------------------------------------------------------------------------------
@@ -320,4 +320,4 @@ def _print_results(args: argparse.Namespace, report: dict[str, Any], choice: int
     for sender, what in results["id_conflicts"].items():
         table.add_row("node-id conflict", f"{what}: {sender}; choose other ids with --first-id")
     Console(soft_wrap=True).print(table)
-    print_again(args, choice.inherited_options(), seed=report["parameters"]["seed"])
+    print_again(args, seed=report["parameters"]["seed"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -115,7 +114,7 @@ def _play(args: argparse.Namespace) -> int:
             player.progress = lambda: status.update(f"{playback.sent} frames sent")
         player.play(read_log(args.log))
     report = {"log": str(args.log), "bus": str(choice), "playback": playback.plain()}
-    _print(args, report, _line_of(playback), choice.inherited_options())
+    _print(args, report, _line_of(playback))
     if playback.is_stopped:
         return INTERRUPTED
     if playback.failures:
@@ -123,14 +122,12 @@ def _play(args: argparse.Namespace) -> int:
     return 1 if playback.failures else 0
 
 
-def _print(
-    args: argparse.Namespace, report: dict[str, Any], text: str | Table, bus: Sequence[str] = ()
-) -> None:
+def _print(args: argparse.Namespace, report: dict[str, Any], text: str | Table) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
     else:
         Console(soft_wrap=True).print(text)
-        print_again(args, bus)
+        print_again(args)
 
 
 def _table_of(verdict: ReplayVerdict) -> Table:

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
                 seconds = time.monotonic() - began - attached.seconds
                 # Printed even if a file cannot be completed.
                 rows = summary(outcome, str(choice), seconds)
-                ending.callback(_print, args, outcome, report, rows, choice.inherited_options())
+                ending.callback(_print, args, outcome, report, rows)
             with FileSet() as files:
                 pictures.write(files, outcome, attached.camera)
                 for path in beside:
@@ -272,9 +272,7 @@ def _interruptible() -> Iterator[SwarmHook]:
         yield obey
 
 
-def _print(
-    args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows, bus: Sequence[str]
-) -> None:
+def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows) -> None:
     """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
     console = Console()
     if args.json:
@@ -290,7 +288,7 @@ def _print(
         warning = load_warning(outcome.results)
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
-        print_again(args, bus, seed=outcome.settings.seed)
+        print_again(args, seed=outcome.settings.seed)
     if "without_filter" in report:
         sentence = comparison(report["results"], report["without_filter"])
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

@@ -290,9 +290,9 @@ def test_bad_usage_is_named(arguments: list[str], says: str, capsys: pytest.Capt
 def test_the_page_describes_the_same_bits() -> None:
     """Every byte range in docs/frame.md is where the DBC has signals, and the other way round."""
     page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
-    for entry in dbc_entries(DEFAULT):
-        section = page.split(f"### {entry.name}\n")[1].split("\n#")[0]
+    for kind in load(dbc_text(dbc_entries(DEFAULT))).messages:
+        section = page.split(f"### {kind.name}\n")[1].split("\n#")[0]
         described = {int(first) * 8 for first in re.findall(r"^\| (\d)", section, re.MULTILINE)}
-        starts = {signal.start for signal in entry.signals if signal.name != "start_end_toggle"}
-        spare = {48} if entry.name == "Command" else set()
+        starts = {signal.start for signal in kind.signals if signal.name != "start_end_toggle"}
+        spare = {48} if kind.name == "Command" else set()
         assert described == starts | spare

@@ -105,22 +105,6 @@ def test_a_log_replayed(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed(capsys, "replay", "run.log") == "replay run.log"
 
 
-def test_a_bus_that_variables_choose_is_said(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CAN_INTERFACE", "virtual")
-    monkeypatch.setenv("CAN_CHANNEL", "somewhere else")
-    monkeypatch.setenv("CAN_CONFIG", '{"rx_queue_size": 5000}')
-    words = [*f"swarm {SHORT} --fault loss=0.2".split()]
-    wanted = decided_by(*words)
-    again = shlex.split(printed(capsys, *words))
-    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
-        monkeypatch.delenv(name)
-    assert decided_by(*again)[0] == wanted[0]
-    args = cli._parser_for("swarm", cli._load("swarm")).parse_args(again[1:])
-    assert args.bus_kwargs == {"rx_queue_size": 5000}
-
-
 def test_machines_get_json_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([*f"swarm {SHORT} --json".split()]) == 0
     assert PRINTED not in capsys.readouterr().out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -123,8 +122,6 @@ def test_prose_is_wrapped_and_examples_are_not(
         ("node --id 3 --interface socketcn", "; did you mean socketcan?"),
         ("plot a.parquet b.png --kind boxs", "; did you mean boxes?"),
         ("node --id 3 --fd", "no such option: --fd"),
-        ("node --id 3 --timing f_clock=8000000 data_brp=2", "is no timing of classic CAN: "),
-        ("node --id 3 --timing nonsense", "is no timing of classic CAN: "),
     ],
 )
 def test_a_word_that_is_no_choice_takes_two_lines(
@@ -134,12 +131,6 @@ def test_a_word_that_is_no_choice_takes_two_lines(
     out, err = capsys.readouterr()
     assert told in err
     assert (out, err.count("\n")) == ("", 2)
-
-
-def test_a_timing_is_taken_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    words = shlex.split("--timing f_clock=8_000_000 brp=1 tseg1=5 tseg2=2 sjw=1 nof_samples=1 --id 3")
-    assert parser_of("node").parse_args(words).timing.bitrate == 1_000_000
-    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("name", ["score", "replay", "plot", "view", "sweep", "simulate"])
