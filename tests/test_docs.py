@@ -39,7 +39,11 @@ RUN_ELSEWHERE = {
     "tests/c_ref/test_porting.py": ("porting.md", "avr-gcc"),
     "tests/host_tools/cli/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
     "tests/host_tools/bus/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),
-    "tests/targets/test_firmware_in_the_loop.py": ("firmware_in_the_loop.md", "build/loop", "socket://127.0.0.1:20001"),
+    "tests/targets/test_firmware_in_the_loop.py": (
+        "firmware_in_the_loop.md",
+        "build/loop",
+        "socket://127.0.0.1:20001",
+    ),
     "tests/targets/test_golden_vectors.py": (
         "targets.md",
         "PYTHONPATH=tests python -m targets.golden_vectors",
