@@ -96,7 +96,6 @@ NOT_RUN = {
     "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --view": IN_A_BROWSER,
     "mcp-asdf reproduce": TAKES_LONG,
     "mcp-asdf reproduce --paper": TAKES_LONG,
-    "mcp-asdf reproduce --redraw": "redraws what the first has run",
     "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
     "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
         TAKES_LONG

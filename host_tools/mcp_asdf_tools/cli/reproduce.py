@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common import ParameterError, UsageError, progress
 from mcp_asdf_tools.experiments import Convention, Store, run_missing
-from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Run, Scale, StudyFolder, seconds_of
+from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Scale, StudyFolder, seconds_of
 from mcp_asdf_tools.robots import FIRMWARES
 
 EPILOG = """\
@@ -23,9 +23,8 @@ examples:
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --redraw                       # the report again, nothing is run
   mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --output authors
-A run that was interrupted is resumed by the same command: finished trials are kept and not run again.
+The same command resumes a run that was interrupted, and makes the report of a finished one again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
 
@@ -41,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     size.add_argument("--paper", action="store_true", help=paper)
     parts = [part.value for part in Part]
     add("--part", action="append", choices=parts, help="only this part; may be repeated (default: all)")
-    add("--redraw", action="store_true", help="make the report again from the results; run nothing")
     add("--trials", type=int, metavar="N", help="of each experiment (default: more until all is decided)")
     add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {full.steps})")
     add("--seed", type=int, metavar="N", help=f"the first one (default {full.seed})")
@@ -66,7 +64,13 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--{error.key}: {error}") from error
     if not args.json:
         _say_how_long(study.stores, scale)
-    runs = _run(study, workers, args)
+
+    def run_store(store: Store) -> None:
+        with progress(f"{store.output.stem}: trials", store.left, args.json) as bar:
+            run_missing(store, workers, 0, bar, args.scheduler)
+
+    with telling_what_is_left(study.stores):
+        runs = list(study.runs(run_store))
 
     from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
 
@@ -80,24 +84,6 @@ def run(args: argparse.Namespace) -> int:
     print(folder / "report.html")
     print_again(args, seed=scale.seed)
     return 0
-
-
-def _run(study: StudyFolder, workers: int, args: argparse.Namespace) -> list[Run]:
-    """Run what is missing, with a bar in seconds of one processor."""
-    known = {store: seconds_of(store) for store in study.stores}
-    total = round(sum(known.values()))
-    with telling_what_is_left(study.stores), progress("processor seconds", total, args.json) as bar:
-
-        def run_store(store: Store) -> None:
-            if args.redraw and store.left:
-                raise UsageError(f"{store.output} lacks {store.left} trials; leave out --redraw to run them")
-            missing = seconds_of(store)
-            bar(0, more=missing - known[store])
-            each = missing / max(1, store.left)
-            run_missing(store, workers, 0, lambda count: bar(count * each), args.scheduler)
-            known[store] = 0.0
-
-        return list(study.runs(run_store))
 
 
 def _say_how_long(stores: Sequence[Store], scale: Scale) -> None:
@@ -118,12 +104,9 @@ def scale_of(args: argparse.Namespace) -> Scale:
     if args.conventions is not None:
         given["conventions"] = Convention(args.conventions)
     scale = replace(QUICK if args.quick else PAPER if args.paper else Scale(), **given)
-    if scale.trials is not None and scale.trials < 2:
-        raise UsageError(f"--trials is {scale.trials}; give at least 2: one says nothing of how sure it is")
-    if scale.seeds is not None and not 1 <= scale.seeds <= 100:
-        raise UsageError(f"--seeds is {scale.seeds}; give 1 to 100")
-    if scale.steps < PERIODS[-1]:
-        raise UsageError(
-            f"--steps is {scale.steps}; give at least {PERIODS[-1]}, the longest filtering period"
-        )
+    least = {"trials": (2, "one says nothing of how sure it is"), "seeds": (1, "the first one")}
+    least["steps"] = (PERIODS[-1], "the longest tau")
+    for name, (value, why) in least.items():
+        if (own := getattr(scale, name)) is not None and own < value:
+            raise UsageError(f"--{name} is {own}; give at least {value}: {why}")
     return scale

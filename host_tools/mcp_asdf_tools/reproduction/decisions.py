@@ -43,7 +43,6 @@ class Decision:
 
 
 Decided = Sequence[Decision]
-"""Decisions on all claims."""
 
 
 def needs(reading: Reading, part: Part | None) -> set[Part]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
@@ -19,23 +20,11 @@ from mcp_asdf_tools.experiments import (
     time_plots,
     trials_in_words,
 )
-from mcp_asdf_tools.reproduction.study import (
-    PART_NAMES,
-    PERIODS,
-    Cell,
-    Part,
-    Scale,
-    Study,
-    cells_of,
-    experiment_of,
-)
+from mcp_asdf_tools.reproduction.study import PART_NAMES, Cell, Part, Scale, Study, cells_of, experiment_of
 from mcp_asdf_tools.robots import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 NONE, MINUS, PLUS = Filtering
-
-_TRIAL = 0
-"""Which one is drawn over time and space."""
 
 _MOMENT = 1000
 """Step up to which the paths of robots are drawn."""
@@ -43,183 +32,121 @@ _INTERVAL = 100
 """Steps between the values of a recorded trial."""
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """Everything that a picture may show.
-
-    Attributes:
-        study: The results with the first seed.
-        scale: How much was run.
-    """
-
-    study: Study
-    scale: Scale
-
-
-@dataclass(frozen=True)
-class ReportFigure:
+class Picture(NamedTuple):
     """A picture of the report.
 
     Attributes:
         name: Name of its file, without a suffix.
-        title: What it shows.
-        paper: Number of the paper's figure that it follows, empty if there is none.
-        parts: Those that it shows.
-        draw: Draws it, given the trials in it.
-        shown: Whether an experiment is in it; none is where nothing is scored.
-        note: How to read it.
+        title: What it shows, with the number of the paper's figure that it follows.
+        note: How to read it, trials, and limits of the scores.
+        figure: The drawing.
     """
 
     name: str
     title: str
-    paper: str
-    parts: tuple[Part, ...]
-    draw: Callable[[Drawn, Sequence[Trials]], Figure]
-    shown: Callable[[Experiment], bool] = lambda experiment: False
-    note: str = ""
-
-    def drawn(self, drawn: Drawn) -> Figure:
-        """The picture."""
-        return self.draw(drawn, self._trials(drawn))
-
-    def caption(self, drawn: Drawn) -> str:
-        """Title, number in the paper, how to read it, trials and limits of the scores."""
-        paper = f" (the paper's figure {self.paper})" if self.paper else ""
-        words = f"{self.title}{paper}."
-        if self.note:
-            words += f" {self.note[0].upper()}{self.note[1:]}."
-        if shown := self._trials(drawn):
-            k_max = " and ".join(f"{steps}" for steps in sorted({each.experiment.steps for each in shown}))
-            words += f" {trials_in_words(shown)}; K_max = {k_max}, e_max = {E_MAX:g}."
-        return words
-
-    def _trials(self, drawn: Drawn) -> list[Trials]:
-        """In the order of the filters, so that a series has the same colour in every picture."""
-        own = [each for part in self.parts for each in drawn.study.of(part) if self.shown(each.experiment)]
-        return sorted(own, key=lambda each: list(Filtering).index(each.experiment.filter))
+    note: str
+    figure: Figure
 
 
-def _with(*filters: Filtering, shortest: bool = False) -> Callable[[Experiment], bool]:
-    """Experiments with these filters, and the shortest period if only that is wanted."""
-    return lambda each: (
-        each.filter in filters and (not shortest or each.filter is NONE or each.filter_period == PERIODS[0])
-    )
+def pictures(study: Study, scale: Scale) -> Iterator[Picture]:
+    """All pictures of the parts of which there are results."""
+    title = "Local confidence alpha of an observation against b_hat (the paper's figure 2)"
+    yield Picture("confidence", title, "", plots.confidence())
+    simulated = [part for part in (DYNAMIC, FULLY_CONNECTED) if part in study.parts]
+    for part in simulated:
+        is_dynamic = part is DYNAMIC
+        yield _boxes(study, part, MINUS, "3a" * is_dynamic)
+        yield _boxes(study, part, PLUS, "3b" * is_dynamic)
+        yield _scatter(study, part, "4" * is_dynamic)
+        yield _bands(study, part)
+    if len(simulated) == 2:
+        yield _topologies(study, MINUS, "5a")
+        yield _topologies(study, PLUS, "5b")
+    if FULLY_CONNECTED in study.parts:
+        yield _series(scale)
+    if PHYSICAL in study.parts:
+        yield _paths(scale)
+        shown = _of(study, PHYSICAL, NONE, PLUS)
+        title = f"H of physical swarms without filter and with {FILTER_NAMES[PLUS]}"
+        yield _scored("physical_scores", _titled(title, "8a"), shown, plots.strips, plots.POINTS)
+        yield _scatter(study, PHYSICAL, "8b")
 
 
-def _boxes(part: Part, own: Filtering, paper: str) -> ReportFigure:
+def _of(study: Study, part: Part, *filters: Filtering, shortest: bool = False) -> list[Trials]:
+    """Results with these filters, one after the other, and all periods or only the shortest."""
+    return [
+        each
+        for own in filters
+        for each in study.of(part)
+        if each.experiment.filter is own
+        and (own is NONE or not shortest or each.experiment.filter_period == Cell.period)
+    ]
+
+
+def _titled(words: str, paper: str) -> str:
+    """A title with the number of the paper's figure, if there is one."""
+    return f"{words} (the paper's figure {paper})" if paper else words
+
+
+def _scored(
+    name: str, title: str, shown: Sequence[Trials], draw: Callable[[Sequence[Trials]], Figure], marks: str
+) -> Picture:
+    """A picture of scores; ``marks`` says what is drawn."""
+    k_max = " and ".join(f"{steps}" for steps in sorted({each.experiment.steps for each in shown}))
+    note = f"{marks[0].upper()}{marks[1:]}. {trials_in_words(shown)}; K_max = {k_max}, e_max = {E_MAX:g}."
+    return Picture(name, title, note, draw(shown))
+
+
+def _boxes(study: Study, part: Part, own: Filtering, paper: str) -> Picture:
     """H without and with a filter; where all are flawed, ASDF- is ASDF+ and not shown twice."""
-    chosen = _with(NONE, own)
-    return ReportFigure(
-        f"{part.value}_{own.value}",
-        f"H of {PART_NAMES[part]} swarms without filter and with {FILTER_NAMES[own]}",
-        paper,
-        (part,),
-        lambda drawn, shown: plots.boxes(shown),
-        lambda each: chosen(each) and not (own is MINUS and each.flawed == each.robots),
-        plots.BOXES,
-    )
+    shown = _of(study, part, NONE, own)
+    if own is MINUS:
+        shown = [each for each in shown if each.experiment.flawed < each.experiment.robots]
+    title = f"H of {PART_NAMES[part]} swarms without filter and with {FILTER_NAMES[own]}"
+    return _scored(f"{part.value}_{own.value}", _titled(title, paper), shown, plots.boxes, plots.BOXES)
 
 
-def _topologies(own: Filtering, paper: str) -> ReportFigure:
+def _scatter(study: Study, part: Part, paper: str) -> Picture:
+    title = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {Cell.period}"
+    marks = scatter_plots.POINTS
+    marks += ". Without flawed robots ASDF- is no filter, where all are flawed it is ASDF+"
+    shown = _of(study, part, *Filtering, shortest=True)
+    return _scored(f"{part.value}_scatter", _titled(title, paper), shown, scatter_plots.scatter, marks)
+
+
+def _bands(study: Study, part: Part) -> Picture:
+    title = f"b_hat of all robots of {PART_NAMES[part]} swarms with ASDF+, tau = {Cell.period}"
+    shown = _of(study, part, PLUS, shortest=True)
+    shown = [each for each in shown if 0 < each.experiment.flawed < each.experiment.robots]
+    return _scored(f"{part.value}_bands", title, shown, time_plots.bands, time_plots.BANDS)
+
+
+def _topologies(study: Study, own: Filtering, paper: str) -> Picture:
     """Dynamic beside fully connected."""
 
     def name(each: Experiment) -> str:
         return f"{'dynamic' if each.is_dynamic else 'fully connected'}, {FILTER_NAMES[each.filter]}"
 
-    def draw(drawn: Drawn, shown: Sequence[Trials]) -> Figure:
-        by_part = sorted(shown, key=lambda each: not each.experiment.is_dynamic)
-        return plots.boxes(by_part, name=name)
+    def draw(shown: Sequence[Trials]) -> Figure:
+        return plots.boxes(shown, name=name)
 
-    return ReportFigure(
-        f"topologies_{own.value}",
-        f"H in both topologies without filter and with {FILTER_NAMES[own]}, tau = {PERIODS[0]}",
-        paper,
-        (DYNAMIC, FULLY_CONNECTED),
-        draw,
-        _with(NONE, own, shortest=True),
-        plots.BOXES,
-    )
+    title = f"H in both topologies without filter and with {FILTER_NAMES[own]}, tau = {Cell.period}"
+    parts = (DYNAMIC, FULLY_CONNECTED)
+    shown = [each for part in parts for each in _of(study, part, NONE, own, shortest=True)]
+    return _scored(f"topologies_{own.value}", _titled(title, paper), shown, draw, plots.BOXES)
 
 
-def _scatter(part: Part, paper: str) -> ReportFigure:
-    return ReportFigure(
-        f"{part.value}_scatter",
-        f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {PERIODS[0]}",
-        paper,
-        (part,),
-        lambda drawn, shown: scatter_plots.scatter(shown),
-        _with(*Filtering, shortest=True),
-        f"{scatter_plots.POINTS}. Without flawed robots ASDF- is no filter, where all are flawed it is ASDF+",
-    )
-
-
-def _bands(part: Part) -> ReportFigure:
-    chosen = _with(PLUS, shortest=True)
-    return ReportFigure(
-        f"{part.value}_bands",
-        f"b_hat of all robots of {PART_NAMES[part]} swarms with ASDF+, tau = {PERIODS[0]}",
-        "",
-        (part,),
-        lambda drawn, shown: time_plots.bands(shown),
-        lambda each: chosen(each) and 0 < each.flawed < each.robots,
-        time_plots.BANDS,
-    )
-
-
-def _paths(drawn: Drawn, _: Sequence[Trials]) -> Figure:
-    half = next(experiment_of(cell, drawn.scale) for cell in cells_of(PHYSICAL) if cell.percent == 50)
-    return arena_plots.trajectories(half, _TRIAL, _MOMENT)
-
-
-def _series(drawn: Drawn, _: Sequence[Trials]) -> Figure:
-    """One trial each of figure 6, run again to record it."""
+def _series(scale: Scale) -> Picture:
+    """One trial without and one with a filter, run again to record them."""
     cell = Cell(FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
-    wanted = [replace(experiment_of(cell.but(filter=own), drawn.scale), trials=1) for own in (NONE, PLUS)]
-    recorded = [run_trials(experiment, _TRIAL, 1, _INTERVAL) for experiment in wanted]
-    return time_plots.series_beside(recorded, _TRIAL)
+    wanted = [replace(experiment_of(cell.but(filter=own), scale), trials=1) for own in (NONE, PLUS)]
+    recorded = [run_trials(experiment, 0, 1, _INTERVAL) for experiment in wanted]
+    title = "A fully connected trial without filter and one with ASDF+ (the paper's figure 6)"
+    note = f"f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %, tau = {Cell.period}."
+    return Picture("series", title, note, time_plots.series_beside(recorded, 0))
 
 
-FIGURES = (
-    ReportFigure(
-        "confidence",
-        "Local confidence alpha of an observation against b_hat",
-        "2",
-        (),
-        lambda drawn, shown: plots.confidence(),
-    ),
-    _boxes(DYNAMIC, MINUS, "3a"),
-    _boxes(DYNAMIC, PLUS, "3b"),
-    _boxes(FULLY_CONNECTED, MINUS, ""),
-    _boxes(FULLY_CONNECTED, PLUS, ""),
-    _scatter(DYNAMIC, "4"),
-    _scatter(FULLY_CONNECTED, ""),
-    _topologies(MINUS, "5a"),
-    _topologies(PLUS, "5b"),
-    ReportFigure(
-        "series",
-        "A fully connected trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, "
-        f"P = 50 %, tau = {PERIODS[0]}",
-        "6",
-        (FULLY_CONNECTED,),
-        _series,
-    ),
-    ReportFigure(
-        "physical_paths",
-        f"Paths of the robots across the code in the first {_MOMENT} steps",
-        "7",
-        (PHYSICAL,),
-        _paths,
-    ),
-    ReportFigure(
-        "physical_scores",
-        f"H of physical swarms without filter and with {FILTER_NAMES[PLUS]}",
-        "8a",
-        (PHYSICAL,),
-        lambda drawn, shown: plots.strips(shown),
-        _with(NONE, PLUS),
-        plots.POINTS,
-    ),
-    _scatter(PHYSICAL, "8b"),
-    _bands(FULLY_CONNECTED),
-    _bands(DYNAMIC),
-)
+def _paths(scale: Scale) -> Picture:
+    half = next(experiment_of(cell, scale) for cell in cells_of(PHYSICAL) if cell.percent == 50)
+    title = f"Paths of the robots across the code in the first {_MOMENT} steps (the paper's figure 7)"
+    return Picture("physical_paths", title, "", arena_plots.trajectories(half, 0, _MOMENT))

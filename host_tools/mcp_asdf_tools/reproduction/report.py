@@ -15,7 +15,7 @@ from mcp_asdf_tools.common import UsageError, image_of, software_versions, write
 from mcp_asdf_tools.experiments import E_MAX
 from mcp_asdf_tools.reproduction.claims import LEVELS, QUESTIONS, SIZES
 from mcp_asdf_tools.reproduction.decisions import Decided, Decision
-from mcp_asdf_tools.reproduction.figures import FIGURES, Drawn, ReportFigure
+from mcp_asdf_tools.reproduction.figures import Picture, pictures
 from mcp_asdf_tools.reproduction.resampling import RESAMPLES
 from mcp_asdf_tools.reproduction.runs import Run
 from mcp_asdf_tools.reproduction.study import PART_NAMES, Part, Scale, cells_of, experiment_of
@@ -48,23 +48,18 @@ def write_report(folder: Path, runs: Sequence[Run], scale: Scale) -> None:
 
     Raises UsageError if that cannot be done.
     """
-    drawn = Drawn(runs[0].study, scale)
-    figures = [each for each in FIGURES if drawn.study.parts.issuperset(each.parts)]
-    images = {f"figures/{each.name}.png": _image(each, drawn) for each in figures}
+    drawn = list(pictures(runs[0].study, scale))
+    images = {f"figures/{each.name}.png": image_of(each.figure, Path(f"{each.name}.png")) for each in drawn}
     try:
         (folder / "figures").mkdir(exist_ok=True)
     except OSError as error:
         raise UsageError(f"cannot make a folder in {folder}: {error.strerror}; choose another") from error
     for name, image in images.items():
         write_atomically(folder / name, image)
-    content = _rendered("report.md.j2", **_context(runs, drawn, figures))
+    content = _rendered("report.md.j2", **_context(runs, scale, drawn))
     write_atomically(folder / "report.md", content)
     write_atomically(folder / "report.html", _page(content, images))
     write_atomically(folder / "comparisons.csv", comparisons(runs, scale))
-
-
-def _image(figure: ReportFigure, drawn: Drawn) -> bytes:
-    return image_of(figure.drawn(drawn), Path(f"{figure.name}.png"))
 
 
 def _rendered(template: str, **context: Any) -> str:
@@ -78,8 +73,6 @@ def _rendered(template: str, **context: Any) -> str:
         keep_trailing_newline=True,
         autoescape=False,  # Markdown of our own words
     )
-    environment.filters["cell"] = lambda words: str(words).replace("|", "\\|")
-    environment.filters["plain"] = lambda words: words.replace("[", "(").replace("]", ")")
     return environment.get_template(template).render(context)
 
 
@@ -98,22 +91,22 @@ def _page(content: str, images: Mapping[str, bytes]) -> str:
 # --- Everything that the template shows ------------------------------------------------------------------
 
 
-def _context(runs: Sequence[Run], drawn: Drawn, figures: Sequence[ReportFigure]) -> dict[str, Any]:
-    decided, scale = runs[0].decided, drawn.scale
-    parts = [part for part in Part if part in drawn.study.parts]
+def _context(runs: Sequence[Run], scale: Scale, drawn: Sequence[Picture]) -> dict[str, Any]:
+    decided = runs[0].decided
+    parts = [part for part in Part if part in runs[0].study.parts]
     return {
         "scale": scale,
         "decided": decided,
         "Verdict": Verdict,
         "verdicts": verdicts_of(runs),
-        "sections": _sections(decided),
+        "sections": {part: own for part in (None, *Part) if (own := [d for d in decided if d.part is part])},
         "counts": Counter((each.part, each.finding.verdict) for each in decided),
         "parts": parts,
         "names": {None: "equations", **PART_NAMES},
         "questions": _questions(decided),
         "versions": ", ".join(f"{name} {version}" for name, version in software_versions().items()),
         "runs": [_run_row(part, runs, scale) for part in parts],
-        "figures": [(each.name, each.title, each.caption(drawn)) for each in figures],
+        "pictures": drawn,
         "numbers": numbers,
         "table_of": _table_of,
         "marks": _MARKS,
@@ -131,12 +124,6 @@ def verdicts_of(runs: Sequence[Run]) -> Verdicts:
         for each in run.decided:
             found.setdefault(each.key, []).append(each.finding.verdict)
     return found
-
-
-def _sections(decided: Decided) -> list[tuple[Part | None, list[Decision]]]:
-    """Decisions by what they are about."""
-    sections = [(part, [each for each in decided if each.part is part]) for part in (None, *Part)]
-    return [(part, own) for part, own in sections if own]
 
 
 def _questions(decided: Decided) -> list[tuple[str, dict[Part | None, Decision]]]:

@@ -123,9 +123,6 @@ ENOUGH = {
 }
 """Enough for nearly all comparisons, and to see whether another seed decides alike."""
 
-PAPER_TRIALS = 30
-PAPER_STEPS = 40_000
-
 
 @dataclass(frozen=True)
 class Scale:
@@ -141,7 +138,7 @@ class Scale:
     """
 
     trials: int | None = None
-    steps: int = PAPER_STEPS
+    steps: int = 40_000
     seed: int = 1
     seeds: int | None = None
     firmware: str = "native"
@@ -157,10 +154,10 @@ class Scale:
     @property
     def allows_verdicts(self) -> bool:
         """True if trials are as many and as long as the paper's."""
-        return self.steps >= PAPER_STEPS and (self.trials or PAPER_TRIALS) >= PAPER_TRIALS
+        return self.steps >= Scale.steps and (self.trials is None or self.trials >= 30)
 
 
-PAPER = Scale(trials=PAPER_TRIALS, seeds=1)
+PAPER = Scale(trials=30, seeds=1)
 QUICK = Scale(trials=10, steps=10_000, seeds=1)
 
 

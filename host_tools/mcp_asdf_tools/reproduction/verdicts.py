@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import NamedTuple
 
 from mcp_asdf_tools.reproduction.resampling import Estimate
 
@@ -50,9 +51,8 @@ class Verdict(Enum):
     """More than a quarter of the comparisons are open, or the one that would do may be among the open."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a comparison is drawn: row and column of its claim's picture."""
+class Place(NamedTuple):
+    """Where a comparison is shown: row and column of its claim's table."""
 
     row: str
     column: str
@@ -77,12 +77,29 @@ class Comparison:
     @property
     def label(self) -> str:
         """Which cells are compared, in a line."""
-        return ": ".join(filter(None, (self.place.row, self.place.column)))
+        return ": ".join(filter(None, self.place))
 
     @property
     def holds(self) -> bool | None:
         """True if the claim is right here; None if the interval leaves it open."""
-        return _RULES[self.expectation](self.estimate, self.size)
+        expectation, size = self.expectation, self.size
+        is_turned = expectation in (Expectation.BELOW, Expectation.NOT_ABOVE)
+        ours = -self.estimate if is_turned else self.estimate
+        if expectation in (Expectation.ABOVE, Expectation.BELOW):
+            return _decided(_is_above(ours, size), ours.high < size)
+        if expectation is Expectation.SAME:
+            is_off = _is_above(ours, size) or _is_above(-ours, size)
+            return _decided(-size < ours.low and ours.high < size, is_off)
+        return _decided(ours.low > -size, _is_above(-ours, size))
+
+
+def _is_above(estimate: Estimate, size: float) -> bool:
+    """Surely above 0, and enough to count."""
+    return estimate.low > 0 and estimate.value >= size
+
+
+def _decided(is_right: bool, is_wrong: bool) -> bool | None:
+    return True if is_right else False if is_wrong else None
 
 
 @dataclass(frozen=True)
@@ -116,38 +133,3 @@ class Finding:
         if right >= least * decided:
             return Verdict.AGREE
         return Verdict.DISAGREE if right <= most * decided else Verdict.MIXED
-
-
-# --- When a comparison holds -----------------------------------------------------------------------------
-
-
-def _is_above(estimate: Estimate, size: float) -> bool:
-    """Surely above 0, and enough to count."""
-    return estimate.low > 0 and estimate.value >= size
-
-
-def _above(estimate: Estimate, size: float) -> bool | None:
-    if _is_above(estimate, size):
-        return True
-    return False if estimate.high < size else None
-
-
-def _not_below(estimate: Estimate, size: float) -> bool | None:
-    if estimate.low > -size:
-        return True
-    return False if _is_above(-estimate, size) else None
-
-
-def _same(estimate: Estimate, size: float) -> bool | None:
-    if -size < estimate.low and estimate.high < size:
-        return True
-    return False if _is_above(estimate, size) or _is_above(-estimate, size) else None
-
-
-_RULES: dict[Expectation, Callable[[Estimate, float], bool | None]] = {
-    Expectation.ABOVE: _above,
-    Expectation.BELOW: lambda estimate, size: _above(-estimate, size),
-    Expectation.SAME: _same,
-    Expectation.NOT_ABOVE: lambda estimate, size: _not_below(-estimate, size),
-    Expectation.NOT_BELOW: _not_below,
-}

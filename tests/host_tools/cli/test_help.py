@@ -47,7 +47,6 @@ NOT_RUN = {
     "reproduce --paper": LONG,
     "reproduce --quick": "tests/host_tools/reproduction/test_study.py runs it",
     "reproduce --part fully_connected --seed 7 --output other": LONG,
-    "reproduce --redraw": "redraws what others have run",
     "reproduce --firmware reference --conventions authors --trials 30 --output authors": LONG,
 }
 """Examples that are parsed alone, and why."""

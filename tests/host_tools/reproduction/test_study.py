@@ -18,7 +18,6 @@ from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.reproduction import report, resampling, study
 from mcp_asdf_tools.reproduction.claims import CLAIMS
-from mcp_asdf_tools.reproduction.figures import FIGURES
 from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, cells_of, experiment_of, study_of
 
 FULL, DYNAMIC, PHYSICAL = Part
@@ -35,7 +34,7 @@ def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes long."""
-    monkeypatch.setattr(report, "FIGURES", [each for each in FIGURES if each.name == "confidence"])
+    monkeypatch.setattr(report, "pictures", lambda study, scale: [])
 
 
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
@@ -111,11 +110,22 @@ def test_the_whole_study_makes_a_report(tmp_path: Path, capsys: pytest.CaptureFi
     assert "Too short for verdicts" in page
     anchors = re.findall(r'<a id="([^"]+)">', content)
     assert len(anchors) == len(set(anchors)) == len(expected)
-    assert set(re.findall(r"^!\[.+\]\(figures/([\w-]+).png\)$", content, re.M)) == {
-        each.name for each in FIGURES
-    }
+    drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
+    assert set(re.findall(r"^!\[.+\]\(figures/([\w-]+).png\)$", content, re.M)) == drawn
+    assert sorted(re.findall(r"\(the paper's figure (\w+)\)\.", content)) == [
+        "2",
+        "3a",
+        "3b",
+        "4",
+        "5a",
+        "5b",
+        "6",
+        "7",
+        "8a",
+        "8b",
+    ]
     sources = re.findall(r'src="([^"]{30})', page)
-    assert len(sources) == len(FIGURES)
+    assert len(sources) == len(drawn) == 15
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
     assert not re.search(r"(src|href)=\"(?!data:|#)", page)
     with (tmp_path / "comparisons.csv").open(encoding="utf-8", newline="") as file:
@@ -141,8 +151,6 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
         count_jobs(patch, 8)
         assert cli.main(["reproduce", *TINY, "--output", str(halves)]) == 130
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
-    assert cli.main(["reproduce", *TINY, "--output", str(halves), "--redraw"]) == 2
-    assert "physical.parquet lacks 24 trials; leave out --redraw to run them" in capsys.readouterr().err
     started = count_jobs(monkeypatch)
     assert answer(capsys, *TINY, "--output", str(halves))["claims"] == found["claims"]
     assert sum(job.count for job in started) == 24
@@ -150,7 +158,7 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
     count_jobs(monkeypatch, 0)
     before = files_of(whole)
     (whole / "report.html").unlink()
-    assert cli.main(["reproduce", *TINY, "--output", str(whole), "--redraw"]) == 0
+    assert cli.main(["reproduce", *TINY, "--output", str(whole)]) == 0
     assert f"{'too short':10} physical" in capsys.readouterr().out
     assert files_of(whole) == before
     assert cli.main(["reproduce", *TINY, "--output", str(whole), "--seed", "2"]) == 2
@@ -194,7 +202,7 @@ def test_options_reach_the_experiments(tmp_path: Path, capsys: pytest.CaptureFix
         (["--trials", "1"], "--trials is 1; give at least 2"),
         (["--trials", "1000001"], "--trials: trials is 1000001"),
         (["--seed", "-1"], "--seed: seed is -1"),
-        (["--seeds", "0"], "--seeds is 0; give 1 to 100"),
+        (["--seeds", "0"], "--seeds is 0; give at least 1"),
         (["--quick", "--paper"], "not allowed with argument"),
         (["--steps", "3999"], "--steps is 3999; give at least 4000"),
         (["--workers", "0"], "--workers is 0"),
