@@ -16,16 +16,13 @@ from .figures import WIDTH as WIDTH
 from .figures import WITHOUT as WITHOUT
 from .figures import add_caption as add_caption
 from .figures import add_legend as add_legend
-from .figures import are_distinct as are_distinct
 from .figures import check_plot_path as check_plot_path
 from .figures import clean as clean
 from .figures import empty_figure as empty_figure
 from .figures import image_of as image_of
 from .figures import number_in_words as number_in_words
 from .figures import ordered_colours as ordered_colours
-from .figures import period_colour as period_colour
 from .figures import save_figure as save_figure
-from .figures import share_colour as share_colour
 from .files import FileSet as FileSet
 from .files import check_target as check_target
 from .files import explaining as explaining

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import io
-import math
 import textwrap
 from collections.abc import Sequence
-from itertools import combinations
 from pathlib import Path
 
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
+from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -75,34 +73,12 @@ TOGETHER = COLOURS[6]
 """Robots whose values are one and the same."""
 
 WITHOUT = GREY
-"""No filter; a filter is green, darker the more often it runs."""
+"""Swarms without a filter."""
 
 DIVERGING = LinearSegmentedColormap.from_list("below to above", [COLOURS[1], "#ffffff", COLOURS[0]])
-"""Of differences: orange below 0, blue above."""
+"""Colours of differences: orange below 0, blue above."""
 
-_OFTEN_TO_SELDOM = LinearSegmentedColormap.from_list("filtering", ["#001f33", COLOURS[2], "#e3f2a8"])
-_FEW_TO_ALL = LinearSegmentedColormap.from_list("flawed", ["#f5c9a6", FLAWED, "#5a2200"])
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
-
-
-def period_colour(period: float) -> str:
-    """Of swarms with a filter: the same in every figure for one filtering period."""
-    return to_hex(_OFTEN_TO_SELDOM(0.5 + 0.5 * math.tanh(0.4 * math.log2(period / 1400))))
-
-
-def are_distinct(colours: Sequence[str]) -> bool:
-    """True if all can be told from each other."""
-    pairs = combinations(set(colours), 2)
-    return all(math.dist(to_rgb(one), to_rgb(other)) >= _LEAST_DISTANCE for one, other in pairs)
-
-
-_LEAST_DISTANCE = 0.12
-"""Of colours whose red, green and blue go to 1."""
-
-
-def share_colour(share: float) -> str:
-    """Of swarms with this share of flawed robots, 0 to 1: the same in every figure."""
-    return to_hex(_FEW_TO_ALL(float(share))) if share else OTHER
 
 
 def ordered_colours(count: int) -> list[str]:

@@ -1,15 +1,14 @@
 """Many trials without a bus: parameters, engine, results, scores and plots."""
 
-from . import arena_plots as arena_plots
-from . import curves as curves
 from . import plots as plots
-from . import scatter_plots as scatter_plots
 from . import time_plots as time_plots
 from .experiment import Convention as Convention
 from .experiment import Experiment as Experiment
 from .experiment import grid as grid
 from .experiment_files import STUDIES as STUDIES
 from .experiment_files import read_experiments as read_experiments
+from .plots import FILTER_NAMES as FILTER_NAMES
+from .plots import trials_in_words as trials_in_words
 from .results import Trials as Trials
 from .results import experiments_in as experiments_in
 from .results import metadata_of as metadata_of
@@ -23,8 +22,6 @@ from .scores import LimitsOf as LimitsOf
 from .scores import Scores as Scores
 from .scores import chosen_limits as chosen_limits
 from .scores import paper_limits as paper_limits
-from .series_names import FILTER_NAMES as FILTER_NAMES
-from .series_names import trials_in_words as trials_in_words
 from .sweep import Report as Report
 from .sweep import Store as Store
 from .sweep import default_workers as default_workers

@@ -1,277 +1,382 @@
-"""Pictures of scores by cell, as boxes or points; and of the confidence."""
+"""Pictures of scores: by cell, against each other, and over any parameter; and of the confidence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby, takewhile
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf.reference import local_confidence
 from mcp_asdf_tools.common import (
+    COLOURS,
     INK,
     MEDIUM,
     SMALL,
     WIDTH,
+    WITHOUT,
+    UsageError,
     add_caption,
     add_legend,
     clean,
     empty_figure,
+    number_in_words,
     ordered_colours,
 )
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
-from mcp_asdf_tools.experiments.series_names import (
-    Name,
-    Style,
-    by_series,
-    caption_of,
-    check_size,
-    share_of,
-    styles_of,
-)
+from mcp_asdf_tools.robots import Filtering
 
-Scores = NDArray[np.float64]
+FILTER_NAMES = {
+    Filtering.NONE: "no filter",
+    Filtering.ASDF_MINUS: "ASDF\N{MINUS SIGN}",
+    Filtering.ASDF_PLUS: "ASDF+",
+}
+LETTERS = {
+    "f": "fill_ratio",
+    "b": "true_accuracy",
+    "b_hat": "flawed_accuracy",
+    "P": "flawed",
+    "N": "robots",
+    "D": "density",
+    "tau": "filter_period",
+}
+"""The paper's letters of parameters."""
 
 BOXES = (
-    "boxes from quartile to quartile, whiskers to the last trial within 1.5 of their length, points beyond; "
-    "the line is the median; cells whose trials fall into two groups have a point for each trial instead"
+    "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
+    "1.5 of their length"
 )
-POINTS = "a point is a trial, the line the median"
+SCATTER = (
+    "a point is a trial: blue where flawed robots are overconfident, red or orange where they are "
+    "underconfident, darker the farther off"
+)
+CURVES = "points are medians over the trials, bands their 95 % intervals"
+_MOST_SERIES, _MOST_PANELS = 8, 32
+_FILTER_PARAMETERS = ("filter_period", "omega", "activation")
+
+Name = Callable[[Experiment], str]
+"""Names the series that an experiment belongs to."""
+
+
+# --- What all share --------------------------------------------------------------------------------------
+
+
+def panels_of(
+    rows: int, columns: int, height: float, series: int = 1, sharex: bool = True
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure of empty panels. Raises UsageError if panels or series are too many."""
+    if rows * columns > _MOST_PANELS or series > _MOST_SERIES:
+        raise UsageError(
+            f"{rows * columns} panels with {series} series do not fit a picture; plot at most "
+            f"{_MOST_PANELS} with {_MOST_SERIES}, or a parameter along an axis: --kind curve --x NAME"
+        )
+    figure = empty_figure(WIDTH if columns > 1 else 0.7 * WIDTH, 1.4 + height * rows)
+    return figure, figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
+
+
+def finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequence[Line2D]) -> Figure:
+    """Names of the axes, a caption and a legend."""
+    figure.supylabel(labels[1], fontsize=MEDIUM)
+    add_caption(figure, labels[0], words)
+    add_legend(figure, handles)
+    return figure
+
+
+def handle(label: str, colour: str, marker: str = "o", line: str = "") -> Line2D:
+    return Line2D([], [], linestyle=line, marker=marker, color=colour, label=label)
+
+
+def share_of(experiment: Experiment) -> float:
+    """P, the share of flawed robots."""
+    return experiment.flawed / experiment.robots
+
+
+def _values(experiments: Sequence[Trials], name: str) -> list[float]:
+    return sorted({getattr(trials.experiment, name) for trials in experiments})
+
+
+def _offset(experiment: Experiment) -> float:
+    """b_hat less b of flawed robots; 0 where there are none."""
+    return round(experiment.flawed_accuracy - experiment.true_accuracy, 9) if experiment.flawed else 0.0
+
+
+def by_series(experiments: Sequence[Trials], name: Name | None = None) -> dict[str, list[Trials]]:
+    """Swarms without filter first, then those that filter less; named by all that varies unless given."""
+    name = name or _name_of(experiments)
+    series: dict[str, list[Trials]] = {}
+    for trials in sorted(experiments, key=lambda trials: list(Filtering).index(trials.experiment.filter)):
+        series.setdefault(name(trials.experiment), []).append(trials)
+    return series
+
+
+def _name_of(experiments: Sequence[Trials]) -> Name:
+    """Names made of the parameters that vary; those of filters do not name swarms without one."""
+    varying = _varying(
+        experiments, "fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter"
+    )
+
+    def name(experiment: Experiment) -> str:
+        words = [FILTER_NAMES[experiment.filter]]
+        for key in varying:
+            if experiment.filter is not Filtering.NONE or key not in _FILTER_PARAMETERS:
+                words.append(f"{key.replace('_', ' ')} {number_in_words(experiment.parameters()[key])}")
+        return ", ".join(words)
+
+    return name
+
+
+def _varying(experiments: Sequence[Trials], *others: str) -> list[str]:
+    """The parameters in which experiments differ, but for ``others``; of filters those that run."""
+    every = [trials.experiment.parameters() for trials in experiments]
+    filtering = [each for each in every if each["filter"] != Filtering.NONE.value]
+    return [
+        name
+        for name in every[0]
+        if name not in others
+        and len({each[name] for each in (filtering if name in _FILTER_PARAMETERS else every)}) > 1
+    ]
+
+
+def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
+    """Grey without a filter, otherwise one after the other."""
+    free = iter(COLOURS)
+    are_none = [all(each.experiment.filter is Filtering.NONE for each in own) for own in series.values()]
+    return [WITHOUT if is_none else next(free) for is_none in are_none]
+
+
+def caption_of(experiments: Sequence[Trials], marks: str, limits: LimitsOf | None = None) -> str:
+    """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
+    first, varying = experiments[0].experiment.parameters(), _varying(experiments)
+    shown = ("robots", "topology", "steps", "seed", *(_FILTER_PARAMETERS[:2]))
+    words = [
+        f"{name.replace('_', ' ')} {number_in_words(first[name])}" for name in shown if name not in varying
+    ]
+    words.append(trials_in_words(experiments))
+    if limits is not None:
+        chosen = {limits(trials.experiment) for trials in experiments}
+        for index, name in enumerate(("K", "e")):
+            ends = " and ".join(number_in_words(end) for end in sorted({each[index] for each in chosen}))
+            words.append(f"${name}_{{max}}$ = {ends}")
+    return f"{', '.join(words)}; {marks}."
+
+
+def trials_in_words(experiments: Sequence[Trials]) -> str:
+    """How many trials each experiment has."""
+    counts = {len(trials.numbers) for trials in experiments}
+    if len(counts) > 1:
+        return f"{min(counts)} to {max(counts)} trials of each experiment"
+    return f"{min(counts)} trial{'s' * (counts != {1})} of each experiment"
+
+
+# --- Scores by cell --------------------------------------------------------------------------------------
 
 
 def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None) -> Figure:
     """H over the proportion of flawed robots P and their accuracy b_hat: a panel for each f and b, as in the
     paper's figures 3 and 5; a colour for each ``name``, by default made of all else that varies.
 
-    Cells whose trials fall into two groups have points in place of a box. Raises UsageError if there is more
-    than fits a picture, as ``scatter`` does.
+    A point for each trial shows what a box hides: cells whose trials fall into two groups. Raises UsageError
+    if there is more than fits a picture, as ``scatter`` does.
     """
-    return _in_slots(experiments, limits, name, _draw_box_or_strip, BOXES)
-
-
-def strips(
-    experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None
-) -> Figure:
-    """The same with a point for every trial, which shows what a box hides: cells with two modes."""
-    return _in_slots(experiments, limits, name, _draw_strip, POINTS)
-
-
-DrawSlot = Callable[[Axes, Scores, float, float, Style], None]
-"""Draws scores around a place, with a width and a look."""
-
-
-def _in_slots(
-    experiments: Sequence[Trials], limits: LimitsOf, name: Name | None, draw: DrawSlot, marks: str
-) -> Figure:
     series = by_series(experiments, name)
-    styles = styles_of(series)
-    fills, accuracies = _axis(experiments, "fill_ratio"), _axis(experiments, "true_accuracy")
-    check_size(len(fills) * len(accuracies), len(series))
-    figure = empty_figure(WIDTH if len(accuracies) > 1 else 0.7 * WIDTH, 1.4 + 2.6 * len(fills))
-    grid = figure.subplots(len(fills), len(accuracies), sharey=True, squeeze=False)
-    for row, f in zip(grid, fills, strict=True):
-        for axes, b in zip(row, accuracies, strict=True):
-            panel = _panel_of(series, styles, limits, f, b)
-            _draw_panel(axes, panel, len(series), draw)
-            axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
-    figure.supylabel("score $H$", fontsize=MEDIUM)
-    axis = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
-    add_caption(figure, axis, caption_of(experiments, marks, limits=limits))
-    add_legend(figure, [_patch(key, style) for key, style in styles.items()])
-    return figure
-
-
-def _patch(label: str, style: Style) -> Patch:
-    width = 1.5 if style.is_hollow else 0.5
-    return Patch(facecolor=style.face, edgecolor=style.edge, linewidth=width, label=label)
-
-
-Slot = tuple[float, float]
-"""P, and b_hat less b."""
-
-Panel = list[tuple[Slot, int, Style, Scores]]
-"""Scores of cells with their slot, and number and look of their series."""
-
-
-def _panel_of(
-    series: dict[str, list[Trials]], styles: dict[str, Style], limits: LimitsOf, f: float, b: float
-) -> Panel:
-    return [
-        (slot_of(trials), index, styles[key], trials.scores(limits).h)
-        for index, (key, own) in enumerate(series.items())
-        for trials in own
-        if (trials.experiment.fill_ratio, trials.experiment.true_accuracy) == (f, b)
-    ]
-
-
-def _draw_panel(axes: Axes, panel: Panel, series: int, draw: DrawSlot) -> None:
-    """Groups side by side: P after P, within it b_hat after b_hat, within it the series; 0 to 100."""
-    slots = sorted({slot for slot, *_ in panel})
-    _draw_cells(axes, panel, slots, series, draw)
-    axes.set_ylim(0, 103)
-    axes.set_xlim(-0.5, len(slots) - 0.5)
-    axes.set_xticks(range(len(slots)), [_off(slot) for slot in slots])
-    _mark_shares(axes, slots)
-    clean(axes)
-    axes.tick_params(axis="x", labelsize=SMALL - 1)
-    _draw_zoomed(axes, panel, slots, series, draw)
-
-
-def _draw_cells(axes: Axes, panel: Panel, slots: Sequence[Slot], series: int, draw: DrawSlot) -> None:
-    width = 0.86 / series
-    for slot, index, style, scores in panel:
-        draw(axes, scores, slots.index(slot) + (index + 0.5) * width - 0.43, 0.85 * width, style)
-
-
-_NEAR_FULL = 85.0
-"""Score from which on slots are too flat to be read."""
-
-
-def _draw_zoomed(axes: Axes, panel: Panel, slots: Sequence[Slot], series: int, draw: DrawSlot) -> None:
-    """The first slots once more, magnified, where their scores are all near 100."""
-    lowest = {slot: min(_whisker(scores) for own, _, _, scores in panel if own == slot) for slot in slots}
-    flat = list(takewhile(lambda slot: lowest[slot] >= _NEAR_FULL, slots))
-    if len(flat) < 2:
-        return
-    shown = [cell for cell in panel if cell[0] in flat]
-    low = max(_NEAR_FULL - 5, min(lowest[slot] for slot in flat) - 1)
-    inset = axes.inset_axes((0.07, 0.08, len(flat) / len(slots) - 0.08, 0.58))
-    _draw_cells(inset, shown, flat, series, draw)
-    inset.set_xlim(-0.5, len(flat) - 0.5)
-    inset.set_ylim(low, 100.3)
-    inset.set_xticks([])
-    _separate(inset, flat)
-    clean(inset)
-    inset.tick_params(labelsize=SMALL - 2)
-    inset.set_title("magnified", fontsize=SMALL - 1, loc="left", pad=2)
-
-
-def _whisker(scores: Scores) -> float:
-    """Where the lower whisker ends, at most 1.5 box lengths below the box."""
-    lower, upper = np.percentile(scores, [25, 75])
-    return max(float(scores.min()), float(lower - 1.5 * (upper - lower)))
-
-
-# --- Cells -----------------------------------------------------------------------------------------------
-
-_TWO_GROUPS = 0.85
-"""Share of the variance that a cut into two groups explains, from which there are two: a uniform distribution
-has 0.75, a normal one 0.64."""
-_LEAST_GROUP, _LEAST_TRIALS = 0.1, 3
-"""Share of the trials, and trials, that a group has at least."""
-_LEAST_DISTANCE = 5.0
-"""Between the groups' means, in points: less would not be seen."""
-
-
-def falls_into_two_groups(scores: Scores) -> bool:
-    """True if some cut, with a tenth of the trials on either side, explains most of the variance."""
-    ordered, count = np.sort(scores), len(scores)
-    least = max(_LEAST_TRIALS, round(_LEAST_GROUP * count))
-    cuts = np.arange(least, count - least + 1)
-    variance = float(ordered.var())
-    if not len(cuts) or not variance:
-        return False
-    sums = np.cumsum(ordered)
-    left, right = sums[cuts - 1] / cuts, (sums[-1] - sums[cuts - 1]) / (count - cuts)
-    between = cuts * (count - cuts) / count**2 * (right - left) ** 2
-    best = int(between.argmax())
-    return bool(between[best] >= _TWO_GROUPS * variance and right[best] - left[best] >= _LEAST_DISTANCE)
-
-
-def _draw_box_or_strip(axes: Axes, scores: Scores, place: float, width: float, style: Style) -> None:
-    draw = _draw_strip if falls_into_two_groups(scores) else _draw_box
-    draw(axes, scores, place, width, style)
-
-
-def _draw_box(axes: Axes, scores: Scores, place: float, width: float, style: Style) -> None:
-    line = {"linewidth": 0.6, "color": style.edge}
-    width_of_edge = 1.1 if style.is_hollow else 0.5
-    axes.boxplot(
-        scores,
-        positions=[place],
-        widths=width,
-        manage_ticks=False,
-        patch_artist=True,
-        boxprops={"facecolor": style.face, "edgecolor": style.edge, "linewidth": width_of_edge},
-        medianprops={"color": INK, "linewidth": 1},
-        whiskerprops=line,
-        capprops=line,
-        flierprops={"markersize": 2, "marker": ".", "markeredgecolor": style.colour},
-    )
+    colours, width = _colours_of(series), 0.86 / len(series)
+    fills, accuracies = _values(experiments, "fill_ratio"), _values(experiments, "true_accuracy")
+    figure, grid = panels_of(len(fills), len(accuracies), 2.6, len(series), sharex=False)
+    for (row, column), axes in np.ndenumerate(grid):
+        f, b = fills[row], accuracies[column]
+        cells = [
+            (index, trials)
+            for index, own in enumerate(series.values())
+            for trials in own
+            if (trials.experiment.fill_ratio, trials.experiment.true_accuracy) == (f, b)
+        ]
+        places = [(share_of(trials.experiment), _offset(trials.experiment)) for _, trials in cells]
+        slots = sorted(set(places))
+        for (index, trials), place in zip(cells, places, strict=True):
+            middle = slots.index(place) + (index + 0.5) * width - 0.43
+            _draw_cell(axes, trials.scores(limits).h, middle, 0.85 * width, colours[index])
+        axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
+        axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
+        axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
+        clean(axes)
+    labels = (r"$\hat{b} - b$ of flawed robots, and their proportion $P$", "score $H$")
+    handles = [handle(key, colour, "s") for key, colour in zip(series, colours, strict=True)]
+    return finish(figure, labels, caption_of(experiments, BOXES, limits), handles)
 
 
 _GOLDEN = 0.618
 
 
-def _draw_strip(axes: Axes, scores: Scores, place: float, width: float, style: Style) -> None:
-    """Points spread evenly over the width, and a line at the median."""
-    aside = (np.arange(len(scores)) * _GOLDEN % 1 - 0.5) * width
-    size, edge = (2.2, 0.5) if style.is_hollow else (3.5, 0.0)
-    axes.plot(
-        place + aside,
+def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: float, colour: str) -> None:
+    """A box, and a point for each trial, spread evenly over its width."""
+    axes.boxplot(
         scores,
-        "o" if style.is_hollow else ".",
-        color=style.colour,
-        markerfacecolor="none" if style.is_hollow else style.colour,
-        markersize=size,
-        alpha=0.6,
-        markeredgewidth=edge,
+        positions=[place],
+        widths=width,
+        manage_ticks=False,
+        showfliers=False,
+        medianprops={"color": INK, "linewidth": 1.2},
+        **{f"{part}props": {"color": colour, "linewidth": 0.8} for part in ("box", "whisker", "cap")},
     )
-    middle = float(np.median(scores))
-    axes.plot([place - width / 2, place + width / 2], [middle, middle], color=INK, linewidth=1.2)
+    aside = (np.arange(len(scores)) * _GOLDEN % 1 - 0.5) * width
+    axes.plot(place + aside, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)
 
 
-# --- Places ----------------------------------------------------------------------------------------------
+def scatter(
+    experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None
+) -> Figure:
+    """h_e against h_K, a point for each trial, as the paper's figure 4: a row for each series and f, a column
+    for each P; overconfident swarms blue, underconfident ones red or orange, a shape for each b."""
+    series, fills = by_series(experiments, name), _values(experiments, "fill_ratio")
+    shares = sorted({share_of(trials.experiment) for trials in experiments})
+    accuracies = _values(experiments, "true_accuracy")
+    rows = [(key, f) for key in series for f in fills]
+    figure, grid = panels_of(len(rows), len(shares), 1.7, len(series))
+    looks = {}
+    for (row, column), axes in np.ndenumerate(grid):
+        key, f = rows[row]
+        for trials in series[key]:
+            experiment = trials.experiment
+            if (experiment.fill_ratio, share_of(experiment)) != (f, shares[column]):
+                continue
+            b, offset, scores = experiment.true_accuracy, _offset(experiment), trials.scores(limits)
+            look = looks[b, offset] = _shade(offset), _MARKERS[accuracies.index(b) % len(_MARKERS)]
+            axes.plot(scores.h_k, scores.h_e, look[1], color=look[0], markersize=3, alpha=0.4)
+        axes.set_title(f"{key}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
+        axes.set(xlim=(-4, 104), ylim=(-4, 104))
+        clean(axes)
+    handles = [
+        handle(
+            rf"$b$ = {b:g}, $\hat{{b}}$ = {b + offset:g}" if offset else f"$b$ = {b:g}, none flawed", *look
+        )
+        for (b, offset), look in sorted(looks.items())
+    ]
+    labels = ("convergence score $h_K$", "accuracy score $h_e$")
+    return finish(figure, labels, caption_of(experiments, SCATTER, limits), handles)
 
 
-def slot_of(trials: Trials) -> Slot:
-    """Where an experiment is on the axis; without flawed robots their accuracy does not matter."""
-    experiment = trials.experiment
-    if not experiment.flawed:
-        return 0.0, 0.0
-    return share_of(trials), round(experiment.flawed_accuracy - experiment.true_accuracy, 9)
+_MARKERS = "osD^v"
+_OVERCONFIDENT, _UNDERCONFIDENT = ("#56b4e9", "#0072b2", "#023858"), ("#e69f00", "#d55e00", "#7f2704")
 
 
-def _off(slot: Slot) -> str:
-    return f"{slot[1]:+.2g}".replace("-", "\N{MINUS SIGN}") if slot[0] else ""
+def _shade(offset: float) -> str:
+    """Blue or orange, darker for each fifth that b_hat is off, as in the paper."""
+    if not offset:
+        return INK
+    return (_OVERCONFIDENT if offset > 0 else _UNDERCONFIDENT)[min(int(abs(offset) / 0.201), 2)]
 
 
-def _mark_shares(axes: Axes, slots: Sequence[Slot]) -> None:
-    """P below the slots that have it, and lines between them."""
-    for share, middle in _separate(axes, slots).items():
-        axes.annotate(
-            f"{share:.0%}",
-            (middle, 0),
-            (0, -16),
-            axes.get_xaxis_transform(),
-            "offset points",
-            ha="center",
-            va="top",
-            fontsize=SMALL,
+# --- Over a parameter ------------------------------------------------------------------------------------
+
+MEASURES: dict[str, Callable[[Trials, LimitsOf], NDArray[np.float64]]] = {
+    "H": lambda trials, limits: trials.scores(limits).h,
+    "h_K": lambda trials, limits: trials.scores(limits).h_k,
+    "h_e": lambda trials, limits: trials.scores(limits).h_e,
+    "K": lambda trials, limits: trials.convergence_steps.mean(axis=1),
+    "e": lambda trials, limits: trials.errors.mean(axis=1),
+}
+"""A value for each trial; K and e are means over the robots."""
+
+_FAR_APART = 30
+"""Ratio of an axis' ends from which it is logarithmic."""
+
+
+def curve(
+    experiments: Sequence[Trials], x: str, hue: str = "", y: str = "H", limits: LimitsOf = paper_limits
+) -> Figure:
+    """The median of ``y`` over the parameter ``x`` with its 95 % interval: a curve for each value of the
+    parameter ``hue``, a panel for each f and b.
+
+    Parameters have their names or the paper's letters; P is a share. Raises UsageError for unknown ones, and
+    if the experiments differ in any other.
+    """
+    x, hue = (LETTERS.get(name, name) for name in (x, hue))
+    _check_axes(experiments, x, hue, y)
+    panels = sorted({_panel_of(trials.experiment, x, hue) for trials in experiments})
+    hues = sorted({value_of(trials.experiment, hue) for trials in experiments}) if hue else [None]
+    columns = min(len(panels), 2)
+    figure, grid = panels_of(-(-len(panels) // columns), columns, 2.8, len(hues))
+    colours = ordered_colours(len(hues))
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        for colour, chosen in zip(colours, hues, strict=True):
+            points = {
+                value_of(each.experiment, x): MEASURES[y](each, limits)
+                for each in experiments
+                if _panel_of(each.experiment, x, hue) == panel
+                and (not hue or value_of(each.experiment, hue) == chosen)
+            }
+            places = sorted(points)
+            middle, low, high = np.array([median_interval(points[place]) for place in places]).T
+            axes.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.plot(places, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
+        axes.set_title(
+            ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in panel), fontsize=MEDIUM
+        )
+        clean(axes)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    ends = [value_of(trials.experiment, x) for trials in experiments]
+    if not isinstance(ends[0], str) and min(ends) > 0 and max(ends) / min(ends) >= _FAR_APART:
+        grid.flat[0].set_xscale("log")
+    handles = [
+        handle(f"{_word(hue)} {number_in_words(chosen)}", colour, line="-")
+        for colour, chosen in zip(colours, hues, strict=True)
+        if hue
+    ]
+    return finish(figure, (_word(x), y), caption_of(experiments, CURVES, limits), handles)
+
+
+def _word(name: str) -> str:
+    return "share of flawed robots" if name == "flawed" else name.replace("_", " ")
+
+
+def _panel_of(experiment: Experiment, x: str, hue: str) -> tuple[tuple[str, float], ...]:
+    return tuple(
+        (name, getattr(experiment, name)) for name in ("fill_ratio", "true_accuracy") if name not in (x, hue)
+    )
+
+
+def value_of(experiment: Experiment, name: str) -> Any:
+    """A parameter's value for an axis: P as a share, words for choices."""
+    return share_of(experiment) if name == "flawed" else experiment.parameters()[name]
+
+
+def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None:
+    known = experiments[0].experiment.parameters()
+    for option, name in (("--x", x), ("--hue", hue)):
+        if name not in known and (option, name) != ("--hue", ""):
+            raise UsageError(
+                f"{option} is {name!r}; choose a parameter, or one of the letters {', '.join(LETTERS)}"
+            )
+    if y not in MEASURES:
+        raise UsageError(f"--y is {y!r}; choose one of {', '.join(MEASURES)}")
+    others = _varying(experiments, x, hue, "fill_ratio", "true_accuracy", "trials", "flawed")
+    if "flawed" not in (x, hue) and len({share_of(each.experiment) for each in experiments}) > 1:
+        others.append("flawed")
+    if others:
+        raise UsageError(
+            f"the results differ in {', '.join(others)} too; draw those of a file in which they do not, or "
+            "name one with --x or --hue"
         )
 
 
-def _separate(axes: Axes, slots: Sequence[Slot]) -> dict[float, float]:
-    """Lines between the slots of different P; returns the middle of the slots of each."""
-    middles, start = {}, 0
-    for share, group in groupby(slots, lambda slot: slot[0]):
-        count = len(list(group))
-        middles[share] = start + (count - 1) / 2
-        start += count
-        axes.axvline(start - 0.5, color="#bbbbbb", linewidth=0.8)
-    return middles
+def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The median and its 95 % interval from order statistics, exact for any distribution; of fewer than six
+    trials, their extremes."""
+    from scipy.stats import quantile_test  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+
+    low, high = quantile_test(sample, p=0.5).confidence_interval(0.95)
+    ends = (low, high) if low <= high else (sample.min(), sample.max())  # NaN, NaN where there is none
+    return float(np.median(sample)), float(ends[0]), float(ends[1])
 
 
-def _axis(experiments: Sequence[Trials], key: str) -> list[float]:
-    return sorted({getattr(trials.experiment, key) for trials in experiments})
-
-
-# --- Confidence ------------------------------------------------------------------------------------------
+# --- The confidence --------------------------------------------------------------------------------------
 
 _OBSERVED = 100_000
 
@@ -281,8 +386,7 @@ def confidence() -> Figure:
     each n/t, of which 0.505 and 0.905 are the least and the largest that its study has on average."""
     figure = empty_figure(0.7 * WIDTH, 4)
     axes = figure.subplots()
-    b_hat = np.linspace(0.505, 0.995, 393)
-    shares = (0.505, 0.7, 0.905)
+    b_hat, shares = np.linspace(0.505, 0.995, 393), (0.505, 0.7, 0.905)
     for colour, share in zip(ordered_colours(len(shares)), shares, strict=True):
         n = round(share * _OBSERVED)
         alpha = [local_confidence(n, _OBSERVED, float(each)) / _OBSERVED for each in b_hat]
