@@ -106,12 +106,10 @@ NOT_RUN = {
     "mcp-asdf sweep knobs.toml": SWEPT,
     "mcp-asdf score advice.parquet --csv advice.csv": SWEPT,
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
-    "mcp-asdf plot study.parquet strips.png --kind strips": "draws what that sweep has written",
     "mcp-asdf sweep explore.toml": TAKES_LONG,
     "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
         "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
     ),
-    "mcp-asdf sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": TAKES_LONG,
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml --scheduler tcp://head:8786": NEEDS_CLUSTER,
@@ -122,8 +120,6 @@ SLOW = {
     "mcp-asdf crosscheck --steps 5000 --seed 7",
     "mcp-asdf crosscheck --steps 1000 --plot operations.png",
     "mcp-asdf crosscheck --steps 1000 --json",
-    "mcp-asdf plot alpha.svg --kind alpha",
-    "mcp-asdf plot moving.parquet links.svg --kind network --step 600",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
     "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --robots 8 --steps 600 "

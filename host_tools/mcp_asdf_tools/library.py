@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
     from matplotlib.figure import Figure
 
-PLOTS = ("boxes", "strips", "scatter", "bands", "curve", "series", "trajectories", "network")
-"""Kinds of pictures of results; the last three are of one experiment."""
+PLOTS = ("boxes", "scatter", "curve", "bands", "series", "trajectories")
+"""Kinds of pictures of results; the last two are of one experiment."""
 
 
 def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
@@ -80,7 +79,7 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
 
 
 def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
-    results: pa.Table | SwarmRun,
+    results: pa.Table | list[Trials] | SwarmRun,
     kind: str = PLOTS[0],
     *,
     trial: int = 0,
@@ -88,57 +87,33 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     x: str = "",
     hue: str = "",
     y: str = "H",
+    limits: LimitsOf = paper_limits,
 ) -> Figure:
     """A picture of results or of a swarm's run; its method ``savefig`` writes a file.
 
-    Kinds for results: ``boxes``, ``strips`` and ``scatter`` show scores; ``bands`` b_hat of all trials over
-    time; ``curve`` the measure ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each
-    value of a parameter ``hue``; ``series`` a ``trial`` over time, which needs ``record``; ``trajectories``
-    and ``network`` robots that move, up to or at a ``step``. Raises UsageError if the results do not have
-    what it shows.
+    Kinds for results: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
+    ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each value of a parameter ``hue``;
+    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``;
+    ``trajectories`` robots that move, up to a ``step``. Raises UsageError if the results do not have what it
+    shows.
     """
     if isinstance(results, SwarmRun):
         from mcp_asdf_tools.swarm import draw  # noqa: PLC0415 (matplotlib loads slowly)
 
         return draw(results)
-    return plot_trials(experiments_in(results), PlotChoice(kind, trial, step, x, hue, y))
+    from mcp_asdf_tools.experiments import plots, time_plots  # noqa: PLC0415 (matplotlib loads slowly)
 
-
-@dataclass(frozen=True)
-class PlotChoice:
-    """Arguments of ``plot``."""
-
-    kind: str
-    trial: int = 0
-    step: int = 600
-    x: str = ""
-    hue: str = ""
-    y: str = "H"
-
-
-def plot_trials(experiments: Sequence[Trials], choice: PlotChoice, limits: LimitsOf = paper_limits) -> Figure:
-    """``plot`` of trials that are read already, with scores for any ``limits``."""
-    from mcp_asdf_tools.experiments import (  # noqa: PLC0415 (matplotlib loads slowly)
-        arena_plots,
-        curves,
-        plots,
-        scatter_plots,
-        time_plots,
-    )
-
-    kind = choice.kind
-    if kind not in PLOTS:
-        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
-    if kind in ("boxes", "strips", "scatter"):
-        draw = {"boxes": plots.boxes, "strips": plots.strips, "scatter": scatter_plots.scatter}[kind]
-        return draw(experiments, limits)
-    if kind == "bands":
-        return time_plots.bands(experiments)
-    if kind == "curve":
-        return curves.curve(experiments, choice.x, choice.hue, choice.y, limits)
-    if len(experiments) != 1:
+    experiments = results if isinstance(results, list) else experiments_in(results)
+    if kind in PLOTS[-2:] and len(experiments) != 1:
         raise UsageError(f"there are {len(experiments)} experiments; {kind} shows one: choose it")
-    if kind == "series":
-        return time_plots.series(experiments[0], choice.trial)
-    in_arena = arena_plots.network if kind == "network" else arena_plots.trajectories
-    return in_arena(experiments[0].experiment, choice.trial, choice.step)
+    pictures = {
+        "boxes": lambda: plots.boxes(experiments, limits),
+        "scatter": lambda: plots.scatter(experiments, limits),
+        "curve": lambda: plots.curve(experiments, x, hue, y, limits),
+        "bands": lambda: time_plots.bands(experiments),
+        "series": lambda: time_plots.series_beside(experiments, trial),
+        "trajectories": lambda: time_plots.trajectories(experiments[0].experiment, trial, step),
+    }
+    if kind not in pictures:
+        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
+    return pictures[kind]()

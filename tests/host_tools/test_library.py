@@ -97,9 +97,7 @@ def test_a_run_is_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused() -> None:
     table = m.simulate(m.grid(filter=["none", "asdf-plus"], robots=4, steps=40, filter_period=20, trials=1))
-    with pytest.raises(
-        m.UsageError, match="kind is 'pie'; choose one of boxes, strips, scatter, bands, curve"
-    ):
+    with pytest.raises(m.UsageError, match="kind is 'pie'; choose one of boxes, scatter, curve, bands"):
         m.plot(table, "pie")
     with pytest.raises(m.UsageError, match="there are 2 experiments; series shows one"):
         m.plot(table, "series")

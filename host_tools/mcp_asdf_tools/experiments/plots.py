@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -88,7 +88,7 @@ def finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequenc
     return figure
 
 
-def handle(label: str, colour: str, marker: str = "o", line: str = "") -> Line2D:
+def handle(label: str, colour: str, marker: str = "o", line: Literal["", "-", "--"] = "") -> Line2D:
     return Line2D([], [], linestyle=line, marker=marker, color=colour, label=label)
 
 
@@ -215,6 +215,7 @@ _GOLDEN = 0.618
 
 def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: float, colour: str) -> None:
     """A box, and a point for each trial, spread evenly over its width."""
+    line = {"color": colour, "linewidth": 0.8}
     axes.boxplot(
         scores,
         positions=[place],
@@ -222,7 +223,9 @@ def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: flo
         manage_ticks=False,
         showfliers=False,
         medianprops={"color": INK, "linewidth": 1.2},
-        **{f"{part}props": {"color": colour, "linewidth": 0.8} for part in ("box", "whisker", "cap")},
+        boxprops=line,
+        whiskerprops=line,
+        capprops=line,
     )
     aside = (np.arange(len(scores)) * _GOLDEN % 1 - 0.5) * width
     axes.plot(place + aside, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)

@@ -90,12 +90,9 @@ def bands(experiments: Sequence[Trials]) -> Figure:
     for axes in grid.flat[len(experiments) :]:
         axes.set_axis_off()
     handles = [
-        handle(words, colour, "", line)
-        for words, colour, line in (
-            ("flawed at the start", FLAWED, "-"),
-            ("healthy", OTHER, "-"),
-            ("true accuracy", INK, "--"),
-        )
+        handle("flawed at the start", FLAWED, "", "-"),
+        handle("healthy", OTHER, "", "-"),
+        handle("true accuracy", INK, "", "--"),
     ]
     labels = ("step", r"assumed accuracy $\hat{b}$")
     return finish(figure, labels, caption_of(experiments, BANDS), handles)

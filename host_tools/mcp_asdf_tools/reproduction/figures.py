@@ -13,10 +13,8 @@ from mcp_asdf_tools.experiments import (
     FILTER_NAMES,
     Experiment,
     Trials,
-    arena_plots,
     plots,
     run_trials,
-    scatter_plots,
     time_plots,
     trials_in_words,
 )
@@ -68,7 +66,7 @@ def pictures(study: Study, scale: Scale) -> Iterator[Picture]:
         yield _paths(scale)
         shown = _of(study, PHYSICAL, NONE, PLUS)
         title = f"H of physical swarms without filter and with {FILTER_NAMES[PLUS]}"
-        yield _scored("physical_scores", _titled(title, "8a"), shown, plots.strips, plots.POINTS)
+        yield _scored("physical_scores", _titled(title, "8a"), shown, plots.boxes, plots.BOXES)
         yield _scatter(study, PHYSICAL, "8b")
 
 
@@ -108,10 +106,10 @@ def _boxes(study: Study, part: Part, own: Filtering, paper: str) -> Picture:
 
 def _scatter(study: Study, part: Part, paper: str) -> Picture:
     title = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {Cell.period}"
-    marks = scatter_plots.POINTS
+    marks = plots.SCATTER
     marks += ". Without flawed robots ASDF- is no filter, where all are flawed it is ASDF+"
     shown = _of(study, part, *Filtering, shortest=True)
-    return _scored(f"{part.value}_scatter", _titled(title, paper), shown, scatter_plots.scatter, marks)
+    return _scored(f"{part.value}_scatter", _titled(title, paper), shown, plots.scatter, marks)
 
 
 def _bands(study: Study, part: Part) -> Picture:
@@ -149,4 +147,4 @@ def _series(scale: Scale) -> Picture:
 def _paths(scale: Scale) -> Picture:
     half = next(experiment_of(cell, scale) for cell in cells_of(PHYSICAL) if cell.percent == 50)
     title = f"Paths of the robots across the code in the first {_MOMENT} steps (the paper's figure 7)"
-    return Picture("physical_paths", title, "", arena_plots.trajectories(half, 0, _MOMENT))
+    return Picture("physical_paths", title, "", time_plots.trajectories(half, 0, _MOMENT))

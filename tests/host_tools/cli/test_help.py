@@ -38,7 +38,6 @@ NOT_RUN = {
     "node --id 3 --interface socketcan --channel vcan0 --lockstep": NO_CAN,
     "table --verify firmware.elf": "wants an image; tests/host_tools/tables has some",
     "crosscheck --steps 100000000 --seed 7": LONG,
-    "sweep param_multi_robot_sim_1d_static_degradation.yml --output authors.parquet": LONG,
     "sweep grid.toml --scheduler tcp://head:8786": "wants several machines",
     "plot grid.parquet curves.svg --kind curve --x omega --hue density --y e": (
         "wants a sweep over both; tests/host_tools/experiments/test_curves.py draws such curves"
@@ -169,8 +168,6 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         ("help", "did you mean --help?"),
         ("simulate none.toml", "cannot read none.toml: No such file or directory\n"),
         ("node --id 3 --observations none.txt", "from none.txt: No such file or directory\n"),
-        ("plot x.png", "needs results: mcp-asdf plot RESULTS.parquet x.png\n"),
-        ("plot a.parquet x.png --kind alpha", "needs no results; leave out a.parquet\n"),
     ],
 )
 def test_what_a_stranger_types_is_answered_with_the_fix(

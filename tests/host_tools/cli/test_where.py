@@ -73,11 +73,6 @@ def test_what_is_not_there_is_named(
     assert not (tmp_path / "no.svg").exists()
 
 
-def test_results_are_needed_to_choose_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plot", str(tmp_path / "a.svg"), "--kind", "alpha", "--where", "filter=none"]) == 2
-    assert "there are none; leave it out" in capsys.readouterr().err
-
-
 def test_a_sweep_keeps_values_over_time(grid: Path, tmp_path: Path) -> None:
     for trials in experiments_in(read_table(grid)):
         assert trials.records["x"].shape == (2, 5, 4)
