@@ -108,7 +108,7 @@ NOT_RUN = {
     "mcp-asdf plot study.parquet study.png --kind scatter": "draws what that sweep has written",
     "mcp-asdf sweep explore.toml": TAKES_LONG,
     "mcp-asdf plot explore.parquet curves.png --kind curve --x omega --hue density": (
-        "draws what that sweep has written; tests/host_tools/experiments/test_curves.py draws such curves"
+        "draws what that sweep has written; tests/host_tools/experiments/test_plots.py draws such curves"
     ),
     "dask scheduler": NEEDS_CLUSTER,
     "dask worker tcp://head:8786": NEEDS_CLUSTER,
