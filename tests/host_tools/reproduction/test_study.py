@@ -14,11 +14,12 @@ import pytest
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
-from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.reproduction import report, resampling, study
 from mcp_asdf_tools.reproduction.claims import CLAIMS
-from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, cells_of, experiment_of, study_of
+from mcp_asdf_tools.reproduction.decisions import decide
+from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, Study, cells_of, experiment_of
+from support import ROOT
 
 FULL, DYNAMIC, PHYSICAL = Part
 SMALL = ("--trials", "2", "--steps", "4000", "--workers", "1", "--seeds", "1")
@@ -96,13 +97,39 @@ def test_efforts_count_their_looks() -> None:
     ]
 
 
+def test_the_page_has_the_figures_of_the_study() -> None:
+    """Some verdicts and the gain of ASDF+ in docs/reproduce.md, with a fifth of its trials."""
+    page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
+    names = [
+        "plus_improves_few_overconfident",
+        "minus_still_improves_where_clear",
+        "few_overconfident_do_not_mislead",
+    ]
+    names += ["overconfident_are_accurate_where_easy", "plus_is_worse_than_minus_where_clear"]
+    claims, scale = [claim for claim in CLAIMS if claim.name in names], Scale(trials=60)
+    cells = {cell for claim in claims for asked in claim.reading.questions(FULL) for cell in asked.cells}
+    results = {cell: run_trials(experiment_of(cell, scale), 0, 60) for cell in cells}
+    found = decide(Study(results), scale, claims)
+    for each in found:
+        finding = each.finding
+        words = f"**{finding.verdict.value}** {finding.count(True)}/{len(finding.comparisons)}"
+        assert f"- {each.claim.name.replace('_', ' ')}: fully connected {words}\n" in page
+    (gain,) = [each.finding for each in found if each.claim.name == names[0]]
+    printed = re.search(
+        r"ASDF\+ helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page
+    )
+    assert printed
+    values = sorted(each.estimate.value for each in gain.comparisons)
+    assert values == pytest.approx([float(each) for each in printed.groups()], abs=4)
+
+
 # --- Runs ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_the_whole_study_makes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every claim and figure is in it, on a page that needs no other file; scores are the paper's."""
-    found = answer(capsys, *SMALL, "--seed", "7", "--output", str(tmp_path))
+    """Every claim and figure is in it, on a page that needs no other file."""
+    found = answer(capsys, *SMALL, "--output", str(tmp_path))
     expected = {(claim.name, part and part.value) for claim in CLAIMS for part in claim.parts}
     assert {(each["claim"], each["part"]) for each in found["claims"]} == expected
     assert {each["verdict"] for each in found["claims"]} == {None}
@@ -132,13 +159,6 @@ def test_the_whole_study_makes_a_report(tmp_path: Path, capsys: pytest.CaptureFi
         rows = list(csv.DictReader(file))
     assert len(rows) == 1422
     assert sum(page.count(mark) for mark in "✓✗") >= sum(row["holds"] != "open" for row in rows)
-    scale = Scale(2, 4000, 7)
-    kept = study_of([(FULL, experiments_in(read_table(tmp_path / "fully_connected.parquet")))], scale)
-    for cell in cells_of(FULL)[::20]:
-        measured = run_trials(experiment_of(cell, scale), 0, 2)
-        scores = score(measured.convergence_steps, measured.errors, Limits(4000, 0.45))
-        for measure, values in (("H", scores.h), ("h_K", scores.h_k), ("h_e", scores.h_e)):
-            assert np.array_equal(kept.sample(cell, measure), values)
 
 
 @pytest.mark.usefixtures("without_figures")
