@@ -28,7 +28,7 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.settings import Topology
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
@@ -137,7 +137,7 @@ def moving(folder: Path) -> dict[str, float]:
             PYTHON: rate_of(short, 1, lambda: run_by_message(short, 0, 0)),
             SIMULATOR: lambda: simulator,
             DOUBLE: plain_double(folder, "plain_double_moving.c", trials),
-            "motion alone": rate_of(MOVING, 1, lambda: make_arena(MOVING, 0).step(MOVING.steps)),
+            "motion alone": rate_of(MOVING, 1, lambda: Arena(MOVING, 0).step(MOVING.steps)),
             CALLS: rate_of(MOVING, trials, lambda: native.run(MOVING, 0, trials, lanes=False)),
             LANES: rate_of(MOVING, trials, lambda: native.run(MOVING, 0, trials, lanes=True)),
             f"{LANES}, with K and e": rate_of(MOVING, trials, lambda: run_trials(MOVING, 0, trials)),

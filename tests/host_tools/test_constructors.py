@@ -30,7 +30,6 @@ from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.world.arena import ArenaSettings, Picture, Tiles
 from mcp_asdf_tools.world.settings import Drift, Floor, Topology, WorldSettings
 from mcp_asdf_tools.world.topology import Graph
 from support import draws
@@ -42,9 +41,6 @@ SOUND: dict[type[Any], dict[str, Any]] = {
     Population: {},
     Experiment: {},
     SwarmSettings: {},
-    ArenaSettings: {"robots": 3, "width": 2.0, "height": 2.0},
-    Tiles: {"fill_ratio": 0.5},
-    Picture: {"pixels": np.ones((2, 2), np.bool_)},
     Graph: {"links": frozenset({(0, 1)})},
     TickConfig: {},
     RobotRecord: {"id": 1, "firmware": "mirror", "b_hat": 0.75, "config": TickConfig(filter=Filter.OFF)},

@@ -22,7 +22,6 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from intelhex import IntelHex  # type: ignore[import-untyped]
-from PIL import Image
 
 from mcp_asdf_tools.bus.frames import (
     Command,
@@ -47,7 +46,6 @@ from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import c_text, check_file, json_text
 from mcp_asdf_tools.tables.thresholds import generate
-from mcp_asdf_tools.world.floor_images import read_picture
 from mcp_asdf_tools.world.topology import graph_of
 from support import ROOT
 from wire import record
@@ -102,12 +100,6 @@ def log(suffix: str) -> Callable[[], bytes]:
     return write
 
 
-def picture() -> bytes:
-    held = BytesIO()
-    Image.new("L", (20, 20), 40).save(held, "PNG")
-    return held.getvalue()
-
-
 def results() -> bytes:
     held = BytesIO()
     pq.write_table(pa.table({"seed": [1]}).replace_schema_metadata({b"mcp-asdf": b'{"format": 1}'}), held)
@@ -149,7 +141,6 @@ PARSERS = {
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes, 8000),
     "results": Parser(".parquet", lambda path: experiments_in(read_table(path)), results),
     "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),
-    "picture": Parser(".png", lambda path: read_picture(str(path)), picture),
     "fault": Parser(
         ".txt",
         lambda path: parse_fault(path.read_text("latin-1")),

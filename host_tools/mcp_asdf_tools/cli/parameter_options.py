@@ -77,8 +77,6 @@ def settings_from(
     """
     given = given_parameters(args, kind)
     values = (base or {}) | given | more
-    if "picture" in given:
-        values["picture_sha256"] = given.get("picture_sha256", "")  # not that of the picture in ``base``
     try:
         settings = kind(**values)
     except ParameterError as error:

@@ -2,7 +2,7 @@
 
 A line ``key = value`` stands for every parameter of Experiment that differs from its default. A list in place
 of a value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own,
-each on top of the keys above them. Paths of pictures and graphs are relative to the file's folder.
+each on top of the keys above them. Paths of graphs are relative to the file's folder.
 
 Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
 folder ``studies``.
@@ -82,7 +82,6 @@ class _TomlLines:
 def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The parameters with paths as this process needs them."""
     given = dict(parameters)
-    for key in ("picture", "graph"):
-        if isinstance(given.get(key), str) and (folder / given[key]).is_file():
-            given[key] = str(folder / given[key])
+    if isinstance(given.get("graph"), str) and (folder / given["graph"]).is_file():
+        given["graph"] = str(folder / given["graph"])
     return given

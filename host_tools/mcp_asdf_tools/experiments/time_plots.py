@@ -25,7 +25,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import FILTER_NAMES, caption_of, finish, handle, panels_of, share_of
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.robots import Filtering, TimeSeries, draw_time_series
-from mcp_asdf_tools.world import make_arena
+from mcp_asdf_tools.world import Arena
 
 BANDS = (
     "lines are medians over robots and trials, bands the middle 50 and 90 %; titles say how many robots that "
@@ -137,7 +137,7 @@ def trajectories(experiment: Experiment, trial: int, step: int) -> Figure:
             f"there is no step {step} of trial {trial}; choose steps of 1 .. {experiment.steps}, trials of "
             f"0 .. {experiment.trials - 1}"
         )
-    arena = make_arena(experiment, trial)
+    arena = Arena(experiment, trial)
     paths = np.concatenate([arena.positions[np.newaxis], arena.record(step).position])
     every = np.linspace(0, step, min(step, _MOST_POINTS) + 1).astype(int)
     width, height = experiment.sides

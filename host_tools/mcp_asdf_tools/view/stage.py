@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common import plain_value
 from mcp_asdf_tools.robots import Filtering, Population
 from mcp_asdf_tools.view.film import Stage
-from mcp_asdf_tools.world import Arena, Graph, Picture, make_arena
+from mcp_asdf_tools.world import Arena, Floor, Graph, code
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
@@ -36,19 +36,16 @@ def stage_of(population: Population, trial: int = 0) -> Stage:
         settings.comms_period,
         settings.sides if moves else None,
         settings.radio_range if moves else None,
-        floor_of(make_arena(settings, trial)) if moves else None,
+        floor_of(Arena(settings, trial)) if moves else None,
     )
 
 
 def floor_of(arena: Arena) -> NDArray[np.bool_]:
     """The floor, a pixel for each tile, or as many as a page shows. O(pixels)."""
     settings = arena.settings
-    if isinstance(settings.floor, Picture):
-        return settings.floor.pixels
-    counts = [
-        min(math.ceil(side / settings.floor.side), _MOST_PIXELS) for side in (settings.width, settings.height)
-    ]
-    return arena.pixels(*counts)
+    if settings.floor is Floor.CODE:
+        return code(settings.fill_ratio)
+    return arena.pixels(*(min(math.ceil(side / settings.tile), _MOST_PIXELS) for side in settings.sides))
 
 
 def _title(settings: Population, trial: int) -> str:

@@ -1,16 +1,13 @@
 """Ground truth: arena, floor, sensors, who hears whom, and every random number."""
 
 from .arena import Arena as Arena
-from .arena import ArenaSettings as ArenaSettings
-from .arena import Picture as Picture
 from .arena import config_values as config_values
-from .arenas import arena_settings as arena_settings
-from .arenas import make_arena as make_arena
-from .philox import world_seed as world_seed
+from .floor_code import code as code
 from .sensors import SensorModel as SensorModel
 from .sensors import black_probabilities as black_probabilities
 from .sensors import sensor_model as sensor_model
 from .settings import MAX_PERIOD as MAX_PERIOD
+from .settings import Floor as Floor
 from .settings import Topology as Topology
 from .settings import WorldSettings as WorldSettings
 from .settings import default_of as default_of

@@ -8,8 +8,6 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from mcp_asdf_tools.common import (
     Given,
     ParameterError,
@@ -20,11 +18,11 @@ from mcp_asdf_tools.common import (
     parameters,
     special_parameter,
 )
-from mcp_asdf_tools.world import floor_images
+from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.topology import Graph, graph_of
 
 MAX_ROBOTS = 128
-"""Ids 0 .. 127."""
+"""Largest number of robots: ids are 0 .. 127."""
 MAX_STEPS = 10**9
 MAX_PERIOD = 2**32 - 1
 """Steps."""
@@ -34,12 +32,11 @@ MAX_SIDE = 1000.0
 _BODY_DIAMETER = 0.1408
 _WHEEL_DISTANCE = 0.1054
 _MOST_CROWDED = 0.4
-"""Share of the arena under robots, up to which a place for each is found."""
+"""Largest share of the arena under robots with which a place for each is found."""
 _LARGEST_TURN = 1.6
 """Radians in one step."""
 _MOST_TILES = 100_000
-"""Along a side."""
-_SAME_SHARE = 1e-6
+"""Most tiles along a side."""
 
 
 class Topology(Enum):
@@ -60,8 +57,6 @@ class Floor(Enum):
     """Square tiles, each black with probability f; every trial has its own."""
     CODE = "code"
     """A pattern like a QR code's of which exactly the share f is black, the same in all trials."""
-    PICTURE = "picture"
-    """A black and white picture, stretched over the floor."""
 
 
 class Drift(Enum):
@@ -86,7 +81,7 @@ class WorldSettings:
     """Ground truth around N robots; equal settings give equal worlds.
 
     Robots that do not move observe a black tile with probability f in every step anew, as in the paper's
-    fully connected experiments; ``density`` to ``picture_sha256`` are for moving robots alone. Raises
+    fully connected experiments; ``density`` to ``tile`` are for moving robots alone. Raises
     ParameterError, naming the field, for a value that is wrong or has no effect.
     """
 
@@ -117,12 +112,10 @@ class WorldSettings:
     radio_range: float = parameter(
         "distance below which robots hear each other, metres", 1e-3, MAX_SIDE, default=0.7
     )
-    floor: Given[Floor, Literal["tiles", "code", "picture"]] = parameter(
+    floor: Given[Floor, Literal["tiles", "code"]] = parameter(
         "floor that moving robots observe", default=Floor.TILES
     )
     tile: float = parameter("side of a tile, metres", 1e-6, MAX_SIDE, default=0.01)
-    picture: str = parameter("image file of floor picture", default="")
-    picture_sha256: str = parameter("SHA-256 of that file; filled in if empty, else checked", default="")
     steps_per_second: int = parameter("steps per second of simulated time", 1, 1_000_000, default=10)
     observation_period: int = parameter("steps between observations", 1, MAX_PERIOD, default=1)
     steps: int = parameter("length of a run", 1, MAX_STEPS, default=10_000)
@@ -185,17 +178,7 @@ class WorldSettings:
             raise ParameterError("lowest_accuracy", message)
 
 
-_OF_ARENA = (
-    "density",
-    "width",
-    "height",
-    "speed",
-    "radio_range",
-    "floor",
-    "tile",
-    "picture",
-    "picture_sha256",
-)
+_OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "tile")
 
 
 def default_of(settings: object, name: str) -> Any:
@@ -261,30 +244,7 @@ def _check_arena(settings: WorldSettings) -> None:
 
 
 def _check_floor(settings: WorldSettings) -> None:
-    floor, path = settings.floor, settings.picture
-    if (floor is Floor.PICTURE) != bool(path):
-        message = "floor is picture but there is none; give its path" if not path else "choose floor picture"
-        raise ParameterError("picture", f"picture is {path!r}: {message}")
-    if floor is not Floor.TILES and settings.tile != default_of(settings, "tile"):
-        raise ParameterError("tile", f"tile is {settings.tile} but floor is {floor.value}, without tiles")
-    try:
-        if floor is Floor.CODE:
-            floor_images.code(settings.fill_ratio)
-        if floor is Floor.PICTURE and not settings.picture_sha256:
-            _take_picture(settings, floor_images.read_picture(path))
-    except ParameterError:
-        raise
-    except UsageError as error:
-        key = "picture" if floor is Floor.PICTURE else "fill_ratio"
-        raise ParameterError(key, str(error)) from error
-
-
-def _take_picture(settings: WorldSettings, image: floor_images.ImageFile) -> None:
-    """Note the picture's digest, and that errors are relative to its fill ratio."""
-    share = float(image.pixels.mean(dtype=np.float64))
-    if abs(share - settings.fill_ratio) > _SAME_SHARE:
-        message = (
-            f"fill_ratio is {settings.fill_ratio}; of {settings.picture} {share:.9g} is black: give that"
-        )
-        raise ParameterError("fill_ratio", message)
-    _set(settings, "picture_sha256", image.sha256)
+    if settings.floor is Floor.CODE:
+        if settings.tile != default_of(settings, "tile"):
+            raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
+        code(settings.fill_ratio)

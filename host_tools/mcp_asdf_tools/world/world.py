@@ -131,6 +131,6 @@ def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
 
 def _arena_of(settings: WorldSettings, trial: int) -> Arena:
     # Imported here, so that robots that do not move run where no arena has been built.
-    from mcp_asdf_tools.world.arenas import make_arena  # noqa: PLC0415
+    from mcp_asdf_tools.world.arena import Arena  # noqa: PLC0415
 
-    return make_arena(settings, trial)
+    return Arena(settings, trial)

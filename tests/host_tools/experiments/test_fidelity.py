@@ -14,7 +14,7 @@ import pytest
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.arena import Arena
 from support import slow
 
 CELLS = fidelity.read_cells(seed=1, path=fidelity.PHYSICS)
@@ -92,7 +92,7 @@ def test_degrees_of_trials_are_those_of_the_simulation() -> None:
 
 
 def mean_degree(experiment: Experiment, trial: int) -> float:
-    arena, links = make_arena(experiment, trial), 0
+    arena, links = Arena(experiment, trial), 0
     for _ in range(400):
         arena.step(100)
         links += len(arena.links)

@@ -31,7 +31,7 @@ from mcp_asdf_tools.experiments.scores import Limits, paper_limits, score
 from mcp_asdf_tools.experiments.time_plots import BODY_RADIUS, bands, series_beside, trajectories
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.settings import Topology
 
 LIMITS = Limits(300, 0.45)
@@ -248,7 +248,7 @@ def test_confidence_is_the_papers_equation() -> None:
 
 
 def test_paths_lead_from_start_to_end() -> None:
-    arena = make_arena(MOVING, 1)
+    arena = Arena(MOVING, 1)
     start, path = arena.positions, arena.record(300).position
     (axes,) = trajectories(MOVING, 1, 300).axes
     lines = axes.lines[::-1]  # the flawed robots are drawn last

@@ -25,7 +25,7 @@ from mcp_asdf_tools.view import film as films
 from mcp_asdf_tools.view.film import Sample, Stage, rows_of
 from mcp_asdf_tools.view.sources import spacing_of
 from mcp_asdf_tools.view.wire import samples_as_plain, stage_as_plain
-from mcp_asdf_tools.world import make_arena
+from mcp_asdf_tools.world import Arena
 
 PARAMETERS: dict[str, Any] = {
     "robots": 7,
@@ -112,7 +112,7 @@ def test_results_that_do_not_come_out_again_are_refused() -> None:
 def test_the_floor_is_the_one_that_the_robots_see() -> None:
     """Of each pixel the middle, and of more tiles than a page shows only as many pixels."""
     settings = SwarmSettings(robots=3, topology="dynamic", width=1.0, height=0.5)
-    camera, arena = SwarmCamera(settings), make_arena(settings, 0)
+    camera, arena = SwarmCamera(settings), Arena(settings, 0)
     floor = camera.film.stage.floor
     assert floor is not None and floor.shape == (50, 100)
     for row, column in ((0, 0), (0, 99), (49, 0), (17, 31)):

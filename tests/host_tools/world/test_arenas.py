@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
@@ -21,8 +20,9 @@ from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Activation, Filtering
-from mcp_asdf_tools.world.arenas import arena_settings, make_arena
-from mcp_asdf_tools.world.floor_images import CODE_MODULES, code
+from mcp_asdf_tools.world import _arena
+from mcp_asdf_tools.world.arena import Arena, config_values
+from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
 from mcp_asdf_tools.world.settings import Drift, Floor, Topology
 from trials import check_that_the_engine_is_the_mirror
 
@@ -56,9 +56,6 @@ PAIR = replace(SHORT, robots=2, flawed=1, width=2.0, height=1.5, density=1.0, ra
         ({"floor": "code", "tile": 0.02}, "tile", "without tiles"),
         ({"floor": "code", "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
         ({"floor": "code", "fill_ratio": 0.99}, "fill_ratio", "can have"),
-        ({"floor": "picture"}, "picture", "give its path"),
-        ({"picture": "a.png"}, "picture", "choose floor picture"),
-        ({"floor": "picture", "picture": "absent.png"}, "picture", "cannot read the picture"),
         ({"observation_period": 0}, "observation_period", "1 to"),
         ({"topology": "fully-connected"}, "density", "choose topology dynamic"),
     ],
@@ -79,17 +76,19 @@ def test_every_setting_reaches_the_arena() -> None:
     experiment = replace(
         PAIR, speed=0.1, radio_range=0.5, tile=0.02, steps_per_second=20, width=3.0353, height=3.0226
     )
-    settings = arena_settings(experiment)
-    assert (settings.width, settings.height, settings.speed) == (3.0353, 3.0226, 0.1)
-    assert (settings.radio_range, settings.steps_per_second, settings.robots) == (0.5, 20, 2)
-    assert (settings.floor.side, settings.floor.fill_ratio) == (0.02, 0.55)  # type: ignore[union-attr]
+    values, _ = config_values(experiment, 0, _arena.ffi)
+    del values["seed"]
+    assert values == {
+        **{"width": 3.0353, "height": 3.0226, "speed": 0.1, "range": 0.5, "tick": 1 / 20, "robots": 2},
+        **{"tile": 0.02, "fill_ratio": 0.55},
+    }
 
 
 def test_a_tick_is_as_long_as_said() -> None:
     """Free robots go as far in a second whatever a tick is."""
     moved = {}
     for rate in (5, 10, 40):
-        arena = make_arena(replace(PAIR, speed=0.1, width=50.0, height=50.0, steps_per_second=rate), 0)
+        arena = Arena(replace(PAIR, speed=0.1, width=50.0, height=50.0, steps_per_second=rate), 0)
         start = arena.positions
         arena.step(10 * rate)
         moved[rate] = np.linalg.norm(arena.positions - start, axis=1)
@@ -98,10 +97,10 @@ def test_a_tick_is_as_long_as_said() -> None:
 
 
 def test_trials_of_one_seed_see_the_same_motion() -> None:
-    first = make_arena(SHORT, 3)
-    second = make_arena(replace(SHORT, true_accuracy=0.6, filter=Filtering.NONE), 3)
+    first = Arena(SHORT, 3)
+    second = Arena(replace(SHORT, true_accuracy=0.6, filter=Filtering.NONE), 3)
     assert np.array_equal(first.positions, second.positions)
-    for other in (make_arena(SHORT, 4), make_arena(replace(SHORT, seed=92), 3)):
+    for other in (Arena(SHORT, 4), Arena(replace(SHORT, seed=92), 3)):
         assert not np.array_equal(first.positions, other.positions)
 
 
@@ -123,53 +122,8 @@ def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
 def test_what_robots_meet_on_the_code_is_its_share() -> None:
     """But for 0.01: robots come to the white logo more often than to the border."""
     (experiment, *_) = read_experiments(Path("physical"))
-    shares = [make_arena(experiment, trial).record(10_000).black.mean() for trial in range(20)]
+    shares = [Arena(experiment, trial).record(10_000).black.mean() for trial in range(20)]
     assert abs(np.mean(shares) - 0.448) < 0.01
-
-
-def test_the_code_is_always_the_same_and_what_robots_see() -> None:
-    experiment = replace(PAIR, floor=Floor.CODE, fill_ratio=0.448)
-    assert np.array_equal(code(0.448), code.__wrapped__(0.448))
-    arena = make_arena(experiment, 0)
-    rows, columns = np.indices(code(0.448).shape)
-    x = ((columns + 0.5) / CODE_MODULES - 0.5) * 2.0
-    y = (0.5 - (rows + 0.5) / CODE_MODULES) * 1.5
-    seen = [arena.is_black(*place) for place in zip(x.ravel(), y.ravel(), strict=True)]
-    assert np.array_equal(np.reshape(seen, x.shape), code(0.448))
-
-
-@pytest.fixture
-def picture(tmp_path: Path) -> Path:
-    """Two thirds black: a black stripe over a white one over a black one."""
-    grey = np.repeat(np.array([0, 255, 100], np.uint8), 20 * 90).reshape(60, 90)
-    path = tmp_path / "floor.png"
-    Image.fromarray(grey).save(path)
-    return path
-
-
-def test_a_picture_is_found_beside_its_file_and_kept_by_its_digest(picture: Path) -> None:
-    file = picture.with_name("world.toml")
-    file.write_text(
-        'topology = "dynamic"\nfloor = "picture"\npicture = "floor.png"\nfill_ratio = 0.6666666667\n'
-        "steps = 50\ntrials = 1\n"
-    )
-    (experiment,) = read_experiments(file)
-    assert len(experiment.picture_sha256) == 64
-    assert Experiment.from_parameters(experiment.parameters()) == experiment
-    run_trials(experiment, 0, 1)
-    Image.new("L", (3, 3)).save(picture)
-    with pytest.raises(UsageError, match="not the picture of the experiment any more"):
-        run_trials(experiment, 0, 1)
-    picture.unlink()
-    assert Experiment.from_parameters(experiment.parameters()) == experiment, "results can still be read"
-
-
-def test_a_pictures_share_is_the_fill_ratio(picture: Path) -> None:
-    with pytest.raises(ParameterError, match=r"fill_ratio is 0\.55; of .* 0\.666666667 is black"):
-        replace(SHORT, floor=Floor.PICTURE, picture=str(picture))
-    picture.write_bytes(b"no picture")
-    with pytest.raises(ParameterError, match="cannot read the picture"):
-        replace(SHORT, floor=Floor.PICTURE, picture=str(picture), fill_ratio=2 / 3)
 
 
 # --- The engine's two ways and the mirror -----------------------------------------------------------------
@@ -328,12 +282,12 @@ def test_two_robots_hear_each_other_at_once_or_a_step_late() -> None:
 
 def test_only_links_of_the_step_carry_messages() -> None:
     experiment = replace(LATE, filter=Filtering.NONE, robots=6, flawed=2, density=1.5)
-    seen, arena = records_of(experiment), make_arena(experiment, 0)
+    seen, arena = records_of(experiment), Arena(experiment, 0)
     heard = 0
     for step in range(1, experiment.steps + 1):
         arena.step()
         for robot in range(experiment.robots):
-            near = sorted(arena.neighbours(robot))
+            near = sorted({*arena.links[(arena.links == robot).any(axis=1)].ravel().tolist()} - {robot})
             assert seen["beta"][step, robot] == pytest.approx(seen["alpha"][step - 1, near].sum(), rel=1e-6)
             heard += len(near)
     assert heard > 100, "otherwise nothing was tested"
@@ -342,14 +296,14 @@ def test_only_links_of_the_step_carry_messages() -> None:
 def test_perfect_sensors_name_the_floor_and_inverted_ones_the_other_colour() -> None:
     for accuracy in (1.0, 0.0):
         experiment = replace(SHORT, true_accuracy=accuracy, lowest_accuracy=0.0, filter=Filtering.NONE)
-        floor = make_arena(experiment, 0).record(experiment.steps).black
+        floor = Arena(experiment, 0).record(experiment.steps).black
         blacks = np.diff(records_of(experiment)["n"], axis=0)
         assert np.array_equal(blacks, floor if accuracy else 1 - floor)
 
 
 def test_a_sensor_errs_as_often_as_it_should() -> None:
     experiment = replace(SHORT, true_accuracy=0.8, filter=Filtering.NONE, steps=3000, robots=20)
-    floor = make_arena(experiment, 0).record(experiment.steps).black
+    floor = Arena(experiment, 0).record(experiment.steps).black
     right = np.diff(records_of(experiment)["n"], axis=0) == floor
     for colour in (0, 1):
         share = right[floor == colour]
@@ -360,7 +314,7 @@ def test_a_drifting_sensor_errs_more_and_more() -> None:
     experiment = replace(
         SHORT, drift=Drift.LINEAR, drift_rate=-1.5e-4, filter=Filtering.NONE, steps=3000, robots=20
     )
-    floor = make_arena(experiment, 0).record(experiment.steps).black
+    floor = Arena(experiment, 0).record(experiment.steps).black
     right = np.diff(records_of(experiment)["n"], axis=0) == floor
     for part, accuracy in ((slice(0, 600), 0.905), (slice(2400, 3000), 0.545)):
         share = right[part]

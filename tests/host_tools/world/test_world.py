@@ -13,7 +13,7 @@ import pytest
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.world.arenas import make_arena
+from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import Scene, World
@@ -55,7 +55,7 @@ def test_observations_follow_the_stated_scheme(white_offset: float, white: Fract
 def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
     """Against an arena of the same seed: black is seen with b, white taken for black with 1 - w."""
     world = make(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
-    below = make_arena(world.settings, 0).record(200).black.tolist()
+    below = Arena(world.settings, 0).record(200).black.tolist()
     draws = (Stream(OBSERVATIONS, SEED, 0, 4).words(200) >> 1).tolist()
     for black, drawn, reported in zip(below, draws, world.advance(200).black.tolist(), strict=True):
         chances = [Fraction(3, 4) if each else Fraction(1, 8) for each in black]

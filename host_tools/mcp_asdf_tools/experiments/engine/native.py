@@ -15,13 +15,11 @@ from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots import TickConfig
 from mcp_asdf_tools.world import (
+    Arena,
     Topology,
-    arena_settings,
     black_probabilities,
     config_values,
-    make_arena,
     sensor_model,
-    world_seed,
 )
 
 RECORD = np.dtype(
@@ -90,7 +88,7 @@ def run(
 
     Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
     two engines with equal results, by default where it can run. Raises UsageError if ``can_run`` is false or
-    as ``make_arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for each
+    as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for each
     estimate.
     """
     if not can_run(experiment):
@@ -103,7 +101,7 @@ def run(
     status = Status(function(call.experiment, _pointers(outcome)))
     if status is not Status.OK:
         for index in range(trials if experiment.is_dynamic else 0):
-            make_arena(experiment, first + index)  # knows more about what is wrong with it
+            Arena(experiment, first + index)  # says so where robots find no room
         raise FirmwareError(status, "the firmware refuses the experiment's settings")
     counters = outcome.counters
     for index in range(trials * experiment.robots):
@@ -160,11 +158,7 @@ class _Call:
         return {"black": pointer, **dict(zip(_STRIDES, strides, strict=True))}
 
     def _arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
-        settings = arena_settings(experiment)
-        made = [
-            config_values(settings, world_seed(experiment.seed, first + index), _engine.ffi)
-            for index in range(trials)
-        ]
+        made = [config_values(experiment, first + index, _engine.ffi) for index in range(trials)]
         arenas = _engine.ffi.new("mcp_asdf_arena_config_t[]", [values for values, _ in made])
         self._kept += [made, arenas]
         return arenas

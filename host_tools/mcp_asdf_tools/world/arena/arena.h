@@ -22,18 +22,11 @@
 #define MCP_ASDF_ARENA_MAX_ROBOTS 128
 #define MCP_ASDF_ARENA_MAX_PAIRS 8128 /* 128 * 127 / 2 */
 
-/* Result of mcp_asdf_arena_init(). An error names the setting that is out of range. */
+/* Result of mcp_asdf_arena_init(). */
 typedef enum {
     MCP_ASDF_ARENA_OK = 0,
-    MCP_ASDF_ARENA_ERR_ROBOTS = -1,
-    MCP_ASDF_ARENA_ERR_SIDE = -2,
-    MCP_ASDF_ARENA_ERR_SPEED = -3,
-    MCP_ASDF_ARENA_ERR_RANGE = -4,
-    MCP_ASDF_ARENA_ERR_TILE = -5,
-    MCP_ASDF_ARENA_ERR_FILL_RATIO = -6,
-    MCP_ASDF_ARENA_ERR_IMAGE = -7,
-    MCP_ASDF_ARENA_ERR_CROWDED = -8, /* found no room for all robots */
-    MCP_ASDF_ARENA_ERR_TICK = -9
+    MCP_ASDF_ARENA_ERR_CONFIG = -1, /* a setting is out of range */
+    MCP_ASDF_ARENA_ERR_CROWDED = -2 /* found no room for all robots */
 } mcp_asdf_arena_status_t;
 
 /* Modes of the wheels: both at full speed, the inner one slower, or turning on the spot. */
@@ -42,7 +35,6 @@ typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN
 /* Settings of a world.
  *   seed         for the robots' places and the colours of the tiles
  *   robots       1 .. MCP_ASDF_ARENA_MAX_ROBOTS
- *   see_past     0: a body between two robots cuts their link; 1: it does not
  *   width        inner side along x: above 0.1408, the diameter of a body, up to 1000
  *   height       inner side along y, same range
  *   speed        maximum speed of a wheel: above 0, up to 0.814, the limit of the Khepera IV
@@ -59,7 +51,6 @@ typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN
 typedef struct {
     uint64_t seed;
     uint32_t robots;
-    uint32_t see_past;
     double width;
     double height;
     double speed;

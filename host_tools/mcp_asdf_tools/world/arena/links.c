@@ -115,7 +115,5 @@ void arena_find_links(mcp_asdf_arena_t *arena)
     }
     forget_pairs(arena);
     note_pairs(arena);
-    if (!arena->config.see_past) {
-        drop_blocked_links(arena);
-    }
+    drop_blocked_links(arena);
 }

@@ -16,36 +16,21 @@
 /* In all these checks a NaN fails. */
 static bool has_side(double side) { return side > DIAMETER && side <= MAX_SIDE; }
 
-static mcp_asdf_arena_status_t check_floor(const mcp_asdf_arena_config_t *config)
+static bool has_floor(const mcp_asdf_arena_config_t *config)
 {
     if (config->image != NULL) {
-        return config->columns > 0 && config->rows > 0 ? MCP_ASDF_ARENA_OK : MCP_ASDF_ARENA_ERR_IMAGE;
+        return config->columns > 0 && config->rows > 0;
     }
-    if (!(config->tile * MAX_TILES >= larger(config->width, config->height)) || isinf(config->tile)) {
-        return MCP_ASDF_ARENA_ERR_TILE;
-    }
-    return config->fill_ratio >= 0 && config->fill_ratio <= 1 ? MCP_ASDF_ARENA_OK
-                                                              : MCP_ASDF_ARENA_ERR_FILL_RATIO;
+    return config->tile * MAX_TILES >= larger(config->width, config->height) && !isinf(config->tile) &&
+           config->fill_ratio >= 0 && config->fill_ratio <= 1;
 }
 
-static mcp_asdf_arena_status_t check(const mcp_asdf_arena_config_t *config)
+static bool is_valid(const mcp_asdf_arena_config_t *config)
 {
-    if (config->robots < 1 || config->robots > MCP_ASDF_ARENA_MAX_ROBOTS) {
-        return MCP_ASDF_ARENA_ERR_ROBOTS;
-    }
-    if (!has_side(config->width) || !has_side(config->height)) {
-        return MCP_ASDF_ARENA_ERR_SIDE;
-    }
-    if (!(config->speed > 0 && config->speed <= MAX_SPEED)) {
-        return MCP_ASDF_ARENA_ERR_SPEED;
-    }
-    if (!(config->range > 0 && config->range <= MAX_SIDE)) {
-        return MCP_ASDF_ARENA_ERR_RANGE;
-    }
-    if (!(config->tick > 0 && 2 * config->speed / WHEEL_DISTANCE * config->tick <= LARGEST_TURN)) {
-        return MCP_ASDF_ARENA_ERR_TICK;
-    }
-    return check_floor(config);
+    return config->robots >= 1 && config->robots <= MCP_ASDF_ARENA_MAX_ROBOTS && has_side(config->width) &&
+           has_side(config->height) && config->speed > 0 && config->speed <= MAX_SPEED && config->range > 0 &&
+           config->range <= MAX_SIDE && config->tick > 0 &&
+           2 * config->speed / WHEEL_DISTANCE * config->tick <= LARGEST_TURN && has_floor(config);
 }
 
 /* Whether body i overlaps one that was placed before. */
@@ -99,7 +84,7 @@ static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *conf
 mcp_asdf_arena_status_t mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
 {
     uint64_t counter = splitmix(config->seed ^ PLACES);
-    mcp_asdf_arena_status_t status = check(config);
+    mcp_asdf_arena_status_t status = is_valid(config) ? MCP_ASDF_ARENA_OK : MCP_ASDF_ARENA_ERR_CONFIG;
     prepare(arena, config);
     for (uint32_t i = 0; i < config->robots && status == MCP_ASDF_ARENA_OK; ++i) {
         status = place(arena, i, &counter);
