@@ -29,7 +29,8 @@ from mcp_asdf_tools.common import (
 )
 from mcp_asdf_tools.radio import (
     COLUMNS,
-    ControllerBench,
+    BenchOptions,
+    ControllerVerdict,
     Neighbourhood,
     RadioRun,
     RadioSettings,
@@ -37,9 +38,7 @@ from mcp_asdf_tools.radio import (
     check_report_path,
     choose_ids,
     configured_like,
-    headline,
-    sections,
-    write_verification_report,
+    write_report,
 )
 from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, add_log_option
 from mcp_asdf_tools.robots import (
@@ -49,7 +48,6 @@ from mcp_asdf_tools.robots import (
     add_subject_options,
     filters_for,
     robot_of,
-    state_of,
     subjects_of,
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
@@ -201,12 +199,13 @@ def _verify(
     recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
         with recording as outputs:
-            verification = _judge(args, settings, choice, console, outputs)
-            verdict = verification.verdict
-            report |= {"verdict": verdict.plain(), "model": state_of(verification.model)}
-            ending.callback(_print_verdict, args, report, choice)  # even if a file cannot be completed
+            verdict = _judge(args, settings, choice, console, outputs)
+            report |= {"verdict": verdict.plain()}
+            ending.callback(
+                _print_verdict, args, verdict, report, choice
+            )  # even if a file cannot be completed
         if args.report is not None:
-            write_verification_report(args.report, report)
+            write_report(args.report, verdict, report)
     code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
     return exit_code(recording, code)
 
@@ -217,41 +216,44 @@ def _judge(
     choice: interfaces.BusChoice,
     console: Console,
     outputs: LogOutputs,
-) -> Verification:
-    """Take the controller through all phases; returns the verification that is over."""
+) -> ControllerVerdict:
+    """Take the controller through all phases."""
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
-        bench = ControllerBench(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+        options = BenchOptions(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
         log, events = outputs
-        bench.log = bench.log if log is None else log
-        bench.recorder = None if events is None else events.robots[settings.controller.id]
-        bench.should_stop = stack.enter_context(stopping())
-        verification = Verification(settings, bench)
+        options.log = options.log if log is None else log
+        options.recorder = None if events is None else events.robots[settings.controller.id]
+        options.should_stop = stack.enter_context(stopping())
+        verification = Verification(settings, options)
         progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
         task = progress.add_task("verifying", total=verification.expected_ticks)
-        bench.progress = lambda ticks: progress.update(task, completed=ticks)
-        verification.run()
-    return verification
+        options.progress = lambda ticks: progress.update(task, completed=ticks)
+        return verification.run()
 
 
-def _print_verdict(args: argparse.Namespace, report: dict[str, Any], choice: interfaces.BusChoice) -> None:
+def _print_verdict(
+    args: argparse.Namespace,
+    verdict: ControllerVerdict,
+    report: dict[str, Any],
+    choice: interfaces.BusChoice,
+) -> None:
     if args.json:
         print(json.dumps(report, indent=2))
         return
-    verdict = report["verdict"]
     table = Table(box=None, padding=(0, 1), header_style="bold")
     shown = {name: title for name, title in COLUMNS.items() if name != "fault"}
     for title in shown.values():
         table.add_column(title, justify="left" if title in ("phase", "outcome") else "right")
-    for phase in verdict["phases"]:
-        table.add_row(*(str(phase[name]) for name in shown))
+    for phase in verdict.phases:
+        table.add_row(*(str(getattr(phase, name)) for name in shown))
     console = Console(soft_wrap=True)
     console.print(table)
-    for title, entries in sections(verdict).items():
+    for title, entries in verdict.lists().items():
         console.print(
             f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
         )
-    console.print(headline(verdict), markup=False)
+    console.print(verdict.headline, markup=False)
     print_again(args, seed=report["parameters"]["seed"])
 
 

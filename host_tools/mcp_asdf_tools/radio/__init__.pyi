@@ -5,10 +5,9 @@ from .neighbourhood import RadioSettings as RadioSettings
 from .neighbourhood import choose_ids as choose_ids
 from .neighbourhood import configured_like as configured_like
 from .real_time import RadioRun as RadioRun
-from .stage import ControllerBench as ControllerBench
+from .test_bench import BenchOptions as BenchOptions
+from .verification import COLUMNS as COLUMNS
+from .verification import ControllerVerdict as ControllerVerdict
 from .verification import Verification as Verification
-from .verification_report import COLUMNS as COLUMNS
-from .verification_report import check_report_path as check_report_path
-from .verification_report import headline as headline
-from .verification_report import sections as sections
-from .verification_report import write_verification_report as write_verification_report
+from .verification import check_report_path as check_report_path
+from .verification import write_report as write_report

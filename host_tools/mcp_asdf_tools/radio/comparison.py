@@ -1,11 +1,11 @@
-"""Comparison of the controller's frames with the model's: bit for bit, kind by kind, whole frames."""
+"""Comparison of a controller's frames with its model's: bit for bit, kind by kind, whole frames."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import can
 
@@ -24,23 +24,14 @@ ESTIMATE, TELEMETRY, HEARTBEAT, BUS = "estimate", "telemetry", "heartbeat", "bus
 Frames = dict[str, list[can.Message]]
 """Frames by kind."""
 
+FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
+    ESTIMATE: (("transfer_id", 56, 5), ("x_hat", 0, 24), ("alpha", 24, 32)),
+    TELEMETRY: (("transfer_id", 56, 5), ("updates", 48, 8), ("b_hat", 24, 24), ("x", 0, 24)),
+    HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("mode", 40, 3), ("health", 32, 2)),
+}
+"""Fields of each kind, with first bit and length, in the order in which a difference is told."""
+
 _PRIORITY = 7 << 26
-_RANKS = (
-    *(
-        "frame",
-        "length",
-        "tail",
-        "priority",
-        "identifier",
-        "never",
-        "missing",
-        "twice",
-        "extra",
-        "more updates",
-    ),
-    *("fewer updates", "transfer_id", "b_hat", "x_hat", "alpha", "x", "uptime", "mode", "health"),
-)
-"""Parts that may differ; the first tells most, as others follow from it."""
 _SHOWN = 3
 """Frames shown of a kind."""
 
@@ -51,21 +42,44 @@ class Symptom:
 
     Attributes:
         kind: Kind of frame: estimate, telemetry or heartbeat; "bus" if it is none of a frame.
-        field: The part that differs, see ``comparison`` and ``causes``.
-        text: Both values.
+        field: The part that differs: a field of ``FIELDS``, "missing", "extra", "twice", or what is wrong
+            with the frame itself.
+        got: What the controller sent.
+        expected: What the model sends.
     """
 
     kind: str
     field: str
-    text: str
+    got: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}, {self.field}: expected {self.expected}, got {self.got}"
 
 
-FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
-    ESTIMATE: (("transfer_id", 56, 5), ("x_hat", 0, 24), ("alpha", 24, 32)),
-    TELEMETRY: (("transfer_id", 56, 5), ("updates", 48, 8), ("b_hat", 24, 24), ("x", 0, 24)),
-    HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("mode", 40, 3), ("health", 32, 2)),
+CAUSES: dict[tuple[str, str], str] = {
+    ("", "failed"): "the connection to the bus failed, which says nothing about the controller",
+    ("", "frame"): "its frames are not classic CAN data frames: FD or remote",
+    ("", "length"): "its frames have another length than 8 bytes",
+    ("", "tail"): "its tail byte lacks start, end or toggle bit: not a single-frame transfer",
+    ("", "priority"): "its frames have another priority than agreed",
+    ("", "identifier"): "it sets reserved bits of the identifier wrongly (docs/frame.md)",
+    ("", "twice"): "it sends each frame twice, or a second node has its id",
+    ("threshold", "updates"): "its test decides otherwise than k_m: another t-table, variance or estimate",
+    ("own estimate", "updates"): "its test rejects at equality: it compares with >= instead of >",
+    ("re-estimates", "updates"): "it updates b_hat where x_bar says nothing, or not where it does",
+    ("no filter", "updates"): "it filters though it is set up not to",
+    ("halvings", "x_hat"): "it halves at another memory, or rounds n otherwise than to nearest, ties to even",
 }
-"""Fields of each kind, with first bit and length, in the order in which a difference is told."""
+"""What a symptom proves by itself: by the beginning of the phase's name (or any) and the field."""
+
+
+def cause_of(symptom: Symptom, phase: str) -> str | None:
+    """What the symptom proves in this phase; None if it leaves several causes."""
+    for (begin, field), cause in CAUSES.items():
+        if field == symptom.field and phase.startswith(begin):
+            return cause
+    return None
 
 
 class Comparison:
@@ -77,10 +91,10 @@ class Comparison:
         may_advise: Whether its health may be "advisory": it may say so once a settle was withheld from it.
     """
 
-    def __init__(self, subjects: Subjects, greeting: can.Message, equal: Counter[str]) -> None:
-        """Count equal frames into ``equal``. ``greeting`` is the heartbeat with which the model has started;
-        the controller's may have come too early for us, or several times if it was reset."""
-        self.equal = equal
+    def __init__(self, subjects: Subjects, greeting: can.Message) -> None:
+        """Prepare; ``greeting`` is the heartbeat with which the model has started. The controller's may have
+        come before this run, or several times if it was reset."""
+        self.equal = Counter[str]()
         self.others = 0
         self.may_advise = False
         self._greeting = greeting
@@ -91,14 +105,13 @@ class Comparison:
         }
 
     def check(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
-        """Compare the frames of some ticks; returns the symptom that tells most."""
+        """The first difference among the frames of some ticks; None if they are equal."""
         own, models = self._by_kind(said), self._by_kind(expected)
         self.others += len(said) - sum(map(len, own.values()))
         if not self.equal[TELEMETRY]:
             self._greet(own, models)
-        symptoms = [self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS]
-        found = [symptom for symptom in symptoms if symptom is not None]
-        return min(found, key=lambda symptom: _RANKS.index(symptom.field), default=None)
+        symptoms = (self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS)
+        return next((symptom for symptom in symptoms if symptom is not None), None)
 
     def _greet(self, own: Frames, models: Frames) -> None:
         """Leave out heartbeats that are the greeting; one more than expected must be it."""
@@ -124,22 +137,23 @@ class Comparison:
         if field is None:
             self.equal[kind] += len(own)
             return None
-        if field == "missing" and not self.equal[kind] and not own:
-            field = "never"
-        texts = f"the controller sent {_texts(kind, own)}, the model {_texts(kind, models)}"
-        return Symptom(kind, field, f"{kind}: {texts}")
+        return Symptom(kind, field, _texts(kind, own), _texts(kind, models))
 
 
 def _first_difference(kind: str, own: Sequence[can.Message], models: Sequence[can.Message]) -> str | None:
-    odd = next((field for frame in own if (field := _what_is_odd(frame)) is not None), None)
-    if odd is not None:
-        return odd
-    if len(own) > len(models):
-        return "twice" if any(a.data == b.data for a, b in pairwise(own)) else "extra"
-    differences = (_field_of(kind, *pair) for pair in zip(own, models, strict=False))
-    field = next((each for each in differences if each is not None), None)
-    is_short = len(own) < len(models)
-    return "missing" if is_short and field in (None, "transfer_id") else field
+    """The field in which two lists of frames differ first."""
+    for left, right in zip_longest(own, models):
+        if left is None:
+            return "missing"
+        odd = _what_is_odd(left)
+        if odd is not None:
+            return odd
+        if right is None:
+            return "twice" if any(a.data == b.data for a, b in pairwise(own)) else "extra"
+        field = _field_of(kind, left, right)
+        if field is not None:
+            return field
+    return None
 
 
 def _most_severe(heartbeats: Sequence[can.Message]) -> int:
@@ -161,13 +175,7 @@ def _field_of(kind: str, own: can.Message, models: can.Message) -> str | None:
     bits = own.arbitration_id ^ models.arbitration_id
     if bits:
         return "priority" if bits & _PRIORITY else "identifier"
-    for name, *place in FIELDS[kind]:
-        left, right = _bits(own, *place), _bits(models, *place)
-        if name == "updates" and left != right:
-            return "more updates" if (left - right) % 256 < 128 else "fewer updates"
-        if left != right:
-            return name
-    return None
+    return next((name for name, *place in FIELDS[kind] if _bits(own, *place) != _bits(models, *place)), None)
 
 
 def _bits(frame: can.Message, first: int, length: int) -> int:

@@ -9,11 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mcp_asdf.robot import Filter
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
-from mcp_asdf_tools.radio.coverage import filters, is_adaptive, is_halved, is_in_reach
-from mcp_asdf_tools.radio.stage import Stage
+from mcp_asdf_tools.radio.test_bench import Bench
 from mcp_asdf_tools.robots import TickConfig
+
+_TESTS = 20
+"""Tests of the filter that a run waits for."""
+_MOST_TICKS = 400_000
+"""Ticks that a run waits for them at most: on a bus of 500 kbit/s these are 4 minutes."""
+_LONGEST_MEMORY = 20_000
+"""Memories up to this length are filled until they are halved."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +37,28 @@ class Phase:
     """
 
     name: str
-    play: Callable[[Stage], None] | None = None
+    play: Callable[[Bench], None] | None = None
     fault: str = ""
     applies: Callable[[TickConfig], bool] = lambda config: True
     tests: int = 0
 
 
+def is_in_reach(config: TickConfig) -> bool:
+    """True if the tests of the filter come often enough for a run."""
+    return _TESTS * config.filter_period <= _MOST_TICKS
+
+
+def is_halved(config: TickConfig) -> bool:
+    """True if the memory is short enough for a run to fill it."""
+    return config.memory <= _LONGEST_MEMORY
+
+
 def _tests(config: TickConfig) -> bool:
-    return is_adaptive(config) and is_in_reach(config)
+    return config.filter is Filter.ADAPTIVE and is_in_reach(config)
 
 
 def _re_estimates(config: TickConfig) -> bool:
-    return filters(config) and is_in_reach(config)
+    return config.filter is not Filter.OFF and is_in_reach(config)
 
 
 PHASES: tuple[Phase, ...] = (
@@ -60,7 +77,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("its own id", protocol.own_id),
     Phase("unusual identifiers", protocol.unusual_messages),
     Phase("invalid frames", protocol.invalid),
-    Phase("no filter", filtering.quiet, applies=lambda config: not filters(config)),
+    Phase("no filter", filtering.quiet, applies=lambda config: config.filter is Filter.OFF),
     Phase("no information", filtering.no_information, applies=_re_estimates, tests=1),
     Phase("rounds without a test", filtering.no_test, applies=_re_estimates, tests=1),
     *(
@@ -68,7 +85,7 @@ PHASES: tuple[Phase, ...] = (
         for m, play in filtering.THRESHOLDS.items()
     ),
     Phase("own estimate", filtering.own_estimate, applies=_tests, tests=1),
-    Phase("re-estimates", filtering.updates, applies=_re_estimates, tests=2),
+    Phase("re-estimates", filtering.updates, applies=_re_estimates, tests=5),
     Phase("halvings", filtering.halvings, applies=is_halved),
     Phase("long run", filtering.long_run, applies=lambda config: not is_halved(config)),
     Phase("among neighbours"),
@@ -87,10 +104,3 @@ PHASES: tuple[Phase, ...] = (
     Phase("bus-off", fault="busoff=0.2,ticks=5,robots={them}"),
     Phase("full send queues", fault="queue=0.5,frames=0,robots={them}"),
 )
-
-
-def among_neighbours(stage: Stage) -> None:
-    """A tick in which emulated neighbours hear the controller, and it hears them."""
-    stage.observe(stage.neighbours.begin())
-    stage.send(stage.neighbours.finish(stage.said_in_tick()))
-    stage.settle()

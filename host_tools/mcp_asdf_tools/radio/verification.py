@@ -1,28 +1,30 @@
 """Verification of a real controller, which must behave as a model of it does.
 
 The controller is taken through phases (``phases``), in lockstep with the model, up to the first difference.
-The verdict gives that difference with its likely cause (``causes``), or else what was put to the test and
-what was not (``coverage``).
+The verdict gives that difference, phase, tick, field, expected and got, and what was not put to the test.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import can
 
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.radio.causes import cause_of
-from mcp_asdf_tools.radio.comparison import BUS, Symptom
-from mcp_asdf_tools.radio.coverage import LONG_RUN, Coverage, is_halved, not_checked, not_exercised
-from mcp_asdf_tools.radio.model import Model
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.common import UsageError, check_target, write_atomically
+from mcp_asdf_tools.radio.comparison import BUS, ESTIMATE, TELEMETRY, Symptom, cause_of
+from mcp_asdf_tools.radio.filter_phases import LONG_RUN
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.phases import PHASES, Phase, among_neighbours
-from mcp_asdf_tools.radio.stage import ControllerBench, Differs, Stage
-from mcp_asdf_tools.radio.strangers import Disturbed
-from mcp_asdf_tools.robots import LockstepError
+from mcp_asdf_tools.radio.other_nodes import Disturbed
+from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
+from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
+from mcp_asdf_tools.radio.test_bench import Bench, BenchOptions, Differs
+from mcp_asdf_tools.robots import LockstepError, TickConfig
 from mcp_asdf_tools.swarm import Fault, parse_fault
 
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"
@@ -63,43 +65,67 @@ class ControllerVerdict:
 
     Attributes:
         phases: Result of each phase, in order.
-        coverage: What the controller was taken through.
         difference: First difference between the controller and the model; None if there is none.
-        cause: The mistake that gives this difference, in words; None without a difference.
-        disturbance: The stranger that ended the run, in words; None if there was none.
-        strangers: Nodes that had no part in the run, in words.
+        cause: What this difference proves, where it proves anything.
+        disturbance: The other node that ended the run, in words; None if there was none.
+        other_nodes: Nodes that had no part in the run, in words.
         not_exercised: Claims about the controller that the run has not put to the test.
         not_checked: What no verdict on a controller of this configuration says.
         is_interrupted: Whether the verification was asked to stop before its end.
         other_frames: Frames of the controller that were not judged.
         repeated: Commands repeated because the controller had not answered.
+        latency_mean, latency_maximum: Seconds from a command to its answer.
     """
 
     phases: list[PhaseResult]
-    coverage: Coverage
     difference: str | None = None
     cause: str | None = None
     disturbance: str | None = None
-    strangers: list[str] = field(default_factory=list)
+    other_nodes: list[str] = field(default_factory=list)
     not_exercised: list[str] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
     is_interrupted: bool = False
     other_frames: int = 0
     repeated: int = 0
+    latency_mean: float = 0.0
+    latency_maximum: float = 0.0
 
     @property
     def has_passed(self) -> bool:
         """True if every phase has passed, and every claim was put to the test."""
         return all(phase.outcome == PASSED for phase in self.phases) and not self.not_exercised
 
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence or two."""
+        passed = sum(phase.outcome == PASSED for phase in self.phases)
+        count = f"{passed} of {len(self.phases)} phases passed"
+        if self.has_passed:
+            repeated = f"; {self.repeated} commands were repeated" * bool(self.repeated)
+            return f"PASSED: {count}; every frame of the controller equals the model's{repeated}"
+        if self.difference is not None:
+            cause = f". So {self.cause}" if self.cause else ""
+            return f"FAILED: {count}; first in {self.difference}{cause}"
+        if self.disturbance is not None:
+            return f"DISTURBED, no verdict: {count}; {self.disturbance}"
+        if self.is_interrupted:
+            return f"INTERRUPTED: {count}"
+        empty = [f'the fault of phase "{phase.name}"' for phase in self.phases if phase.outcome != PASSED]
+        missing = "; ".join(empty + self.not_exercised)
+        return f"NOT EXERCISED: {count}, no difference, but never put to the test: {missing}"
+
+    def lists(self) -> dict[str, list[str]]:
+        """What the verdict leaves open, by title; empty lists are left out."""
+        lists = {
+            "Not exercised": self.not_exercised,
+            "Not checked": self.not_checked,
+            "Others on the bus": self.other_nodes,
+        }
+        return {title: entries for title, entries in lists.items() if entries}
+
     def plain(self) -> dict[str, Any]:
         """The verdict as plain values, for JSON."""
-        return {
-            "passed": self.has_passed,
-            **vars(self),
-            "phases": [asdict(phase) for phase in self.phases],
-            "coverage": self.coverage.plain(),
-        }
+        return {"passed": self.has_passed, **vars(self), "phases": [vars(phase) for phase in self.phases]}
 
 
 def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tuple[list[Phase], list[Fault]]:
@@ -127,67 +153,91 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     return plan, faults
 
 
+def not_checked(config: TickConfig) -> list[str]:
+    """Properties that a verdict on a controller of this configuration leaves open."""
+    filters = config.filter is not Filter.OFF
+    sizes = ", ".join(map(str, CRAFTED_SIZES))
+    limits = (
+        (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
+        (not filters, "the test and re-estimates: it does not filter"),
+        (config.filter is Filter.ALWAYS, "the test: it re-estimates always"),
+        (filters and config.filter_period == config.comms_period, "rounds without a test: all have one"),
+        (config.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
+        (not is_halved(config), f"forgetting: its memory is {config.memory}, too long for a run"),
+        (True, "its own clock, sensor and telemetry period: commands replace them"),
+        (True, "saving and restoring of its state"),
+        (True, "its behaviour on a bus with error frames, CAN FD frames or a bus-off of its own"),
+        (True, "vendor status and spare bits of heartbeats, and frames of other subjects"),
+    )
+    return [text for holds, text in limits if holds]
+
+
 class Verification:
     """Verification of a controller that has just started and done nothing yet."""
 
     def __init__(
-        self, settings: RadioSettings, bench: ControllerBench, phases: Sequence[Phase] = PHASES
+        self, settings: RadioSettings, options: BenchOptions, phases: Sequence[Phase] = PHASES
     ) -> None:
         """Prepare the phases, with one more for each fault of the settings. Raises as ``planned``."""
-        self._settings, self._bench = settings, bench
+        config = settings.controller.config
         # Everything that a fault may strike, a broadcast too, comes in each phase.
-        self._phase_ticks = max(bench.ticks, 2 * settings.controller.config.comms_period)
+        self._phase_ticks = max(options.ticks, 2 * config.comms_period)
         self._phases, faults = planned(settings, phases, self._phase_ticks)
-        self._stage = Stage(replace(settings, faults=tuple(faults)), bench)
-        results = [PhaseResult(phase.name, phase.fault or None) for phase in self._phases]
-        self.verdict = ControllerVerdict(results, self._stage.model.coverage)
-
-    @property
-    def model(self) -> Model:
-        """The model of the controller."""
-        return self._stage.model
+        self.bench = Bench(replace(settings, faults=tuple(faults)), options)
+        self.verdict = ControllerVerdict(
+            [PhaseResult(phase.name, phase.fault or None) for phase in self._phases],
+            not_checked=not_checked(config),
+        )
 
     @property
     def expected_ticks(self) -> int:
         """About how many ticks the run takes."""
-        config = self._settings.controller.config
+        config = self.bench.config
         waiting = sum(phase.tests for phase in self._phases) * config.filter_period
         observing = 3 * config.memory if is_halved(config) else LONG_RUN
         return max(waiting, observing) + self._phase_ticks * len(self._phases)
 
     def run(self) -> ControllerVerdict:
         """Go through the phases up to the first difference."""
-        verdict, stage = self.verdict, self._stage
+        verdict, bench = self.verdict, self.bench
         phase, result = self._phases[0], verdict.phases[0]
         try:
-            stage.begin()
+            bench.begin()
             for phase, result in zip(self._phases, verdict.phases, strict=True):
                 self._run_phase(phase, result)
-            stage.listen_on()
-            verdict.not_exercised = not_exercised(verdict.coverage)
+            bench.listen_on()
+            verdict.not_exercised = self._not_exercised()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
-        except Disturbed as stranger:
+        except Disturbed as other:
             result.outcome = DISTURBED
-            verdict.disturbance = f"{self._place(phase)}: {stranger}"
+            verdict.disturbance = f"{self._place(phase)}: {other}"
         except (Differs, LockstepError, can.CanError) as error:
             result.outcome = FAILED
-            self._explain(self._symptom(error), phase)
-        verdict.not_checked = not_checked(verdict.coverage)
-        verdict.strangers = stage.strangers.lines()
-        verdict.other_frames = stage.comparison.others
-        verdict.repeated = stage.lockstep.repeated
+            symptom = self._symptom(error)
+            verdict.difference = f"{self._place(phase)}: {symptom}"
+            verdict.cause = cause_of(symptom, phase.name)
+        verdict.other_nodes = bench.other_nodes.lines()
+        verdict.other_frames, verdict.repeated = bench.comparison.others, bench.lockstep.repeated
+        verdict.latency_maximum = max(bench.latencies, default=0.0)
+        verdict.latency_mean = fmean(bench.latencies or [0.0])
         return verdict
 
+    def _not_exercised(self) -> list[str]:
+        config = self.bench.config
+        if config.filter is not Filter.OFF and not is_in_reach(config):
+            return ["the filter: its period is too long for a run", *self.bench.missed]
+        return self.bench.missed
+
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
-        stage, before = self._stage, self._figures()
-        stage.doing = phase.fault or phase.name
+        bench, before = self.bench, self._figures()
+        bench.doing = phase.fault or phase.name
         try:
             if phase.play is not None:
-                phase.play(stage)
+                phase.play(bench)
             else:
                 for _ in range(self._phase_ticks):
-                    among_neighbours(stage)
+                    bench.tick_among_neighbours()
         finally:
             for name, figure in self._figures().items():
                 setattr(result, name, figure - before[name])
@@ -195,31 +245,78 @@ class Verification:
 
     def _figures(self) -> dict[str, int]:
         """The figures of a ``PhaseResult`` so far, for all phases together."""
-        stage, equal = self._stage, self.verdict.coverage.equal
+        bench, equal = self.bench, self.bench.comparison.equal
         return {
-            "ticks": stage.ticks,
-            "frames": stage.frames,
-            "injected": sum(figure["injected"] for figure in stage.neighbours.faults.figures()),
-            "broadcasts": equal["estimate"],
-            "answers": equal["telemetry"],
+            "ticks": bench.ticks,
+            "frames": bench.frames,
+            "injected": sum(figure["injected"] for figure in bench.neighbours.faults.figures()),
+            "broadcasts": equal[ESTIMATE],
+            "answers": equal[TELEMETRY],
         }
 
     def _symptom(self, error: Exception) -> Symptom:
         """The symptom of what ended the run; who did not answer may have said something else."""
         if isinstance(error, Differs):
             return error.symptom
-        if isinstance(error, can.CanError):
-            return Symptom(BUS, "failed", str(error))
-        found = self._stage.symptom()
-        if found is None:
-            return Symptom(BUS, "absent", str(error))
-        return replace(found, text=str(error)) if found.field in ("missing", "never") else found
-
-    def _explain(self, symptom: Symptom, phase: Phase) -> None:
-        self.verdict.difference = f"{self._place(phase)}: {symptom.text}"
-        self.verdict.cause = cause_of(symptom, phase.name, self._stage.doing)
+        kind = "failed" if isinstance(error, can.CanError) else "silent"
+        said = None if kind == "failed" else self.bench.symptom()
+        if said is not None and said.field != "missing":
+            return said
+        return Symptom(BUS, kind, str(error), "an answer")
 
     def _place(self, phase: Phase) -> str:
-        doing = self._stage.doing
+        doing = self.bench.doing
         also = f" ({doing})" if doing and doing not in (phase.name, phase.fault) else ""
-        return f'phase "{phase.name}"{also}, tick {self._stage.place}'
+        return f'phase "{phase.name}"{also}, tick {self.bench.place}'
+
+
+# --- Reports ---
+
+COLUMNS = {
+    "name": "phase",
+    "fault": "fault",
+    "ticks": "ticks",
+    "frames": "frames sent",
+    "injected": "injected",
+    "broadcasts": "equal broadcasts",
+    "answers": "equal answers",
+    "outcome": "outcome",
+}
+"""Figures of each phase, and their headings."""
+
+
+def check_report_path(path: Path | None) -> None:
+    """Raises UsageError if the suffix is unknown or the file cannot be written there."""
+    if path is None:
+        return
+    if path.suffix not in (".json", ".md"):
+        raise UsageError(f"report {path} has no known format; name it .json or .md")
+    check_target(path)
+
+
+def write_report(path: Path, verdict: ControllerVerdict, report: dict[str, Any]) -> None:
+    """Write a report in the format of its suffix. Raises UsageError if that is impossible."""
+    is_json = path.suffix == ".json"
+    write_atomically(path, json.dumps(report, indent=2) + "\n" if is_json else markdown(verdict, report))
+
+
+def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
+    """The verdict in Markdown, with what is needed to repeat the run."""
+    bus = report["bus"]
+    lines = [
+        "# Verification of a controller",
+        "",
+        f"**{verdict.headline}**",
+        "",
+        f"Robot {report['parameters']['controller']['id']} on {bus['interface']} {bus['channel'] or ''}, "
+        f"{report['time']}.",
+        "",
+    ]
+    for title, entries in verdict.lists().items():
+        lines += [f"{title}:", "", *(f"- {entry}" for entry in entries), ""]
+    rows = [list(COLUMNS.values()), ["---"] * len(COLUMNS)]
+    rows += [[str(getattr(phase, name) or "") for name in COLUMNS] for phase in verdict.phases]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    everything = {key: report[key] for key in ("parameters", "versions")}
+    lines += ["", "To repeat it:", "", "```json", json.dumps(everything, indent=2), "```", ""]
+    return "\n".join(lines)

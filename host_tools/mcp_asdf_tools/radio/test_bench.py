@@ -1,7 +1,8 @@
-"""Controller and model side by side on one bus: what a phase can let happen to both.
+"""Test bench: controller and model side by side on one bus, and what a phase can let happen to both.
 
-The controller is driven in lockstep by command frames; the model is given the very frames that go over the
-bus. Whenever a tick is settled, all frames that the two have sent since are compared.
+The controller is driven in lockstep by command frames; the model, the firmware's mirror as a node, is given
+the very frames that go over the bus. Whenever a tick is settled, all frames that the two have sent since are
+compared.
 """
 
 from __future__ import annotations
@@ -14,16 +15,23 @@ from dataclasses import dataclass
 
 import can
 
-from mcp_asdf.robot import MAX_ID, Observation
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus import TRANSFER_IDS, Action, Command, Message, encode
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
-from mcp_asdf_tools.radio.coverage import has_quiet_rounds, is_adaptive
-from mcp_asdf_tools.radio.crafted_rounds import Content, Situation
-from mcp_asdf_tools.radio.model import Model
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
-from mcp_asdf_tools.radio.strangers import Strangers
-from mcp_asdf_tools.radio.unusual_frames import UnusualCommand
-from mcp_asdf_tools.robots import DRIVER_ID, Lockstep, LockstepSettings, Recorder, send_all
+from mcp_asdf_tools.radio.other_nodes import OtherNodes
+from mcp_asdf_tools.radio.rounds import Content, Situation
+from mcp_asdf_tools.robots import (
+    DRIVER_ID,
+    Lockstep,
+    LockstepSettings,
+    NodeSettings,
+    Recorder,
+    RobotNode,
+    TickedRobot,
+    send_all,
+)
 
 SEND_TIMEOUT = 2.0
 BURST = 16
@@ -37,13 +45,13 @@ class Differs(Exception):  # noqa: N818 (an outcome, no error)
     """The controller differs from the model."""
 
     def __init__(self, symptom: Symptom) -> None:
-        super().__init__(symptom.text)
+        super().__init__(str(symptom))
         self.symptom = symptom
 
 
 @dataclass
-class ControllerBench:
-    """Test bench of a controller.
+class BenchOptions:
+    """Connection to a controller and how its test is run.
 
     Attributes:
         bus: Connection to the controller.
@@ -66,38 +74,48 @@ class ControllerBench:
     should_stop: Callable[[], bool] = lambda: False
 
 
-class Stage:
+class Bench:
     """A controller that has just started, and its model.
 
     Attributes:
         settings: The surroundings.
-        bench: The test bench.
-        model: The model.
+        config: The controller's configuration.
+        options: Connection, time limits and observers.
+        firmware: The firmware that the controller must equal, bit for bit.
+        model: The node around it, which says what the controller must say.
         neighbours: Emulated robots around the controller, for phases that want them.
         draw: Random numbers, the same in every run with this seed.
         doing: What is done at present, in words.
         place: Number of ticks before the last that was settled or is to be.
         frames: Frames sent to the controller besides commands.
-        strangers: Nodes that have no part in this.
+        latencies: Seconds from each command to its answer.
+        missed: What could not be put to the test, in words.
+        other_nodes: Nodes that have no part in this.
         comparison: The frames compared so far.
     """
 
-    def __init__(self, settings: RadioSettings, bench: ControllerBench) -> None:
-        self.settings = settings
-        self.bench = bench
-        self.model = Model(settings, bench.recorder)
+    def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
+        own, subjects = settings.controller, settings.subjects
+        self.settings, self.config, self.options = settings, own.config, options
+        self.firmware = MirrorRobot(own.config.in_rounds(), own.id, own.b_hat)
+        self.model = RobotNode(
+            TickedRobot(self.firmware, own.config.comms_period),
+            NodeSettings(own.id, subjects, settings.swarm.steps_per_second),
+            options.recorder,
+        )
         self.neighbours = Neighbourhood(settings)
         self.draw = random.Random(settings.swarm.seed)
         self.doing = ""
         self.place = self.frames = self._skipped = 0
-        self.strangers = Strangers(settings.controller.id, settings.subjects)
+        self.latencies: list[float] = []
+        self.missed: list[str] = []
+        self.other_nodes = OtherNodes(own.id, subjects)
         (greeting,) = self.model.start()
-        self.comparison = Comparison(settings.subjects, greeting, self.model.coverage.equal)
-        self._id = settings.controller.id
-        subjects = settings.subjects
+        self.comparison = Comparison(subjects, greeting)
         self.lockstep = Lockstep(
-            bench.bus, LockstepSettings(subjects), bench.timeout, watch=self._note, check=self._check_stop
+            options.bus, LockstepSettings(subjects), options.timeout, watch=self._note, check=self._check_stop
         )
+        self._id = own.id
         self._said: list[can.Message] = []
         self._expected: list[can.Message] = []
         self._numbers: Counter[int] = Counter()
@@ -110,11 +128,6 @@ class Stage:
         return [robot for robot in range(MAX_ID + 1) if robot != self._id]
 
     @property
-    def robots(self) -> list[int]:
-        """Ids of other robots: neither the controller's nor that which commands it."""
-        return [robot for robot in self.others if robot != DRIVER_ID]
-
-    @property
     def ticks(self) -> int:
         """Ticks ended, settled or not."""
         return self.lockstep.tick - self._skipped
@@ -122,8 +135,14 @@ class Stage:
     @property
     def situation(self) -> Situation:
         """The controller's state, for which rounds are crafted."""
-        s, config = self.model.firmware.s, self.settings.controller.config
-        return Situation(s.t, s.n, s.x_hat, config.table if is_adaptive(config) else None)
+        s, is_adaptive = self.firmware.s, self.config.filter is Filter.ADAPTIVE
+        return Situation(s.t, s.n, s.x_hat, self.config.table if is_adaptive else None)
+
+    def any_observation(self) -> Observation:
+        """Black a bit more often than white, so that b_hat can be re-estimated on both sides of 1/2."""
+        s = self.firmware.s
+        is_black = 5 * s.n < 3 * s.t
+        return Observation(is_black if self.draw.random() < 0.8 else not is_black)
 
     # --- One tick ---
 
@@ -135,11 +154,11 @@ class Stage:
         self.lockstep.observe({self._id: z})
         if self.model.sent.estimates != broadcasts:
             self.lockstep.estimates({self._id})
-            self.model.coverage.latency.note(time.perf_counter() - begin)
+            self.latencies.append(time.perf_counter() - begin)
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Let the controller and the model hear frames, in order."""
-        send_all(self.bench.bus, frames, SEND_TIMEOUT)
+        send_all(self.options.bus, frames, SEND_TIMEOUT)
         for frame in frames:
             self._note(frame)
         self.frames += len(frames)
@@ -148,9 +167,9 @@ class Stage:
         """End the tick, and compare. Raises Differs."""
         begin = time.perf_counter()
         self.lockstep.settle({self._id})
-        self.model.coverage.latency.note(time.perf_counter() - begin)
+        self.latencies.append(time.perf_counter() - begin)
         self.compare()
-        self.bench.progress(self.ticks)
+        self.options.progress(self.ticks)
 
     def leave_open(self, distance: int = 1) -> None:
         """End the tick as if its settle were lost; the controller may complain about it from now on.
@@ -167,6 +186,12 @@ class Stage:
         self.send(frames)
         self.settle()
 
+    def tick_among_neighbours(self) -> None:
+        """A tick in which emulated neighbours hear the controller, and it hears them."""
+        self.observe(self.neighbours.begin())
+        self.send(self.neighbours.finish(list(self._said)))
+        self.settle()
+
     # --- Many ticks ---
 
     def skip(self, ticks: int, observe: Callable[[], Observation | None] = lambda: None) -> None:
@@ -179,10 +204,9 @@ class Stage:
             self.tick(observe())
             ticks -= burst
 
-    def command(self, action: Action, unusual: UnusualCommand, other: int) -> can.Message:
-        """A command of this tick with something unusual about it; ``other`` is another node."""
-        usual = Command(DRIVER_ID, self.lockstep.tick, self._id, action, self.draw.randrange(TRANSFER_IDS))
-        return unusual.frame(usual, other, self.settings.subjects.commands)
+    def command(self, action: Action) -> Command:
+        """A command of this tick for the controller."""
+        return Command(DRIVER_ID, self.lockstep.tick, self._id, action, self.draw.randrange(TRANSFER_IDS))
 
     def round(self, *contents: Content, senders: Sequence[int] | None = None) -> None:
         """A whole round with these messages, of random neighbours unless ``senders`` are given."""
@@ -191,7 +215,7 @@ class Stage:
 
     def round_of(self, frames: Sequence[can.Message]) -> None:
         """A whole round in which these frames come, in its first tick and in its last."""
-        period = self.settings.controller.config.comms_period
+        period = self.config.comms_period
         self.skip(-self.model.ticks % period)
         half = len(frames) // 2
         if period > 1:
@@ -213,14 +237,14 @@ class Stage:
 
     def to_test(self, observe: Callable[[], Observation | None] = lambda: None, before: int = 0) -> None:
         """Let ticks pass until the round of the next test begins, or ``before`` rounds earlier."""
-        config = self.settings.controller.config
-        round_begins = config.filter_period - (1 + before) * config.comms_period
-        self.skip((round_begins - self.model.ticks) % config.filter_period, observe)
+        period = self.config.filter_period
+        round_begins = period - (1 + before) * self.config.comms_period
+        self.skip((round_begins - self.model.ticks) % period, observe)
 
     def avoid_test(self, rounds: int = 1) -> None:
         """Let rounds without messages pass if one of the next ``rounds`` has a test, unless all have."""
-        config = self.settings.controller.config
-        if not has_quiet_rounds(config):
+        config = self.config
+        if config.filter is Filter.OFF or config.filter_period == config.comms_period:
             return
         for number in range(rounds, 0, -1):
             if (self.model.ticks + number * config.comms_period) % config.filter_period == 0:
@@ -230,8 +254,8 @@ class Stage:
 
     def begin(self) -> None:
         """Wait for the controller if that is asked for. Raises LockstepError if it does not come."""
-        if self.bench.wait is not None:
-            self.lockstep.wait_until_up({self._id}, self.bench.wait)
+        if self.options.wait is not None:
+            self.lockstep.wait_until_up({self._id}, self.options.wait)
 
     def compare(self) -> None:
         """Compare all frames since the last comparison. Raises Differs."""
@@ -248,20 +272,16 @@ class Stage:
     def listen_on(self) -> None:
         """Check that nothing comes after the last answer. Raises Differs."""
         end = time.monotonic() + _AFTERMATH
-        while (frame := self.bench.bus.recv(max(0.0, end - time.monotonic()))) is not None:
+        while (frame := self.options.bus.recv(max(0.0, end - time.monotonic()))) is not None:
             if frame.is_rx:
                 self._note(frame)
             if time.monotonic() > end:
                 break
         self.compare()
 
-    def said_in_tick(self) -> list[can.Message]:
-        """The controller's frames since the last comparison."""
-        return list(self._said)
-
     def _check_stop(self) -> None:
         """Raises KeyboardInterrupt if asked to stop, but not within a tick."""
-        if self.model.is_settled and self.bench.should_stop():
+        if self.model.is_settled and self.options.should_stop():
             raise KeyboardInterrupt
 
     def _note(self, frame: can.Message) -> None:
@@ -269,8 +289,8 @@ class Stage:
         if not frame.is_rx:
             frame.timestamp = time.time()
             self._expected += self.model.hear(frame)
-        self.bench.log(frame)
+        self.options.log(frame)
         if frame.is_rx and is_from(frame, self._id):
             self._said.append(frame)
         elif frame.is_rx:
-            self.strangers.take(frame)
+            self.other_nodes.take(frame)

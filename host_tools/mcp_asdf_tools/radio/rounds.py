@@ -5,18 +5,34 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from math import isqrt
 
-from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE, sums_add
+from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, sums_add
 from mcp_asdf.mirror import Closed, reestimate, rejects
 from mcp_asdf.robot import Sums
 from mcp_asdf.table import FRACTION_BITS, Table
-from mcp_asdf_tools.radio.coverage import Update
-from mcp_asdf_tools.radio.model import update_of
 
 Content = tuple[int, int]
 """x_hat in units of 2**-23 and alpha as the firmware's word."""
 
+CRAFTED_SIZES = (2, 3, 5, 10, 30, 126)
+"""Messages of the rounds that lie just inside and just outside their threshold."""
+
+
+class Update(Enum):
+    """Effect on b_hat of a test that rejects; the value describes it."""
+
+    ABOVE = "b_hat above 1/2, off the limit"
+    BELOW = "b_hat below 1/2, off the limit"
+    MAXIMUM = "b_hat at its upper limit"
+    MINIMUM = "b_hat at its lower limit"
+    HALF = "b_hat at 1/2, where the robot knows nothing"
+    KEPT = "b_hat kept, as x_bar is 1/2"
+
+
+_NO_INFORMATION = 1 << 20
+"""|2 b_hat - 1| below which a robot knows nothing, in units of 2**-32."""
 _TRIES = 300
 _LEAST_DISTANCE = 1 << 15
 """Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
@@ -58,6 +74,17 @@ class Situation:
         if self.table is not None and (sums.count < 2 or not rejects(self.table, sums, self.x_hat)):
             return None
         return update_of(reestimate(self.t, self.n, Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)))
+
+
+def update_of(b_hat: int | None) -> Update:
+    """The kind of update to ``b_hat``, in units of 2**-32; None is no update."""
+    if b_hat is None:
+        return Update.KEPT
+    if b_hat in (B_HAT_MIN, B_HAT_MAX):
+        return Update.MINIMUM if b_hat == B_HAT_MIN else Update.MAXIMUM
+    if abs(2 * b_hat - (1 << 32)) < _NO_INFORMATION:
+        return Update.HALF
+    return Update.ABOVE if 2 * b_hat > 1 << 32 else Update.BELOW
 
 
 def ordinary_alpha(draw: random.Random, most: int = 17) -> int:
