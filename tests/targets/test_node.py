@@ -38,9 +38,8 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
-from mcp_asdf_tools.radio.stage import ControllerBench
+from mcp_asdf_tools.radio.test_bench import BenchOptions
 from mcp_asdf_tools.radio.verification import Verification
-from mcp_asdf_tools.radio.verification_report import headline
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -144,8 +143,8 @@ def test_a_verdict_on_it_passes(start: Start, bus: UnixBus, memory: int, comms_p
     start(5, "--lockstep", "--b-hat", 0.55, *options)
     bus.accept()
     settings = RadioSettings(own, neighbours, SwarmSettings(robots=5), Subjects(), ())
-    verdict = Verification(settings, ControllerBench(bus, 5, PATIENCE)).run()
-    assert verdict.has_passed, headline(verdict.plain())
+    verdict = Verification(settings, BenchOptions(bus, 5, PATIENCE)).run()
+    assert verdict.has_passed, verdict.headline
     assert verdict.repeated == 0
 
 

@@ -43,8 +43,8 @@ class Symptom:
     Attributes:
         kind: Kind of frame: estimate, telemetry or heartbeat; "bus" if it is none of a frame.
         field: The part that differs: a field of ``FIELDS``, "missing", "extra", "twice", or what is wrong
-            with the frame itself.
-        got: What the controller sent.
+            with the frame itself; for the bus "failed" or "silent".
+        got: What the controller sent, or what happened on the bus.
         expected: What the model sends.
     """
 
@@ -54,6 +54,8 @@ class Symptom:
     expected: str
 
     def __str__(self) -> str:
+        if self.kind == BUS:
+            return self.got
         return f"{self.kind}, {self.field}: expected {self.expected}, got {self.got}"
 
 

@@ -262,7 +262,7 @@ class Verification:
         said = None if kind == "failed" else self.bench.symptom()
         if said is not None and said.field != "missing":
             return said
-        return Symptom(BUS, kind, str(error), "an answer")
+        return Symptom(BUS, kind, str(error), "")
 
     def _place(self, phase: Phase) -> str:
         doing = self.bench.doing

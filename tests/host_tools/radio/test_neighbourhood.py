@@ -28,8 +28,8 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.radio.invalid_frames import malformed, stray_commands
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
+from mcp_asdf_tools.radio.odd_frames import STRAY, malformed, stray_command
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.recording.frame_logs import read_log
@@ -180,8 +180,9 @@ def test_stray_commands_are_not_obeyed(tick: int) -> None:
     robot = RobotNode(record(ID).make(), NodeSettings(ID))
     robot.hear(encode_command(Command(9, tick, ID, Action.OBSERVE_WHITE, 0)))
     for _ in range(200):
-        for frame in stray_commands(draw, Subjects().commands, ID, 9, tick).values():
-            assert robot.hear(frame) == []
+        for name in STRAY:
+            usual = Command(126, tick, ID, Action.SETTLE, 0)
+            assert robot.hear(stray_command(name, draw, usual, 9, Subjects().commands)) == [], name
     assert (robot.robot.t, robot.reception.rejected) == (1, {})
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shlex
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +28,18 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
     encode_heartbeat,
 )
-from mcp_asdf_tools.bus.load import worst_bits
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.radio.causes import CAUSES, cause_of
-from mcp_asdf_tools.radio.comparison import BUS, FIELDS, TELEMETRY, Symptom
-from mcp_asdf_tools.radio.coverage import CLAIMS, CRAFTED_SIZES, Update
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
 from mcp_asdf_tools.radio.phases import PHASES, Phase
-from mcp_asdf_tools.radio.stage import ControllerBench
-from mcp_asdf_tools.radio.verification import ControllerVerdict, Verification
-from mcp_asdf_tools.radio.verification_report import headline, markdown
+from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
+from mcp_asdf_tools.radio.test_bench import BenchOptions
+from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, markdown
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import start_nodes
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
 from node_thread import node_in_a_thread
 from support import PATIENCE, slow
@@ -85,12 +79,24 @@ def judge(
     controller: RobotNode | Wire,
     plan: RadioSettings | None = None,
     phases: Sequence[Phase] = PHASES,
-    **bench: Any,
+    **options: Any,
 ) -> ControllerVerdict:
     """Verdict on a controller, by itself or on a wire."""
+    return verification(controller, plan, phases, **options).verdict
+
+
+def verification(
+    controller: RobotNode | Wire,
+    plan: RadioSettings | None = None,
+    phases: Sequence[Phase] = PHASES,
+    **options: Any,
+) -> Verification:
+    """A verification that is over."""
     wire = controller if isinstance(controller, Wire) else Wire(controller)
     with still():
-        return Verification(plan or settings(), ControllerBench(wire, TICKS, 0.05, **bench), phases).run()
+        done = Verification(plan or settings(), BenchOptions(wire, TICKS, 0.05, **options), phases)
+        done.run()
+    return done
 
 
 def obedient(firmware: str = "native", **config: Any) -> RobotNode:
@@ -101,48 +107,27 @@ def obedient(firmware: str = "native", **config: Any) -> RobotNode:
 # Right controllers
 
 
-@pytest.mark.parametrize("firmware", ["native", *slow(["mirror"])])
-def test_a_right_controller_passes_every_phase(firmware: str) -> None:
-    controller = obedient(firmware)
-    verdict = judge(controller)
-    assert verdict.has_passed, headline(verdict.plain())
+def test_a_right_controller_passes_every_phase() -> None:
+    controller = obedient()
+    done = verification(controller)
+    verdict = done.verdict
+    assert verdict.has_passed, verdict.headline
     assert [phase.name for phase in verdict.phases] == [
         phase.name for phase in PHASES if phase.name not in ("no filter", "halvings")
     ]
-    assert all(phase.broadcasts == phase.ticks > 0 for phase in verdict.phases)
+    assert all(phase.broadcasts == phase.ticks >= phase.answers > 0 for phase in verdict.phases)
     assert all(phase.injected > 0 for phase in verdict.phases if phase.fault)
-    assert (verdict.repeated, verdict.strangers, verdict.cause) == (0, [], None)
-    assert verdict.not_exercised == []
-    run = verdict.coverage
-    assert all(0 < run.rejections[m] < run.tests[m] for m in CRAFTED_SIZES)
-    assert set(run.updates) == set(Update)
-    assert run.senders == set(range(128)) - {ID}
-    assert run.most_messages == 126
-    assert run.observations > 10_000
+    assert (verdict.repeated, verdict.other_nodes, verdict.cause) == (0, [], None)
+    assert verdict.latency_maximum >= verdict.latency_mean > 0
     ticks = sum(phase.ticks for phase in verdict.phases)
-    assert run.equal["heartbeat"] == (ticks - 1) // 10
-    assert (controller.robot.counters.tests, controller.robot.counters.updates) == (
-        sum(run.tests.values()),
-        sum(run.updates.values()) - run.updates[Update.KEPT],
-    )
-
-
-@pytest.mark.slow
-def test_the_default_run_is_short() -> None:
-    """10 s of processor time; on the slowest usual bus, if an answer takes 5 ms, 3 minutes."""
-    own = record(ID, "mirror", filter_period=1000, table=generate(parse_omega("0.05"), 127))
-    neighbours = tuple(configured_like(own, robot, 0.95) for robot in choose_ids(ID, 10))
-    plan = RadioSettings(own, neighbours, SwarmSettings(robots=11), Subjects())
-    wire, began = (
-        Wire(RobotNode(replace(own, firmware="native").make(), NodeSettings(ID))),
-        time.process_time(),
-    )
-    verdict = judge(wire, plan)
-    seconds = time.process_time() - began
-    assert verdict.has_passed, headline(verdict.plain())
-    assert seconds < 10
-    answers = sum(phase.ticks for phase in verdict.phases)
-    assert sum(map(worst_bits, [*wire.sent, *wire.told])) / 125_000 + 0.005 * answers < 180
+    equal = done.bench.comparison.equal
+    assert (equal["estimate"], equal["heartbeat"]) == (ticks, (ticks - 1) // 10)
+    s, counters = done.bench.firmware.s, controller.robot.counters
+    assert s.t == controller.robot.t > 10_000
+    assert counters == done.bench.firmware.counters
+    # Two tests at each threshold, one of which rejects, and a re-estimate of every kind.
+    assert counters.tests >= 2 * len(CRAFTED_SIZES) + 8
+    assert len(CRAFTED_SIZES) + 5 <= counters.updates < counters.tests
 
 
 CONFIGS: list[dict[str, Any]] = [
@@ -163,14 +148,14 @@ CONFIGS: list[dict[str, Any]] = [
 def test_other_configurations_pass(config: dict[str, Any]) -> None:
     seed = random.randrange(2**32)
     verdict = judge(obedient(**config), settings(right(**config), seed=seed))
-    assert verdict.has_passed, (seed, headline(verdict.plain()))
+    assert verdict.has_passed, (seed, verdict.headline)
 
 
 def test_a_fault_strikes_however_rarely_the_controller_broadcasts() -> None:
     """In a phase of 25 ticks without a broadcast a liar had said nothing."""
     config: dict[str, Any] = {"filter_period": 600, "comms_period": 40}
     verdict = judge(obedient(**config), settings(right(**config), seed=3548517347))
-    assert verdict.has_passed, headline(verdict.plain())
+    assert verdict.has_passed, verdict.headline
 
 
 @pytest.mark.slow
@@ -178,7 +163,7 @@ def test_a_fault_strikes_however_rarely_the_controller_broadcasts() -> None:
 def test_a_controller_with_any_id_passes(robot: int) -> None:
     own = record(robot, "native", B_HAT)
     verdict = judge(RobotNode(own.make(), NodeSettings(robot)), settings(own))
-    assert verdict.has_passed, headline(verdict.plain())
+    assert verdict.has_passed, verdict.headline
 
 
 @pytest.mark.slow
@@ -186,11 +171,11 @@ def test_a_controller_with_any_id_passes(robot: int) -> None:
 def test_a_controller_with_any_b_hat_passes(b_hat: float) -> None:
     own, seed = record(ID, "native", b_hat), random.randrange(2**32)
     verdict = judge(RobotNode(own.make(), NodeSettings(ID)), settings(own, seed=seed), QUICK)
-    assert verdict.difference is None, (seed, headline(verdict.plain()))
-    assert verdict.not_exercised == ["a run of 10000 observations"], seed
+    assert verdict.difference is None, (seed, verdict.headline)
+    assert verdict.not_exercised == [], seed
 
 
-# Coverage
+# What is put to the test
 
 
 def test_own_faults_are_phases_more() -> None:
@@ -204,44 +189,22 @@ def test_a_fault_that_does_not_strike_proves_nothing() -> None:
     verdict = judge(obedient(), settings(faults="loss=0"), PHASES[:2])
     assert not verdict.has_passed
     assert [phase.name for phase in verdict.phases if phase.outcome == "not exercised"] == ["loss"]
-    assert 'never put to the test: the fault of phase "loss";' in headline(verdict.plain())
-
-
-@pytest.mark.parametrize(
-    ("left_out", "missing"),
-    [
-        ("growing rounds", []),
-        ("invalid frames", ["every kind of invalid frame"]),
-        ("stray commands", ["every kind of stray command"]),
-        ("unusual commands", ["every kind of unusual frame"]),
-        ("unusual identifiers", ["every kind of unusual frame"]),
-        ("threshold of 126 messages", ["the test of 126 messages, passed and rejected"]),
-        ("no information", [f"a re-estimate: {Update.HALF.value}"]),
-        ("re-estimates", [f"a re-estimate: {Update.KEPT.value}"]),
-    ],
-)
-def test_a_claim_that_was_not_put_to_the_test_fails(left_out: str, missing: list[str]) -> None:
-    verdict = judge(obedient(), phases=[phase for phase in QUICK if phase.play and phase.name != left_out])
-    assert all(phase.outcome == "passed" for phase in verdict.phases)
-    assert verdict.not_exercised == [*missing, "a run of 10000 observations"]
-    assert not verdict.has_passed
-    assert headline(verdict.plain()).startswith("NOT EXERCISED: ")
+    assert 'never put to the test: the fault of phase "loss"' in verdict.headline
 
 
 def test_a_filter_that_comes_too_rarely_is_not_exercised() -> None:
     config: dict[str, Any] = {"filter_period": 10**6}
     verdict = judge(obedient(**config), settings(right(**config)), QUICK)
-    claims = {claim.text for claim in CLAIMS}
-    assert set(verdict.not_exercised) <= claims
-    assert sum("the test of" in text for text in verdict.not_exercised) == len(CRAFTED_SIZES)
-    assert sum("a re-estimate" in text for text in verdict.not_exercised) == len(Update)
+    assert verdict.not_exercised == ["the filter: its period is too long for a run"]
+    assert not verdict.has_passed
+    assert verdict.headline.startswith("NOT EXERCISED: ")
 
 
 def test_what_was_not_checked_is_listed() -> None:
     assert judge(obedient(), phases=PHASES[:1]).not_checked[:3] == [
         "thresholds of rounds of other sizes than 2, 3, 5, 10, 30, 126",
         "rounds longer than a tick: it broadcasts in each",
-        "forgetting: its memory is 2147483648, of which 69 observations were made",
+        "forgetting: its memory is 2147483648, too long for a run",
     ]
     config: dict[str, Any] = {"filter": Filter.OFF, "table": None, "memory": 64, "comms_period": 5}
     assert judge(obedient(**config), settings(right(**config)), PHASES[:1]).not_checked[0] == (
@@ -273,59 +236,30 @@ def test_wrong_controllers_fail_where_they_are_wrong(what: str) -> None:
     verdict = found(wrong)
     assert not verdict.has_passed
     assert verdict.difference is not None
-    assert verdict.cause is not None
     assert verdict.difference.startswith(f'phase "{wrong.phase}'), verdict
-    assert wrong.cause in verdict.cause, verdict
     outcomes = [each.outcome for each in verdict.phases]
     place = outcomes.index("failed")
     assert set(outcomes[:place]) <= {"passed"}
     assert set(outcomes[place + 1 :]) <= {"not run"}
 
 
-def test_there_are_many_wrong_controllers() -> None:
-    assert len(WRONG) >= 100
+def test_a_difference_says_what_was_expected_and_what_came() -> None:
+    verdict = found(WRONG[">= instead of >"])
+    assert verdict.cause == "its test rejects at equality: it compares with >= instead of >"
+    assert verdict.difference is not None
+    place, _, difference = verdict.difference.partition(": ")
+    assert place.startswith('phase "own estimate" (messages equal to its own estimate), tick ')
+    expected, got = re.findall(r"updates (\d+), ", difference)
+    assert difference.startswith("telemetry, updates: expected ")
+    assert int(got) == int(expected) + 1
+    assert found(WRONG["eq. 8 in float32"]).cause is None  # the symptom leaves several causes
 
 
-def test_every_symptom_has_a_cause() -> None:
-    symptoms = [
-        Symptom(kind, name, "")
-        for kind, fields in FIELDS.items()
-        for name in (*ANY_FIELD, *(name for name, *_ in fields if name != "updates"))
-    ]
-    symptoms += [Symptom(TELEMETRY, name, "") for name in ("more updates", "fewer updates")]
-    for phase in PHASES:
-        for symptom in symptoms:
-            assert cause_of(symptom, phase.name, "something") is not None
-
-
-ANY_FIELD = ("frame", "length", "tail", "priority", "identifier", "never", "missing", "twice", "extra")
-
-
-def test_some_wrong_controllers_are_found_with_any_seed() -> None:
-    for what in random.sample(EARLY, 8):
-        seed = random.randrange(2**32)
-        verdict = found(WRONG[what], seed)
-        assert verdict.cause is not None, (seed, what)
-        assert WRONG[what].cause in verdict.cause, (seed, what, verdict.difference, verdict.cause)
-
-
-@pytest.mark.slow
-def test_wrong_controllers_are_found_with_any_seed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And each cause is that of one of them, but for those that are not the controller's."""
-    used = set[str]()
-
-    def watched(*args: Any) -> str:
-        used.update(each.text for each in [next(c for c in CAUSES if c.explains(*args))])
-        return cause_of(*args)
-
-    monkeypatch.setattr("mcp_asdf_tools.radio.verification.cause_of", watched)
-    for seed in random.sample(range(2**32), 3):
-        for what, wrong in WRONG.items():
-            verdict = found(wrong, seed)
-            assert verdict.cause is not None, (seed, what)
-            assert wrong.cause in verdict.cause, (seed, what, verdict.difference, verdict.cause)
-    unused = [each.text for each in CAUSES if each.kind != BUS and each.text not in used]
-    assert unused == []
+@pytest.mark.parametrize("seeds", [1, *slow([3])])
+def test_wrong_controllers_are_found_with_any_seed(seeds: int) -> None:
+    for seed in random.sample(range(2**32), seeds):
+        for what in WRONG if seeds > 1 else random.sample(EARLY, 8):
+            assert found(WRONG[what], seed).difference is not None, (seed, what)
 
 
 # Others on the bus
@@ -350,9 +284,8 @@ def test_a_harmless_node_on_the_bus_is_named() -> None:
     talker = Talker(encode_heartbeat(Heartbeat(40, 7, 0)))
     verdict = judge(Wire(obedient(), talker), phases=PHASES[:2])
     assert (verdict.difference, verdict.disturbance) == (None, None)
-    (line,) = verdict.strangers
-    assert line.startswith("node 40: ")
-    assert line.endswith(" heartbeats")
+    (line,) = verdict.other_nodes
+    assert line.endswith(" frames of node 40")
 
 
 @pytest.mark.parametrize(
@@ -363,7 +296,7 @@ def test_a_harmless_node_on_the_bus_is_named() -> None:
         (encode_command(Command(40, 1000, 255, Action.SETTLE, 0)), "commands"),
     ],
 )
-def test_a_stranger_that_the_controller_hears_is_named_and_not_blamed_on_it(
+def test_a_node_that_the_controller_hears_is_named_and_not_blamed_on_it(
     frame: can.Message, kind: str
 ) -> None:
     verdict = judge(Wire(obedient(), Talker(frame)))
@@ -372,10 +305,10 @@ def test_a_stranger_that_the_controller_hears_is_named_and_not_blamed_on_it(
     assert verdict.disturbance is not None
     assert f"node 40 sends {kind} on this bus, too" in verdict.disturbance
     assert verdict.phases[0].outcome == "disturbed"
-    assert headline(verdict.plain()).startswith("DISTURBED, no verdict: 0 of")
+    assert verdict.headline.startswith("DISTURBED, no verdict: 0 of")
 
 
-def test_a_command_of_a_stranger_for_another_is_harmless() -> None:
+def test_a_command_of_a_node_for_another_is_harmless() -> None:
     talker = Talker(encode_command(Command(40, 1000, 77, Action.SETTLE, 0)))
     assert judge(Wire(obedient(), talker), phases=PHASES[:1]).difference is None
 
@@ -396,7 +329,7 @@ def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else() -> N
     assert judge(Advises(right().make(), NodeSettings(ID)), phases=QUICK).difference is None
     controller = Advises(right().make(), NodeSettings(ID))
     controller.from_tick = 30
-    assert "health other than nominal" in str(judge(controller, phases=QUICK).cause)
+    assert "heartbeat, health: expected" in str(judge(controller, phases=QUICK).difference)
 
 
 def test_other_frames_of_the_controller_are_not_judged() -> None:
@@ -420,7 +353,7 @@ def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     assert [phase.ticks for phase in verdict.phases[:3]] == [72, 3, 0]
     assert [phase.outcome for phase in verdict.phases[:3]] == ["passed", "not run", "not run"]
     assert (controller.ticks, controller.is_settled) == (75, True)
-    assert headline(verdict.plain()).startswith("INTERRUPTED: 1 of")
+    assert verdict.headline.startswith("INTERRUPTED: 1 of")
 
 
 def test_a_verification_may_be_stopped_while_it_waits() -> None:
@@ -452,9 +385,7 @@ def test_commands_that_the_bus_loses_are_said_again_and_counted() -> None:
     verdict = judge(Losing(obedient()), phases=PHASES[:3])
     assert verdict.difference is None
     assert verdict.repeated == 2
-    passed = verdict.plain() | {"passed": True}
-    assert headline(passed).endswith("; 2 commands were repeated")
-    assert "repeated" not in headline(passed | {"repeated": 0})
+    assert verdict.headline.endswith("; 2 commands were repeated")
 
 
 def test_a_bus_that_fails_is_not_blamed_on_the_controller() -> None:
@@ -478,8 +409,7 @@ def test_a_controller_may_be_started_afterwards() -> None:
     silent.nodes.append(obedient())
     verdict = judge(silent, phases=PHASES[:2], wait=0.05)
     assert verdict.difference is not None
-    assert verdict.cause is not None
-    assert "sends no heartbeat when it starts" in verdict.cause
+    assert "did not send a heartbeat within 0.05 s" in verdict.difference
     assert [phase.outcome for phase in verdict.phases] == ["failed", "not run"]
 
 
@@ -518,16 +448,17 @@ def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[
     ]
     assert content["parameters"]["controller"] == record(ID, "mirror", B_HAT, memory=64).plain()
     assert content["parameters"]["seed"] == 1
-    assert verdict["coverage"]["latency_maximum"] >= verdict["coverage"]["latency_mean"] > 0
+    assert verdict["latency_maximum"] >= verdict["latency_mean"] > 0
     assert main(["replay", str(log)]) == 0
     ticks = sum(phase["ticks"] for phase in verdict["phases"])
     assert f"{ticks}  broadcasts reproduced" in capsys.readouterr().out
-    shown = markdown(content)
+    shown = markdown(ControllerVerdict([PhaseResult(**phase) for phase in verdict["phases"]]), content)
     for phase in verdict["phases"]:
-        assert f"| {phase['name']} | {phase['fault'] or ''} | {phase['ticks']} | {phase['frames']} |" in shown
+        assert (
+            f"| {phase['name']} | {phase['fault'] or ''} | {phase['ticks']} | {phase['frames'] or ''} |"
+            in shown
+        )
     assert f"**PASSED: {len(verdict['phases'])} of {len(verdict['phases'])} phases passed;" in shown
-    for text in ("- messages of 127 ids, up to 126 in a round", "Not checked:", "126: 2/1", "us on average"):
-        assert text in shown
 
 
 def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
@@ -540,10 +471,9 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
     assert (
         'FAILED: 0 of 40 phases passed; first in phase "alone" (no observation), tick 0: telemetry' in shown
     )
-    assert "Likely cause: its b_hat is another at the start, or telemetry cuts it wrongly" in shown
     assert "**FAILED: 0 of 40 phases passed" in report.read_text()
-    assert "| alone |  | 1 | 0 | 0 | 1 | 0 | failed |" in report.read_text()
-    assert "| loss | loss=0.5,receivers=3 | 0 | 0 | 0 | 0 | 0 | not run |" in report.read_text()
+    assert "| alone |  | 1 |  |  | 1 |  | failed |" in report.read_text()
+    assert "| loss | loss=0.5,receivers=3 |  |  |  |  |  | not run |" in report.read_text()
 
 
 def test_a_controller_that_broadcasts_too_rarely_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

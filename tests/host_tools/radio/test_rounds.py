@@ -11,8 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import HALF, ONE, alpha_units
-from mcp_asdf_tools.radio.coverage import CRAFTED_SIZES, Update
-from mcp_asdf_tools.radio.crafted_rounds import Content, Situation, at_threshold, far_away, for_update
+from mcp_asdf_tools.radio.rounds import (
+    CRAFTED_SIZES,
+    Content,
+    Situation,
+    Update,
+    at_threshold,
+    far_away,
+    for_update,
+)
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 OMEGAS = ("0.05", "0.000000001", "0.5", "0.9")
