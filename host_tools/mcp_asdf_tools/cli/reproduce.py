@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +13,12 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common import ParameterError, UsageError, progress
 from mcp_asdf_tools.experiments import Convention, Store, run_missing
-from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Scale, StudyFolder, seconds_of
+from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Scale, StudyFolder
 from mcp_asdf_tools.robots import FIRMWARES
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # as many trials as decide; says how long
+  mcp-asdf reproduce                                # as many trials as decide: half an hour
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
@@ -63,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     if not args.json:
-        _say_how_long(study.stores, scale)
+        print(f"{sum(store.left for store in study.stores)} trials to run", file=sys.stderr)
 
     def run_store(store: Store) -> None:
         with progress(f"{store.output.stem}: trials", store.left, args.json) as bar:
@@ -84,17 +83,6 @@ def run(args: argparse.Namespace) -> int:
     print(folder / "report.html")
     print_again(args, seed=scale.seed)
     return 0
-
-
-def _say_how_long(stores: Sequence[Store], scale: Scale) -> None:
-    """The trials that are missing and the time that they take, before anything is run."""
-    if trials := sum(store.left for store in stores):
-        words = f"{trials} trials to run"
-        if scale.firmware == "native":
-            words += f", about {sum(map(seconds_of, stores)) / 60:.1f} minutes of processor time"
-        if scale.trials is None:
-            words += "; up to half as many more where comparisons stay open"
-        print(words, file=sys.stderr)
 
 
 def scale_of(args: argparse.Namespace) -> Scale:

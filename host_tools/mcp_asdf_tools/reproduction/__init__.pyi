@@ -1,9 +1,7 @@
 """The paper's study: its experiments, claims and figures."""
 
 from . import report as report
-from .runs import Run as Run
 from .runs import StudyFolder as StudyFolder
-from .runs import seconds_of as seconds_of
 from .study import PAPER as PAPER
 from .study import PERIODS as PERIODS
 from .study import QUICK as QUICK

@@ -32,11 +32,6 @@ class Decision:
     unsettled: frozenset[Cell]
 
     @property
-    def key(self) -> tuple[str, Part | None]:
-        """Words that distinguish it from others of the same study."""
-        return self.claim.name, self.part
-
-    @property
     def anchor(self) -> str:
         """Its place in the report."""
         return f"{self.part.value if self.part else 'equations'}-{self.claim.name}"

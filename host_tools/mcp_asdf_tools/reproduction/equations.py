@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from itertools import combinations, pairwise
 from math import pi
 
@@ -19,8 +18,6 @@ _MANY = 100_000
 """Observations of a robot, enough to make the share of black what it is on average."""
 
 _PANELS = ((0.55, 0.55), (0.95, 0.55), (0.55, 0.95), (0.95, 0.95))
-_ANY_SHARES = [k / 20 for k in range(1, 20)]
-_LOW, *_, _HIGH = FLAWED_ACCURACIES
 _WIDEST = 0.505, 0.995
 """Range of b_hat in figure 2, as we draw it."""
 
@@ -82,7 +79,7 @@ def _ratios(pairs: Iterable[tuple[float, float]]) -> Iterable[Fact]:
 
 def _slopes() -> Iterable[Fact]:
     """How far x_hat moves while n/t goes from 0.505 to 0.515, which saturates no estimate."""
-    low, high = (_x_hat(0.515, b_hat) - _x_hat(0.505, b_hat) for b_hat in (_LOW, _HIGH))
+    low, high = (_x_hat(0.515, b_hat) - _x_hat(0.505, b_hat) for b_hat in (0.55, 0.95))
     yield "n/t 0.505 to 0.515", "change of x_hat: b_hat 0.55 less b_hat 0.95", low - high
 
 
@@ -90,9 +87,9 @@ FACTS: Mapping[str, Callable[[], Iterable[Fact]]] = {
     "table I, observations": _observations,
     "table I, local estimates": _local_estimates,
     "growth of confidence, table I": lambda: _growth(_table_shares()),
-    "growth of confidence, any n/t": partial(_growth, _ANY_SHARES),
+    "growth of confidence, any n/t": lambda: _growth([k / 20 for k in range(1, 20)]),
     "ratios of confidence, all pairs": lambda: _ratios([*combinations(FLAWED_ACCURACIES, 2), _WIDEST]),
-    "ratios of confidence, 0.55 and 0.95": lambda: _ratios([(_LOW, _HIGH)]),
+    "ratios of confidence, 0.55 and 0.95": lambda: _ratios([(0.55, 0.95)]),
     "ratios of confidence, 0.505 and 0.995": lambda: _ratios([_WIDEST]),
     "change of x_hat": _slopes,
     "density of section V": lambda: [("", "D less 1.3", 8 * pi * 0.7**2 / (3.0353 * 3.0226) - 1.3)],

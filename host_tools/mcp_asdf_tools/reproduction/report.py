@@ -39,9 +39,6 @@ _WORDS = {
     Expectation.NOT_BELOW: "not below \N{MINUS SIGN}{:g}",
 }
 
-Verdicts = Mapping[tuple[str, Part | None], Sequence[Verdict]]
-"""Verdicts on each claim and part, seed after seed."""
-
 
 def write_report(folder: Path, runs: Sequence[Run], scale: Scale) -> None:
     """Write ``report.html``, which needs no other file, ``report.md`` with ``figures``, ``comparisons.csv``.
@@ -98,7 +95,7 @@ def _context(runs: Sequence[Run], scale: Scale, drawn: Sequence[Picture]) -> dic
         "scale": scale,
         "decided": decided,
         "Verdict": Verdict,
-        "verdicts": verdicts_of(runs),
+        "verdicts": _verdicts_of(runs),
         "sections": {part: own for part in (None, *Part) if (own := [d for d in decided if d.part is part])},
         "counts": Counter((each.part, each.finding.verdict) for each in decided),
         "parts": parts,
@@ -117,12 +114,11 @@ def _context(runs: Sequence[Run], scale: Scale, drawn: Sequence[Picture]) -> dic
     }
 
 
-def verdicts_of(runs: Sequence[Run]) -> Verdicts:
-    """Verdicts by claim, seed after seed."""
-    found: dict[tuple[str, Part | None], list[Verdict]] = {}
-    for run in runs:
-        for each in run.decided:
-            found.setdefault(each.key, []).append(each.finding.verdict)
+def _verdicts_of(runs: Sequence[Run]) -> dict[str, list[str]]:
+    """Verdicts on each claim, seed after seed."""
+    found: dict[str, list[str]] = {}
+    for each in (each for run in runs for each in run.decided):
+        found.setdefault(each.anchor, []).append(each.finding.verdict.value)
     return found
 
 
@@ -211,7 +207,7 @@ def comparisons(runs: Sequence[Run], scale: Scale) -> str:
 
 def as_values(runs: Sequence[Run], scale: Scale) -> list[dict[str, object]]:
     """Claims and verdicts as plain values; verdicts are null where none may be given."""
-    verdicts = verdicts_of(runs)
+    verdicts = _verdicts_of(runs)
     shown = scale.allows_verdicts
     return [
         {
@@ -220,7 +216,7 @@ def as_values(runs: Sequence[Run], scale: Scale) -> list[dict[str, object]]:
             "words": each.claim.words,
             "part": each.part.value if each.part else None,
             "verdict": each.finding.verdict.value if shown else None,
-            "verdicts": [verdict.value for verdict in verdicts[each.key]] if shown else [],
+            "verdicts": verdicts[each.anchor] if shown else [],
             "readings": {words: verdict.value for words, verdict in each.readings.items()} if shown else {},
             "numbers": numbers(each.finding),
         }

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import Experiment, Store, experiments_in
+from mcp_asdf_tools.experiments import Store, experiments_in
 from mcp_asdf_tools.reproduction.decisions import Decided, decide
 from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cells_of, experiment_of, study_of
-
-_NANOSECONDS = {Part.FULLY_CONNECTED: 7, Part.DYNAMIC: 44, Part.PHYSICAL: 62}
-"""Time of a robot's step with the native firmware on one Zen 4 core."""
 
 
 @dataclass(frozen=True)
@@ -28,18 +25,6 @@ class Run:
     seed: int
     study: Study
     decided: Decided
-
-
-def seconds_of(store: Store) -> float:
-    """Processor time that the missing trials of a store take, about, with the native firmware."""
-    return sum(len(store.missing(each)) * _seconds_of_trial(each) for each in store.experiments)
-
-
-def _seconds_of_trial(experiment: Experiment) -> float:
-    part = Part.FULLY_CONNECTED
-    if experiment.is_dynamic:
-        part = Part.PHYSICAL if experiment.observation_period > 1 else Part.DYNAMIC
-    return 1e-9 * _NANOSECONDS[part] * experiment.robots * experiment.steps
 
 
 class StudyFolder:
