@@ -42,9 +42,9 @@ from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_of
 from mcp_asdf_tools.recording.recording import Recording
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, sidecar_of
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
 from mcp_asdf_tools.robots.observations import WorldSource
@@ -300,7 +300,7 @@ _SUFFIXES = (".log", ".blf", ".asc", ".csv", ".log.gz")
 def run_recorded(draw: random.Random, folder: Path, survived: Survived, room: int | None = None) -> None:
     """One swarm with its log, on a disk with ``room`` for files of that many bytes, replayed afterwards."""
     settings, log = random_settings(draw, draw.randrange(50, 250)), folder / f"run{draw.choice(_SUFFIXES)}"
-    header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     said: list[str] = []
     with (
         disk_with_room_for(room),
@@ -338,8 +338,8 @@ def disk_with_room_for(size: int | None) -> Iterator[None]:
 
 def replay(log: Path, name: str, survived: Survived) -> None:
     """Run the robots of a log again."""
-    with SidecarReader(sidecar_of(log)) as sidecar:
-        verdict = verify(read_log(log), sidecar)
+    with InputLogReader(input_log_of(log)) as input_log:
+        verdict = verify(read_log(log), input_log)
     survived.counts["broadcasts replayed"] += verdict.reproduced
     if verdict.difference is not None:
         survived.wrong.append(f"{name}, replayed: {verdict.difference}")

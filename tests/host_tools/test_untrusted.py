@@ -40,8 +40,8 @@ from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.recording.recording import Recording
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import c_text, check_file, json_text
@@ -74,13 +74,13 @@ class Parser:
     length: int = 120_000
 
 
-def read_sidecar(path: Path) -> list[object]:
-    with SidecarReader(path) as reader:
+def read_input_log(path: Path) -> list[object]:
+    with InputLogReader(path) as reader:
         return list(reader.lines())
 
 
-def sidecar() -> bytes:
-    header = SidecarHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
+def input_log() -> bytes:
+    header = InputLogHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
     events = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
     return (header.line() + events).encode()
 
@@ -137,7 +137,7 @@ PARSERS = {
     "log .log.gz": Parser(
         ".log.gz", lambda path: list(read_log(path)), lambda: gzip.compress(log(".log")(), mtime=0)
     ),
-    "sidecar": Parser(".events", read_sidecar, sidecar),
+    "input_log": Parser(".events", read_input_log, input_log),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes, 8000),
     "results": Parser(".parquet", lambda path: experiments_in(read_table(path)), results),
     "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),

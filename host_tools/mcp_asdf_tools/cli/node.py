@@ -28,7 +28,7 @@ from mcp_asdf_tools.common import (
     stopping,
     write_atomically,
 )
-from mcp_asdf_tools.recording import SidecarHeader, add_log_option
+from mcp_asdf_tools.recording import InputLogHeader, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("observations from standard input end with it anyway; leave out --until-eof")
     record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
     results = None if args.log is None else results_beside(args.log)
-    header = SidecarHeader([record], args.seed, settings.subjects.estimates, _parameters(args))
+    header = InputLogHeader([record], args.seed, settings.subjects.estimates, _parameters(args))
     recording = recording_for("node", args.log, header, choice)
     with ExitStack() as ending:
         with recording as (log, events):

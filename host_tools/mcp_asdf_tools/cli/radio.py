@@ -40,7 +40,7 @@ from mcp_asdf_tools.radio import (
     configured_like,
     write_report,
 )
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader, add_log_option
+from mcp_asdf_tools.recording import InputLogHeader, LogOutputs, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
@@ -193,7 +193,7 @@ def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
     report = _report(args, settings, choice)
-    header = SidecarHeader(
+    header = InputLogHeader(
         [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
     )
     recording = recording_for("radio", args.log, header, choice)

@@ -6,13 +6,13 @@ import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus import BusChoice
-from mcp_asdf_tools.recording import NoRecording, Recording, SidecarHeader, recording_to
+from mcp_asdf_tools.recording import InputLogHeader, NoRecording, Recording, recording_to
 
 _FAILED, _NOT_WRITTEN = 1, 2
 
 
 def recording_for(
-    command: str, path: Path | None, header: SidecarHeader | None, choice: BusChoice
+    command: str, path: Path | None, header: InputLogHeader | None, choice: BusChoice
 ) -> Recording | NoRecording:
     """The recording of a command on a bus; what goes wrong is on standard error at once."""
 

@@ -17,13 +17,13 @@ from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common import INTERRUPTED, PART, UsageError, stopping
 from mcp_asdf_tools.recording import (
+    InputLogReader,
     Playback,
     Player,
     ReplayVerdict,
-    SidecarReader,
     check_log,
+    input_log_of,
     read_log,
-    sidecar_of,
     verify,
 )
 
@@ -66,15 +66,20 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     if args.log.suffix == PART:
         print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
-    events = args.events or sidecar_of(args.log)
+    events = args.events or input_log_of(args.log)
     if args.onto_bus or (args.events is None and not events.exists()):
         return _play(args)
     if args.leave_out or args.speed != 1:
         raise UsageError(f"--speed and --leave-out are for playing, and {events} is there; add --onto-bus")
     console = Console(stderr=True)
-    with SidecarReader(events) as sidecar, Progress(console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("running the robots again", total=sidecar.bytes)
-        verdict = verify(read_log(args.log), sidecar, lambda: bar.update(task, completed=sidecar.bytes_read))
+    with (
+        InputLogReader(events) as input_log,
+        Progress(console=console, disable=not console.is_terminal) as bar,
+    ):
+        task = bar.add_task("running the robots again", total=input_log.bytes)
+        verdict = verify(
+            read_log(args.log), input_log, lambda: bar.update(task, completed=input_log.bytes_read)
+        )
     report = {
         "log": str(args.log),
         "events": str(events),
@@ -103,7 +108,7 @@ def _play(args: argparse.Namespace) -> int:
     if choice.interface == interfaces.DEFAULT_INTERFACE:
         raise UsageError(
             f"the bus {choice} is inside this process, where no other program hears {args.log}: choose "
-            f"another with --interface; or, to check the log, give {sidecar_of(args.log)} or --events"
+            f"another with --interface; or, to check the log, give {input_log_of(args.log)} or --events"
         )
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())

@@ -20,7 +20,7 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import LogOutputs, SidecarHeader
+from mcp_asdf_tools.recording import InputLogHeader, LogOutputs
 from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     _check_comparison(args, settings, wiring)
     pictures = _Pictures(args)
     beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
-    header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
     try:

@@ -3,6 +3,11 @@
 from .frame_logs import add_log_option as add_log_option
 from .frame_logs import check_log as check_log
 from .frame_logs import read_log as read_log
+from .input_log import InputLogHeader as InputLogHeader
+from .input_log import InputLogReader as InputLogReader
+from .input_log import InputLogWriter as InputLogWriter
+from .input_log import input_log_of as input_log_of
+from .input_log import input_log_path as input_log_path
 from .recording import LogOutputs as LogOutputs
 from .recording import NoRecording as NoRecording
 from .recording import Recording as Recording
@@ -12,8 +17,3 @@ from .replay import Player as Player
 from .replay import ReplayVerdict as ReplayVerdict
 from .replay import rerun as rerun
 from .replay import verify as verify
-from .sidecar import SidecarHeader as SidecarHeader
-from .sidecar import SidecarReader as SidecarReader
-from .sidecar import SidecarWriter as SidecarWriter
-from .sidecar import sidecar_of as sidecar_of
-from .sidecar import sidecar_path as sidecar_path

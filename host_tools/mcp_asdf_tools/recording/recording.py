@@ -1,4 +1,4 @@
-"""Recording of a run: its log and its sidecar on their way to disk."""
+"""Recording of a run: its log and its input log on their way to disk."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import can
 
 from mcp_asdf_tools.common import GrowingFiles, UsageError, check_target
 from mcp_asdf_tools.recording.frame_logs import FrameLog, check_format
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarWriter, sidecar_path
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 
-LogOutputs = tuple[Callable[[can.Message], None] | None, SidecarWriter | None]
+LogOutputs = tuple[Callable[[can.Message], None] | None, InputLogWriter | None]
 """Takers of frames and of events, None where there is no log."""
 
 Warn = Callable[[str], object]
@@ -28,7 +28,7 @@ _MOST_WAITING = 4096
 
 
 def recording_to(
-    path: Path | None, header: SidecarHeader | None, warn: Warn, channel: str
+    path: Path | None, header: InputLogHeader | None, warn: Warn, channel: str
 ) -> Recording | NoRecording:
     """The recording ``path``, if there is one, else one that takes nothing; as ``Recording``."""
     return NoRecording() if path is None else Recording(path, header, warn, channel)
@@ -47,7 +47,7 @@ class NoRecording:
 
 
 class Recording:
-    """Log of a run and, with a header, its sidecar; a context manager that yields their takers.
+    """Log of a run and, with a header, its input log; a context manager that yields their takers.
 
     Both grow as ``NAME.part``, are on disk once a second, and take their names together on a regular end.
     After any other end they stay parts. A full disk ends the recording, but not the run.
@@ -56,7 +56,7 @@ class Recording:
         failure: Why the recording is not complete; None while nothing is wrong with it.
     """
 
-    def __init__(self, path: Path, header: SidecarHeader | None, warn: Warn, channel: str = "vcan0") -> None:
+    def __init__(self, path: Path, header: InputLogHeader | None, warn: Warn, channel: str = "vcan0") -> None:
         """Prepare the log ``path``. ``warn`` gets a line, once, if the recording fails.
 
         ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
@@ -64,7 +64,7 @@ class Recording:
         """
         self.failure: str | None = None
         check_format(path)
-        self._paths = [path] if header is None else [path, sidecar_path(path)]
+        self._paths = [path] if header is None else [path, input_log_path(path)]
         for each in self._paths:
             check_target(each)
         self._header = header
@@ -73,7 +73,7 @@ class Recording:
         self._is_empty = True
         self._waiting = 0
         self._flush_at = time.monotonic() + _PERIOD
-        self._events = None if header is None else SidecarWriter(header, self._write_events)
+        self._events = None if header is None else InputLogWriter(header, self._write_events)
 
     def __enter__(self) -> LogOutputs:
         self._files = GrowingFiles(self._paths)
@@ -95,7 +95,7 @@ class Recording:
             self._events.finish()
         self._attempt(self._close)
         if kind is None:
-            self._attempt(lambda: self._files.keep(obsolete=[sidecar_path(self._paths[0])]))
+            self._attempt(lambda: self._files.keep(obsolete=[input_log_path(self._paths[0])]))
         else:
             self._fail("the run did not end regularly")
 
@@ -117,7 +117,7 @@ class Recording:
             self._attempt(self._flush)
 
     def _flush(self) -> None:
-        """Write to disk, the log last: so the sidecar explains what it holds, but for ticks that are open."""
+        """Write to disk, the log last: so the input log explains all that it holds but open ticks."""
         for file in self._others:
             file.flush()
         self._log.flush()

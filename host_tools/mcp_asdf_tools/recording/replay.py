@@ -24,7 +24,7 @@ from mcp_asdf_tools.bus import (
     float_of,
     frame_as_text,
 )
-from mcp_asdf_tools.recording.sidecar import SidecarReader
+from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Event, RobotRecord
 
 SEND_TIMEOUT = 2.0
@@ -153,7 +153,7 @@ class ReplayVerdict:
         falsified: Those that went out with the values that a fault gave them.
         foreign: Frames under a robot's id that it did not send.
         not_logged: Broadcasts that the log lacks.
-        beyond: Estimates after the last event of a sidecar that was cut off.
+        beyond: Estimates after the last event of an input log that was cut off.
         other: Frames that are no estimate of a recorded robot.
         difference: The first broadcast that is not reproduced; None if all are.
     """
@@ -172,16 +172,16 @@ class ReplayVerdict:
 
 
 def verify(
-    log: Iterable[can.Message], sidecar: SidecarReader, progress: Callable[[], None] = lambda: None
+    log: Iterable[can.Message], input_log: InputLogReader, progress: Callable[[], None] = lambda: None
 ) -> ReplayVerdict:
-    """Run every robot of ``sidecar`` again and compare its broadcasts with those of ``log``.
+    """Run every robot of ``input_log`` again and compare its broadcasts with those of ``log``.
 
-    Calls ``progress`` after each line of the sidecar, which is the longest part. Stops at the first
-    difference. Time O(events + frames), memory O(broadcasts). Raises UsageError if log or sidecar cannot be
-    read or the sidecar contradicts itself.
+    Calls ``progress`` after each line of the input log, which is the longest part. Stops at the first
+    difference. Time O(events + frames), memory O(broadcasts). Raises UsageError if log or input_log cannot be
+    read or the input log contradicts itself.
     """
-    robots, foreign = _run_again(sidecar, progress)
-    comparison = _Comparison(robots, foreign, sidecar.header.frames, sidecar.is_part)
+    robots, foreign = _run_again(input_log, progress)
+    comparison = _Comparison(robots, foreign, input_log.header.frames, input_log.is_part)
     for number, frame in enumerate(log, start=1):
         if not comparison.take(number, frame):
             break
@@ -190,40 +190,42 @@ def verify(
     return comparison.verdict
 
 
-def rerun(sidecar: SidecarReader) -> Iterator[tuple[int, Robot]]:
-    """Run every robot of ``sidecar`` again; yields an id, and that robot's state, each time that one settles.
+def rerun(input_log: InputLogReader) -> Iterator[tuple[int, Robot]]:
+    """Run every robot again; yields an id, and that robot's state, each time that one settles.
 
     Robots settle in the order of the file. O(1) an event. Raises UsageError as ``verify``.
     """
-    robots = {record.id: Rerun(record) for record in sidecar.header.robots}
-    for line in sidecar.lines():
+    robots = {record.id: Rerun(record) for record in input_log.header.robots}
+    for line in input_log.lines():
         if not isinstance(line, str):
             robot, events = line
-            _do(robots[robot], events, sidecar)
+            _do(robots[robot], events, input_log)
             if events[-1:] == [SETTLE]:
                 robots[robot].broadcasts.clear()
                 yield robot, robots[robot].state
 
 
-def _run_again(sidecar: SidecarReader, progress: Callable[[], None]) -> tuple[dict[int, Rerun], Counter[str]]:
+def _run_again(
+    input_log: InputLogReader, progress: Callable[[], None]
+) -> tuple[dict[int, Rerun], Counter[str]]:
     """The robots after all their events, and the frames that none of them sent."""
-    robots = {record.id: Rerun(record) for record in sidecar.header.robots}
+    robots = {record.id: Rerun(record) for record in input_log.header.robots}
     foreign: Counter[str] = Counter()
-    for line in sidecar.lines():
+    for line in input_log.lines():
         if isinstance(line, str):
             foreign[line] += 1
         else:
             robot, events = line
-            _do(robots[robot], events, sidecar)
+            _do(robots[robot], events, input_log)
         progress()
     return robots, foreign
 
 
-def _do(robot: Rerun, events: Iterable[Event], sidecar: SidecarReader) -> None:
+def _do(robot: Rerun, events: Iterable[Event], input_log: InputLogReader) -> None:
     try:
         robot.do(events)
     except ValueError as error:
-        raise sidecar.wrong(str(error)) from error
+        raise input_log.wrong(str(error)) from error
 
 
 class _Comparison:

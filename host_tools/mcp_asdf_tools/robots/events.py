@@ -1,4 +1,4 @@
-"""Events of one robot, in the form of a sidecar's lines."""
+"""Events of one robot, in the form of an input log's lines."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def start_nodes(
             lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
 
     A heartbeat is due every ``steps_per_second`` ticks. ``log_of`` gives the path of a node's log, which
-    gets a sidecar for ``mcp-asdf replay``. On SocketCAN all processes stay on one processor, see
+    gets an input log for ``mcp-asdf replay``. On SocketCAN all processes stay on one processor, see
     ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
     """
     ids = [robot.id for robot in robots]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import BIT_RATES, FrameFormat, Message, alpha_bits, bus_load, decode
 from mcp_asdf_tools.common import software_versions
-from mcp_asdf_tools.recording import SidecarWriter
+from mcp_asdf_tools.recording import InputLogWriter
 from mcp_asdf_tools.robots import BusRobot, ClockKind, FrameTaker, LockstepError, RobotRecord, make_clock
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
@@ -56,11 +56,11 @@ class Swarm:
         settings: SwarmSettings,
         wiring: Wiring,
         log: FrameTaker | None = None,
-        sidecar: SidecarWriter | None = None,
+        input_log: InputLogWriter | None = None,
     ) -> None:
         """Make the robots and let each join its bus.
 
-        ``log`` takes every frame that robots send, ``sidecar`` the events of each. If some run elsewhere,
+        ``log`` takes every frame that robots send, ``input_log`` the events of each. If some run elsewhere,
         call ``wait_until_up`` before the first tick. Raises UsageError if the firmware or the bus is not
         available, or the settings are impossible for robots elsewhere.
         """
@@ -69,11 +69,11 @@ class Swarm:
         self.world = World(settings)
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
         self.clock = make_clock(settings.clock, settings.steps_per_second)
-        self._sidecar = sidecar
+        self._input_log = input_log
         self._remote = wiring.remote
         check_remote(settings, wiring)
         self.nodes = [
-            _robot_of(record, record.id in wiring.remote, settings.frames, sidecar)
+            _robot_of(record, record.id in wiring.remote, settings.frames, input_log)
             for record in settings.records()
         ]
         self._here = [node for node in self.nodes if node.id not in wiring.remote]
@@ -163,8 +163,8 @@ class Swarm:
         """Let a robot send the frames that the faults make of one, its own or one that it babbles."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # A frame of a robot elsewhere is on its bus already, unchanged by faults.
-        if self._sidecar is not None and node.id not in self._remote:
-            _note_fate(self._sidecar, node.id, frame if is_own else None, leaving, self.settings.frames)
+        if self._input_log is not None and node.id not in self._remote:
+            _note_fate(self._input_log, node.id, frame if is_own else None, leaving, self.settings.frames)
         for sent in leaving:
             self._carrier.send(sent)
         return leaving
@@ -186,9 +186,9 @@ class Swarm:
 
 
 def _robot_of(
-    record: RobotRecord, is_remote: bool, frames: FrameFormat, sidecar: SidecarWriter | None
+    record: RobotRecord, is_remote: bool, frames: FrameFormat, input_log: InputLogWriter | None
 ) -> BusRobot:
-    recorder = None if sidecar is None else sidecar.robots[record.id]
+    recorder = None if input_log is None else input_log.robots[record.id]
     if is_remote:
         return remote_robot(record, frames, recorder)
     return BusRobot(record.id, record.make, frames, recorder)
@@ -207,7 +207,7 @@ def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
 
 
 def _note_fate(
-    sidecar: SidecarWriter,
+    input_log: InputLogWriter,
     robot: int,
     frame: can.Message | None,
     leaving: Sequence[SentFrame],
@@ -223,11 +223,11 @@ def _note_fate(
         if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
             is_heard = True
             if frame is not None and sent.frame.data != frame.data:
-                sidecar.robots[robot].falsified(said.x_hat, alpha_bits(sent.frame))
+                input_log.robots[robot].falsified(said.x_hat, alpha_bits(sent.frame))
         elif sent.frame is not frame:
-            sidecar.injected(sent.frame)
+            input_log.injected(sent.frame)
     if isinstance(own, Message) and not is_heard:
-        sidecar.robots[robot].silent()
+        input_log.robots[robot].silent()
 
 
 # --- A run from start to end ---

@@ -1,4 +1,4 @@
-"""Films of runs that are over: trials of an experiment, and logs of a bus with their sidecar.
+"""Films of runs that are over: trials of an experiment, and logs of a bus with their input_log.
 
 A recording need not hold positions, floor and truth: they follow from its parameters, and are computed again.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Trials, run_trials
-from mcp_asdf_tools.recording import SidecarHeader, SidecarReader, rerun, sidecar_path
+from mcp_asdf_tools.recording import InputLogHeader, InputLogReader, input_log_path, rerun
 from mcp_asdf_tools.robots import Population, parameter_names
 from mcp_asdf_tools.view.film import MAX_SAMPLES, QUANTITIES, Film, Samples, Stage
 from mcp_asdf_tools.view.stage import stage_of
@@ -54,14 +54,14 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
 
 
 def film_of_log(log: Path, events: Path | None = None) -> Film:
-    """The film of a log's robots, which run again on what its sidecar says that they saw and heard.
+    """The film of a log's robots, which run again on what its input log says that they saw and heard.
 
-    Raises UsageError if the sidecar cannot be read or contradicts itself.
+    Raises UsageError if the input log cannot be read or contradicts itself.
     """
-    with SidecarReader(events or sidecar_path(log)) as sidecar:
-        header = sidecar.header
+    with InputLogReader(events or input_log_path(log)) as input_log:
+        header = input_log.header
         settings = _settings_of(header)
-        ticks, values = _states(sidecar)
+        ticks, values = _states(input_log)
     if settings is not None:
         return Film(stage_of(settings), _in_the_world(settings, 0, ticks, values))
     robots = [record.id for record in header.robots]
@@ -71,26 +71,26 @@ def film_of_log(log: Path, events: Path | None = None) -> Film:
     return Film(stage, Samples(ticks, np.concatenate([values, unknown], axis=1), hears, None))
 
 
-def _settings_of(header: SidecarHeader) -> Population | None:
-    """The swarm that a sidecar is of; None if it is of single robots."""
+def _settings_of(header: InputLogHeader) -> Population | None:
+    """The swarm that an input log is of; None if it is of single robots."""
     names = parameter_names(Population)
     if not set(names) <= set(header.parameters):
         return None
     return Population.from_parameters({name: header.parameters[name] for name in names})
 
 
-def _states(sidecar: SidecarReader) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Ticks and values of a film of all robots of a sidecar.
+def _states(input_log: InputLogReader) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Ticks and values of a film of all robots of an input log.
 
-    A sidecar has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
+    An input log has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
     A robot that was dead keeps the values that it had.
     """
-    places = {record.id: place for place, record in enumerate(sidecar.header.robots)}
-    steps = sidecar.header.parameters.get("steps") or 1
+    places = {record.id: place for place, record in enumerate(input_log.header.robots)}
+    steps = input_log.header.parameters.get("steps") or 1
     spacing = spacing_of(steps, len(places))
-    now = np.array([_values(record.make().robot) for record in sidecar.header.robots]).T
+    now = np.array([_values(record.make().robot) for record in input_log.header.robots]).T
     rows, ticks, settled = [now.copy()], 0, set[int]()
-    for robot_id, robot in rerun(sidecar):
+    for robot_id, robot in rerun(input_log):
         if robot_id in settled:
             settled.clear()
             ticks += 1

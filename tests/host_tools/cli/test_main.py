@@ -196,7 +196,7 @@ def test_ctrl_c_within_an_import_waits_for_its_end(
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-@pytest.mark.parametrize("library", ["numpy", "mcp_asdf_tools.recording.sidecar"])
+@pytest.mark.parametrize("library", ["numpy", "mcp_asdf_tools.recording.input_log"])
 @interruptible()
 def test_ctrl_c_while_libraries_load_shows_no_traceback(library: str) -> None:
     script = (

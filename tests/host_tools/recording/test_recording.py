@@ -26,14 +26,14 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import recording as module
 from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_of
 from mcp_asdf_tools.recording.recording import NoRecording, Recording, recording_to
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, sidecar_of
 from robots import ALPHA_ONE
 from support import PATIENCE, ROOT, require, slow
 from wire import record
 
-HEADER = SidecarHeader((record(5),), None, FrameFormat())
+HEADER = InputLogHeader((record(5),), None, FrameFormat())
 FORMATS = [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".asc.gz", ".csv.gz"]
 
 
@@ -131,9 +131,9 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
     ]
     assert log.read_text() == "of yesterday"
     assert len(list(read_log(part))) == 1
-    assert sidecar_of(part) == tmp_path / "run.log.events.part"
-    with SidecarReader(sidecar_of(part)) as sidecar:
-        assert list(sidecar.lines()) == [(5, [1])]
+    assert input_log_of(part) == tmp_path / "run.log.events.part"
+    with InputLogReader(input_log_of(part)) as input_log:
+        assert list(input_log.lines()) == [(5, [1])]
 
 
 def test_a_run_that_recorded_nothing_leaves_nothing(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_parts_of_an_earlier_run_are_kept(tmp_path: Path) -> None:
     for number, name in enumerate(("run-1", "run-2", "run")):
         part = tmp_path / f"{name}.log.part"
         assert contents(list(read_log(part))) == [bytes(frame(number).data)]
-        assert sidecar_of(part).exists()
+        assert input_log_of(part).exists()
 
 
 def test_two_programs_do_not_write_one_log(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_two_programs_do_not_write_one_log(tmp_path: Path) -> None:
 def test_a_kill_between_the_renames_splits_nothing(
     calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After any number of renames and removals a log under its own name belongs with its sidecar."""
+    """After any number of renames and removals a log under its own name belongs with its input_log."""
     log, events = tmp_path / "run.log", tmp_path / "run.log.events"
     log.write_text("old")
     events.write_text("old")
@@ -221,8 +221,8 @@ def test_a_kill_between_the_renames_splits_nothing(
         assert (log.read_text() == "old") == (events.exists() and events.read_text() == "old")
     found = log if log.exists() and log.read_text() != "old" else tmp_path / "run.log.part"
     assert len(list(read_log(found))) == 1
-    with SidecarReader(sidecar_of(found)) as sidecar:
-        assert sidecar.header == HEADER
+    with InputLogReader(input_log_of(found)) as input_log:
+        assert input_log.header == HEADER
     with Recording(log, HEADER, print) as (write, _):  # the next run keeps what that one left
         assert write is not None
         write(frame(2))
@@ -230,11 +230,11 @@ def test_a_kill_between_the_renames_splits_nothing(
     assert kept.exists() == (found != log)
     if kept.exists():
         assert len(list(read_log(kept))) == 1
-        with SidecarReader(sidecar_of(kept)) as sidecar:
-            assert sidecar.header == HEADER
+        with InputLogReader(input_log_of(kept)) as input_log:
+            assert input_log.header == HEADER
 
 
-def test_a_log_without_sidecar_leaves_no_other_runs_sidecar(tmp_path: Path) -> None:
+def test_a_log_without_input_log_leaves_no_other_runs_input_log(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     with Recording(log, HEADER, print) as (write, _):
         assert write is not None
@@ -352,5 +352,5 @@ def test_a_run_that_is_killed_is_replayed_up_to_there(
     assert report["incomplete"]
     assert report["verdict"]["reproduced"] > 100
     assert "is incomplete: its run was cut off" in captured.err
-    with SidecarReader(sidecar_of(part)) as sidecar:
-        assert verify(read_log(part), sidecar).plain() == report["verdict"]
+    with InputLogReader(input_log_of(part)) as input_log:
+        assert verify(read_log(part), input_log).plain() == report["verdict"]

@@ -14,6 +14,7 @@ import can
 import pytest
 from can.interfaces import virtual
 
+from input_logs import input_log_in
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode
 from mcp_asdf_tools.bus.slcan_server import SlcanServer
@@ -21,11 +22,10 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import replay as module
 from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import Player, ReplayVerdict, verify
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, sidecar_path
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
-from sidecars import sidecar_in
 from wire import record
 
 SMALL = "--robots 4 --steps 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
@@ -53,8 +53,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check(frames: list[can.Message], log: Path) -> ReplayVerdict:
-    with SidecarReader(sidecar_path(log)) as sidecar:
-        return verify(frames, sidecar)
+    with InputLogReader(input_log_path(log)) as input_log:
+        return verify(frames, input_log)
 
 
 # Checking
@@ -151,11 +151,11 @@ def test_a_bit_of_alpha_that_robots_do_not_use_is_found(recorded: Path) -> None:
 
 def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    lines = sidecar_path(recorded).read_text().splitlines()
+    lines = input_log_path(recorded).read_text().splitlines()
     events = json.loads(lines[30])
     assert events[1] in (0, 1)
     events[1] = 1 - events[1]
-    sidecar_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
+    input_log_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
     difference = check(list(read_log(recorded)), log).difference
     assert difference is not None
     assert difference.logged.sender == events[0]
@@ -174,8 +174,8 @@ def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", record(5).make()
     stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
-    header = SidecarHeader([record(5)], None, FrameFormat())
-    with sidecar_in(sidecar_path(log), header) as writer:
+    header = InputLogHeader([record(5)], None, FrameFormat())
+    with input_log_in(input_log_path(log), header) as writer:
         writer.robots[5].observe(Observation.BLACK)
         writer.robots[5].foreign(stranger)
     robot.observe(Observation.BLACK)
@@ -191,9 +191,9 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     assert check([], log) == ReplayVerdict(not_logged=1)
 
 
-def test_a_sidecar_that_contradicts_itself_is_named(tmp_path: Path) -> None:
-    header = SidecarHeader([record(5)], None, FrameFormat())
-    with sidecar_in(tmp_path / "x.events", header) as writer:
+def test_a_input_log_that_contradicts_itself_is_named(tmp_path: Path) -> None:
+    header = InputLogHeader([record(5)], None, FrameFormat())
+    with input_log_in(tmp_path / "x.events", header) as writer:
         writer.robots[5].settle()
         writer.robots[5].silent()
     with pytest.raises(UsageError, match="line 3: robot 5 has a broadcast silent before it made one"):
@@ -207,7 +207,7 @@ def test_the_first_difference_is_told(
     text = recorded.read_text().splitlines()
     text[50] = text[50].replace("#", "#00000000000000EA", 1)[: text[50].index("#") + 17]
     log.write_text("\n".join(text) + "\n")
-    assert main(["replay", str(log), "--events", str(sidecar_path(recorded))]) == 1
+    assert main(["replay", str(log), "--events", str(input_log_path(recorded))]) == 1
     captured = capsys.readouterr()
     assert "not reproduced: frame 51 at 1.0" in captured.err
     assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer_id 10, but in tick 11 " in captured.err
@@ -308,7 +308,7 @@ def test_playing_stops_while_all_frames_are_left_out(clock: Clock) -> None:
 # The command
 
 
-def test_a_log_without_sidecar_is_played(
+def test_a_log_without_input_log_is_played(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "run.log"
@@ -367,7 +367,7 @@ def test_bad_usage(
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for path in (recorded, sidecar_path(recorded)):
+    for path in (recorded, input_log_path(recorded)):
         shutil.copy(path, tmp_path)
     lines = Path("run.log").read_text().splitlines(keepends=True)
     for name, text in (

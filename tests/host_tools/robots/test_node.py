@@ -19,6 +19,7 @@ import can
 import pytest
 from can.interfaces import virtual
 
+from input_logs import input_log_in
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
@@ -36,7 +37,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, filters_for, send_all
 from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
@@ -45,7 +46,6 @@ from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 from node_thread import join, meanwhile, node_in_a_thread
 from robots import ALPHA_ONE
-from sidecars import sidecar_in
 from support import PATIENCE, interruptible
 from wire import node, record
 
@@ -293,8 +293,8 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
 
     log: list[can.Message] = []
     bus = Scripted(fails=lambda number: 5 <= number <= 20)
-    header = SidecarHeader([record(5)], None, FrameFormat())
-    with sidecar_in(tmp_path / "events", header) as writer:
+    header = InputLogHeader([record(5)], None, FrameFormat())
+    with input_log_in(tmp_path / "events", header) as writer:
         source = lines(tmp_path, "10" * 20)
         robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=2000), writer.robots[5])
         run = NodeRun(robot, BusLink(bus, endures=True, log=log.append))
@@ -304,8 +304,8 @@ def test_a_robot_goes_on_when_its_bus_fails_and_a_replay_knows(tmp_path: Path) -
     assert run.link.failures >= 16
     assert run.link.last_failure == "the interface is down [Error Code 100]"
     lost = sum(isinstance(decode(frame, FrameFormat()), Message) for frame in bus.tried[4:20])
-    with SidecarReader(tmp_path / "events") as sidecar:
-        verdict = verify(log, sidecar)
+    with InputLogReader(tmp_path / "events") as input_log:
+        verdict = verify(log, input_log)
     assert (verdict.reproduced, verdict.not_logged, verdict.difference) == (40 - lost, 0, None)
 
 

@@ -20,13 +20,14 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from input_logs import input_log_in
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader
 from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
 from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
@@ -36,7 +37,6 @@ from mcp_asdf_tools.swarm.summary import load_warning, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from mcp_asdf_tools.world.arena import Arena
 from multicast import multicast
-from sidecars import sidecar_in
 from support import slow
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
@@ -528,21 +528,21 @@ def test_a_flood_is_read_while_it_comes() -> None:
     assert figures(run)["arrived"] == (3 + 1) * 5 * 4 + 600 * 4
 
 
-# The sidecar
+# The input log
 
 
 @pytest.mark.parametrize("faults", [(), MIX], ids=["lossless", "mix"])
-def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_input_log_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tmp_path: Path) -> None:
     """Robots made from the header and led through their events end in the same bits."""
     settings = make(*faults, comms_period=2, filter_period=20)
     path = tmp_path / "run.events"
-    header = SidecarHeader(settings.records(), settings.seed, settings.frames, settings.parameters())
+    header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.parameters())
     with (
-        sidecar_in(path, header) as sidecar,
-        Swarm(settings, Wiring(one_bus), sidecar=sidecar) as swarm,
+        input_log_in(path, header) as input_log,
+        Swarm(settings, Wiring(one_bus), input_log=input_log) as swarm,
     ):
         run = run_swarm(swarm)
-    with SidecarReader(path) as reader:
+    with InputLogReader(path) as reader:
         records = {each.id: each for each in reader.header.robots}
         robots: dict[int, Any] = {robot: each.make() for robot, each in records.items()}
         lines = [line for line in reader.lines() if not isinstance(line, str)]
@@ -572,18 +572,18 @@ def test_a_sidecar_has_all_that_robots_saw_and_heard(faults: tuple[str, ...], tm
         ("collide,robots=3,id=2,from=10,to=20", 290, 0, 10),
     ],
 )
-def test_a_replay_finds_every_fault_that_the_sidecar_tells(
+def test_a_replay_finds_every_fault_that_the_input_log_tells(
     fault: str, reproduced: int, falsified: int, foreign: int, tmp_path: Path
 ) -> None:
     settings, path = make(fault), tmp_path / "run.events"
-    header = SidecarHeader(settings.records(), settings.seed, settings.frames)
+    header = InputLogHeader(settings.records(), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
-        sidecar_in(path, header) as sidecar,
-        Swarm(settings, Wiring(one_bus), frames.append, sidecar) as swarm,
+        input_log_in(path, header) as input_log,
+        Swarm(settings, Wiring(one_bus), frames.append, input_log) as swarm,
     ):
         run_swarm(swarm)
-    with SidecarReader(path) as reader:
+    with InputLogReader(path) as reader:
         verdict = verify(frames, reader)
     assert verdict.difference is None
     assert (verdict.reproduced, verdict.falsified, verdict.foreign) == (reproduced, falsified, foreign)

@@ -1,4 +1,4 @@
-"""A sidecar returns the events written to it; a malformed one is refused with its line."""
+"""An input log returns the events written to it; a malformed one is refused with its line."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import can
 import numpy as np
 import pytest
 
+from input_logs import input_log_in
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.sidecar import SidecarHeader, SidecarReader, SidecarWriter
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter
 from mcp_asdf_tools.robots.events import Recorder
 from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
-from sidecars import sidecar_in
 from wire import record
 
 RECORDS = (
@@ -31,16 +31,16 @@ RECORDS = (
     RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
     RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
 )
-HEADER = SidecarHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 
 
-def read(path: Path) -> tuple[SidecarHeader, list[Any]]:
-    with SidecarReader(path) as reader:
+def read(path: Path) -> tuple[InputLogHeader, list[Any]]:
+    with InputLogReader(path) as reader:
         return reader.header, list(reader.lines())
 
 
 def test_the_header_comes_back(tmp_path: Path) -> None:
-    with sidecar_in(tmp_path / "x", HEADER):
+    with input_log_in(tmp_path / "x", HEADER):
         pass
     assert read(tmp_path / "x") == (HEADER, [])
 
@@ -65,7 +65,7 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         told[robot].append(event)
 
     frame = can.Message(arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5"))
-    with sidecar_in(tmp_path / "x", HEADER) as writer:
+    with input_log_in(tmp_path / "x", HEADER) as writer:
         for _ in range(3000):
             robot = draw.choice(list(told))
             tell(robot, writer.robots[robot])
@@ -95,7 +95,7 @@ def test_frames_are_written_as_candump_does(frame: can.Message, text: str) -> No
 
 def test_what_cannot_be_written() -> None:
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        SidecarWriter(SidecarHeader([record(1), record(1)], 1, FrameFormat()), print)
+        InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
     own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         config_as_plain(TickConfig(own))
@@ -151,7 +151,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("text", BAD, ids=lambda text: BAD[text][:60])
-def test_what_is_no_sidecar(text: str, tmp_path: Path) -> None:
+def test_what_is_no_input_log(text: str, tmp_path: Path) -> None:
     (tmp_path / "x").write_text(text)
     with pytest.raises(UsageError) as error:
         read(tmp_path / "x")
@@ -160,7 +160,7 @@ def test_what_is_no_sidecar(text: str, tmp_path: Path) -> None:
 
 def test_what_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot read .*: No such file"):
-        SidecarReader(tmp_path / "x")
+        InputLogReader(tmp_path / "x")
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="is no text"):
-        SidecarReader(tmp_path / "x")
+        InputLogReader(tmp_path / "x")

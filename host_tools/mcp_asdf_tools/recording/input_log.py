@@ -1,7 +1,7 @@
-"""Sidecar of a log: the events of each robot in a run, enough to run every robot again.
+"""Input log of a run: the events of each robot in a run, enough to run every robot again.
 
-The sidecar of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
-run (`SidecarHeader`). Every other line is either
+The input_log of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
+run (`InputLogHeader`). Every other line is either
 
 - ``[robot, event, ...]``: the next events of one robot, in order. Lines of different robots may come in
   any order, for robots share no state. An event is
@@ -43,25 +43,25 @@ VERSION = 2
 _MAX_WORD = 2**32 - 1
 
 
-def sidecar_path(log: Path | str) -> Path:
-    """Path of a log's sidecar."""
+def input_log_path(log: Path | str) -> Path:
+    """Path of a log's input_log."""
     return Path(f"{log}.events")
 
 
-def sidecar_of(log: Path) -> Path:
-    """Path of the sidecar of a log that is there, complete or a part.
+def input_log_of(log: Path) -> Path:
+    """Path of the input log of a log that is there, complete or a part.
 
     If a program is killed while the two take their names, that of a part is complete already.
     """
     if log.suffix != PART:
-        return sidecar_path(log)
-    complete = sidecar_path(log.with_suffix(""))
+        return input_log_path(log)
+    complete = input_log_path(log.with_suffix(""))
     part = complete.with_name(complete.name + PART)
     return part if part.exists() else complete
 
 
 @dataclass(frozen=True)
-class SidecarHeader:
+class InputLogHeader:
     """Description of a run.
 
     Attributes:
@@ -79,7 +79,7 @@ class SidecarHeader:
     versions: dict[str, str] = field(default_factory=software_versions)
 
     def line(self) -> str:
-        """The first line of a sidecar."""
+        """The first line of an input log."""
         return json.dumps(self.plain(), allow_nan=False) + "\n"
 
     def plain(self) -> dict[str, Any]:
@@ -98,14 +98,14 @@ class SidecarHeader:
 # --- Writing ---------------------------------------------------------------------------------------------
 
 
-class SidecarWriter:
-    """Lines of a sidecar after its header, as events come.
+class InputLogWriter:
+    """Lines of an input log after its header, as events come.
 
     Attributes:
         robots: The recorder of each robot of the header, by id.
     """
 
-    def __init__(self, header: SidecarHeader, write: Callable[[str], object]) -> None:
+    def __init__(self, header: InputLogHeader, write: Callable[[str], object]) -> None:
         """Pass each line to ``write``. Raises UsageError if two robots have one id."""
         ids = [robot.id for robot in header.robots]
         if len(set(ids)) < len(ids):
@@ -126,8 +126,8 @@ class SidecarWriter:
 # --- Reading ---------------------------------------------------------------------------------------------
 
 
-class SidecarReader:
-    """A sidecar being read. A context manager.
+class InputLogReader:
+    """An input log being read. A context manager.
 
     Attributes:
         header: Description of the run.
@@ -152,7 +152,7 @@ class SidecarReader:
             self._file.close()
             raise
 
-    def __enter__(self) -> SidecarReader:
+    def __enter__(self) -> InputLogReader:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -195,7 +195,7 @@ class SidecarReader:
         except (ValueError, RecursionError) as error:
             raise self.wrong(f"not JSON ({error}); was the file cut?") from error
 
-    def _read_header(self) -> SidecarHeader:
+    def _read_header(self) -> InputLogHeader:
         plain = self._parse(self._next_line())
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'"format": "{FORMAT}" is missing')
@@ -207,7 +207,7 @@ class SidecarReader:
         try:
             robots = tuple(_robot_of(each) for each in plain["robots"])
             frames = FrameFormat(**plain["frames"])
-            return SidecarHeader(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
+            return InputLogHeader(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
         except KeyError as error:
             raise self.wrong(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
