@@ -111,7 +111,8 @@ class Contrast:
         if self.expected in _TRENDS:
             return self._trend(cells)
         if self.than:
-            return self._compared(self.expected, self._pairs(cells))
+            pairs = [(cell, cell.but(**each)) for cell in cells for each in _changes(self.than)]
+            return self._compared(self.expected, pairs)
         ask = self._correlation if self.measure == _CORRELATION else self._against_level
         return [ask(cell) for cell in dict.fromkeys(cell.normal for cell in cells)]
 
@@ -123,11 +124,6 @@ class Contrast:
             for name, (f, b), b_hat, percent, period in product(*map(_listed, axes))
             if b_hat != b
         ]
-
-    def _pairs(self, cells: Sequence[Cell]) -> list[Pair]:
-        """Each cell with each that it is compared with."""
-        changes = _changes(self.than)
-        return [(cell, cell.but(**each)) for cell in cells for each in changes]
 
     def _facts(self, part: Part) -> Iterable[Question]:
         if self.fact == _ROBOTS:
