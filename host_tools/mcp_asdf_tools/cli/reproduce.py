@@ -13,8 +13,7 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common import ParameterError, UsageError, progress
 from mcp_asdf_tools.experiments import Convention, Store, run_missing
-from mcp_asdf_tools.reproduction.runs import StudyFolder
-from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
+from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Scale, StudyFolder
 from mcp_asdf_tools.robots import FIRMWARES
 
 EPILOG = """\
