@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import re
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.cli import reproduce
+from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.reproduction import report, resampling, study
 from mcp_asdf_tools.reproduction.claims import CLAIMS
 from mcp_asdf_tools.reproduction.decisions import decide
+from mcp_asdf_tools.reproduction.figures import pictures
 from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, Study, cells_of, experiment_of
 from support import ROOT
 
@@ -27,14 +30,9 @@ TINY = ("--part", "physical", *SMALL)
 
 
 @pytest.fixture(autouse=True)
-def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing but the presence of intervals matters here."""
+def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but the presence of intervals matters here; pictures take long."""
     monkeypatch.setattr(resampling, "RESAMPLES", 50)
-
-
-@pytest.fixture
-def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out what takes long."""
     monkeypatch.setattr(report, "pictures", lambda study, scale: [])
 
 
@@ -88,23 +86,16 @@ def test_the_study_is_the_papers() -> None:
 
 def test_efforts_count_their_looks() -> None:
     assert [Effort(60, most, 1).looks for most in (60, 120, 240)] == [1, 2, 3]
-    assert [
-        Scale(trials, steps).allows_verdicts for trials, steps in ((None, 40_000), (29, 40_000), (30, 39_999))
-    ] == [
-        True,
-        False,
-        False,
+    allowed = [
+        Scale(trials, steps).allows_verdicts for trials in (None, 29, 30) for steps in (39_999, 40_000)
     ]
+    assert allowed == [False, True, False, False, False, True]
 
 
 def test_the_page_has_the_figures_of_the_study() -> None:
     """Some verdicts and the gain of ASDF+ in docs/reproduce.md, with a fifth of its trials."""
     page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
-    names = [
-        "plus_improves_few_overconfident",
-        "minus_still_improves_where_clear",
-        "few_overconfident_do_not_mislead",
-    ]
+    names = ["plus_improves_few_overconfident", "minus_still_improves_where_clear"]
     names += ["overconfident_are_accurate_where_easy", "plus_is_worse_than_minus_where_clear"]
     claims, scale = [claim for claim in CLAIMS if claim.name in names], Scale(trials=60)
     cells = {cell for claim in claims for asked in claim.reading.questions(FULL) for cell in asked.cells}
@@ -127,8 +118,11 @@ def test_the_page_has_the_figures_of_the_study() -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_study_makes_a_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_whole_study_makes_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Every claim and figure is in it, on a page that needs no other file."""
+    monkeypatch.setattr(report, "pictures", pictures)
     found = answer(capsys, *SMALL, "--output", str(tmp_path))
     expected = {(claim.name, part and part.value) for claim in CLAIMS for part in claim.parts}
     assert {(each["claim"], each["part"]) for each in found["claims"]} == expected
@@ -161,7 +155,6 @@ def test_the_whole_study_makes_a_report(tmp_path: Path, capsys: pytest.CaptureFi
     assert sum(page.count(mark) for mark in "✓✗") >= sum(row["holds"] != "open" for row in rows)
 
 
-@pytest.mark.usefixtures("without_figures")
 def test_an_interrupted_study_goes_on_to_the_same_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -187,7 +180,6 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("without_figures")
 def test_trials_are_added_where_comparisons_are_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,29 +199,27 @@ def test_trials_are_added_where_comparisons_are_open(
     assert files_of(tmp_path) == before
 
 
-@pytest.mark.usefixtures("without_figures")
-def test_options_reach_the_experiments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--firmware", "reference", "--conventions", "authors", "--output", str(tmp_path))
-    answer(capsys, *TINY, *options)
-    for trials in experiments_in(read_table(tmp_path / "physical.parquet")):
-        given = trials.experiment
-        assert (given.firmware, given.conventions.value, given.steps) == ("reference", "authors", 4000)
+def test_options_are_the_scale() -> None:
+    parser = argparse.ArgumentParser()
+    reproduce.add_arguments(parser)
+    assert reproduce.scale_of(parser.parse_args([])) == Scale()
+    assert reproduce.scale_of(parser.parse_args(["--paper", "--seed", "7"])) == Scale(30, seed=7, seeds=1)
+    words = ["--quick", "--trials", "2", "--steps", "4000", "--seeds", "3", "--firmware", "reference"]
+    found = reproduce.scale_of(parser.parse_args([*words, "--conventions", "authors"]))
+    assert found == Scale(2, 4000, 1, 3, "reference", Convention.AUTHORS)
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--trials", "1"], "--trials is 1; give at least 2"),
-        (["--trials", "1000001"], "--trials: trials is 1000001"),
-        (["--seed", "-1"], "--seed: seed is -1"),
-        (["--seeds", "0"], "--seeds is 0; give at least 1"),
-        (["--quick", "--paper"], "not allowed with argument"),
-        (["--steps", "3999"], "--steps is 3999; give at least 4000"),
-        (["--workers", "0"], "--workers is 0"),
-        (["--conventions", "authors"], "--conventions: firmware native has no conventions of the authors"),
-        (["--output", "/dev/null/x"], "cannot make the folder"),
+        ("--trials 1", "--trials is 1; give at least 2"),
+        ("--trials 1000001", "--trials: trials is 1000001"),
+        ("--seeds 0", "--seeds is 0; give at least 1"),
+        ("--steps 3999", "--steps is 3999; give at least 4000"),
+        ("--workers 0", "--workers is 0"),
+        ("--output /dev/null/x", "cannot make the folder"),
     ],
 )
-def test_bad_usage_is_told(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["reproduce", *arguments]) == 2
+def test_bad_usage_is_told(arguments: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["reproduce", *arguments.split()]) == 2
     assert words in capsys.readouterr().err
