@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus import BusChoice
-from mcp_asdf_tools.recording import InputLogHeader, NoRecording, Recording, recording_to
+from mcp_asdf_tools.recording import InputLogHeader, NoRecording, Recording
 
 _FAILED, _NOT_WRITTEN = 1, 2
 
@@ -19,7 +19,9 @@ def recording_for(
     def warn(text: str) -> None:
         print(f"mcp-asdf {command}: {text}", file=sys.stderr)
 
-    return recording_to(path, header, warn, choice.channel or choice.interface)
+    if path is None:
+        return NoRecording()
+    return Recording(path, header, warn, choice.channel or choice.interface)
 
 
 def exit_code(recording: Recording | NoRecording, code: int) -> int:

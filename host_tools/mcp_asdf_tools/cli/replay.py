@@ -15,8 +15,9 @@ from rich.table import Table
 
 from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
 from mcp_asdf_tools.cli.again import print_again
-from mcp_asdf_tools.common import INTERRUPTED, PART, UsageError, stopping
+from mcp_asdf_tools.common import INTERRUPTED, UsageError, stopping
 from mcp_asdf_tools.recording import (
+    PART,
     InputLogReader,
     Playback,
     Player,

@@ -30,8 +30,6 @@ from .files import refusal as refusal
 from .files import results_beside as results_beside
 from .files import write_atomically as write_atomically
 from .files import write_files as write_files
-from .growing_files import PART as PART
-from .growing_files import GrowingFiles as GrowingFiles
 from .parameters import Given as Given
 from .parameters import Meaning as Meaning
 from .parameters import ParameterError as ParameterError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gzip
 import io
 import struct
 import zlib
@@ -19,9 +18,14 @@ from can.io.generic import MessageReader
 from can.io.logger import MESSAGE_WRITERS
 from can.io.player import MESSAGE_READERS
 
-from mcp_asdf_tools.common import PART, UsageError
+from mcp_asdf_tools.common import UsageError
 
-_WRITABLE = (".log", ".asc", ".blf", ".csv", ".trc", ".txt")
+PART = ".part"
+"""Suffix, behind all others, of a file that is not complete."""
+
+_WRITABLE = (".log", ".asc", ".blf", ".csv", ".trc")
+_CONTAINER = 4096
+"""Bytes of a container of a BLF file, some 80 frames: what a kill may lose."""
 _CUT = (EOFError, struct.error, zlib.error, BLFParseError)
 """Errors of readers at the end of a file that was cut."""
 
@@ -37,22 +41,15 @@ def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
 
 def check_format(path: Path) -> None:
     """Raises UsageError if no log can be written under this name."""
-    kind, is_compressed = _format_of(path)
-    if kind == ".db":
-        raise UsageError(
-            f"cannot log to {path.name}: python-can's SQLite writer drops the frames that wait when it "
-            "stops, nine in ten of a short run; use .blf or .log"
-        )
-    if kind not in _WRITABLE or (is_compressed and kind == ".blf"):
-        raise UsageError(
-            f"cannot log to {path.name}: choose {', '.join(_WRITABLE)} (add .gz to compress; not .blf)"
-        )
+    if path.suffix.lower() not in _WRITABLE:
+        raise UsageError(f"cannot log to {path.name}: choose {', '.join(_WRITABLE)}")
 
 
 class FrameLog:
     """Writer of a log in the format of its suffix, as by python-can's own logger.
 
-    What is on disk after ``flush`` can be read, also if nothing comes after it.
+    What is on disk after ``flush`` can be read, also if nothing comes after it; of a BLF file up to the last
+    whole container.
     """
 
     def __init__(self, path: Path, file: BinaryIO, channel: str) -> None:
@@ -60,13 +57,12 @@ class FrameLog:
 
         ``channel`` is that of frames that do not name theirs, in formats where channels have names.
         """
-        kind, is_compressed = _format_of(path)
+        kind = path.suffix.lower()
         self._file = file
-        content: Any = gzip.GzipFile(fileobj=file, mode="wb") if is_compressed else file
-        if kind != ".blf":
-            content = io.TextIOWrapper(content, encoding="utf-8")
         self._channel = channel if kind == ".log" else None
+        content: Any = file if kind == ".blf" else io.TextIOWrapper(file, encoding="utf-8")
         self._writer: Any = MESSAGE_WRITERS[kind](content)
+        self._writer.max_container_size = _CONTAINER  # which writers of other formats do not look at
 
     def write(self, frame: can.Message) -> None:
         """Append ``frame``. Raises OSError."""
@@ -77,8 +73,6 @@ class FrameLog:
 
     def flush(self) -> None:
         """Let the disk have all that was written. Raises OSError."""
-        if isinstance(self._writer, can.BLFWriter):
-            _complete(self._writer)
         self._writer.file.flush()
         self._file.flush()
 
@@ -94,25 +88,9 @@ def _is_word(channel: object) -> bool:
     return isinstance(channel, str) and channel.split() == [channel]
 
 
-def _complete(writer: can.BLFWriter) -> None:
-    """Bring the header and the last container of a BLF file up to date, as its writer does at the end."""
-    writer._flush()
-    end = writer.file.tell()
-    writer.file.seek(0)
-    writer._write_header(end)
-    writer.file.seek(end)
-
-
-def _format_of(path: Path) -> tuple[str, bool]:
-    """The suffix of the format, and whether the file is compressed."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    is_compressed = suffixes[-1:] == [".gz"]
-    return "".join(suffixes[-2:-1] if is_compressed else suffixes[-1:]), is_compressed
-
-
 # --- Reading ---------------------------------------------------------------------------------------------
 
-_FORMATS = ".log (candump), .asc, .blf, .csv, .mf4 or .trc, each but .blf and .mf4 also with .gz"
+_FORMATS = ".log (candump), .asc, .blf, .csv, .mf4 or .trc"
 
 
 def check_log(path: Path | str) -> None:
@@ -122,7 +100,7 @@ def check_log(path: Path | str) -> None:
         log.open("rb").close()
     except OSError as error:
         part = log.with_name(log.name + PART)
-        hint = f"; its run was cut off, {part} has what there is" if part.exists() else ""
+        hint = f"; its run was cut off, partial data is in {part}" if part.exists() else ""
         raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
 
 
@@ -158,8 +136,8 @@ def _opened(path: Path) -> Iterator[MessageReader]:
         with can.LogReader(path) as reader:
             yield reader
         return
-    kind, is_compressed = _format_of(path.with_suffix(""))
-    with (gzip.open if is_compressed else open)(path, "rb") as file:
+    kind = path.with_suffix("").suffix.lower()
+    with path.open("rb") as file:
         content: Any = file if kind == ".blf" else _WholeLines(file)
         yield MESSAGE_READERS[kind](content)
 
@@ -169,15 +147,10 @@ class _WholeLines:
 
     def __init__(self, file: io.BufferedIOBase) -> None:
         self._file = file
+        self.close = file.close
 
-    def __iter__(self) -> _WholeLines:
-        return self
+    def __iter__(self) -> Iterator[str]:
+        return (line.decode() for line in self._file if line.endswith(b"\n"))
 
     def __next__(self) -> str:
-        line = self._file.readline()
-        if not line.endswith(b"\n"):
-            raise StopIteration
-        return line.decode()
-
-    def close(self) -> None:
-        self._file.close()
+        return next(iter(self))

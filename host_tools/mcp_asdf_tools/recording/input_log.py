@@ -33,7 +33,8 @@ import can
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus import FrameFormat, frame_as_text
-from mcp_asdf_tools.common import PART, UsageError, software_versions
+from mcp_asdf_tools.common import UsageError, software_versions
+from mcp_asdf_tools.recording.frame_logs import PART
 from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord, TickConfig
 from mcp_asdf_tools.tables import generate
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,28 +11,19 @@ from types import TracebackType
 
 import can
 
-from mcp_asdf_tools.common import GrowingFiles, UsageError, check_target
-from mcp_asdf_tools.recording.frame_logs import FrameLog, check_format
+from mcp_asdf_tools.common import UsageError, check_target, explaining
+from mcp_asdf_tools.recording.frame_logs import PART, FrameLog, check_format
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, InputLogWriter | None]
 """Takers of frames and of events, None where there is no log."""
 
-Warn = Callable[[str], object]
-"""Called with a line for the user."""
-
 _PERIOD = 1.0
 """Seconds after which frames and events are on disk."""
-
 _MOST_WAITING = 4096
 """Frames and events that may wait for that."""
-
-
-def recording_to(
-    path: Path | None, header: InputLogHeader | None, warn: Warn, channel: str
-) -> Recording | NoRecording:
-    """The recording ``path``, if there is one, else one that takes nothing; as ``Recording``."""
-    return NoRecording() if path is None else Recording(path, header, warn, channel)
+_BUFFER = 1 << 20
+"""Bytes; more than is written between two flushes, so that these decide on the order of what is on disk."""
 
 
 class NoRecording:
@@ -49,14 +41,21 @@ class NoRecording:
 class Recording:
     """Log of a run and, with a header, its input log; a context manager that yields their takers.
 
-    Both grow as ``NAME.part``, are on disk once a second, and take their names together on a regular end.
-    After any other end they stay parts. A full disk ends the recording, but not the run.
+    Both grow as ``NAME.part``, are on disk once a second, and take their names at a regular end, the log
+    last: a log under its own name always has its own input log. After any other end they stay parts. A full
+    disk ends the recording, but not the run.
 
     Attributes:
         failure: Why the recording is not complete; None while nothing is wrong with it.
     """
 
-    def __init__(self, path: Path, header: InputLogHeader | None, warn: Warn, channel: str = "vcan0") -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: InputLogHeader | None,
+        warn: Callable[[str], object],
+        channel: str = "vcan0",
+    ) -> None:
         """Prepare the log ``path``. ``warn`` gets a line, once, if the recording fails.
 
         ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
@@ -64,21 +63,24 @@ class Recording:
         """
         self.failure: str | None = None
         check_format(path)
-        self._paths = [path] if header is None else [path, input_log_path(path)]
-        for each in self._paths:
-            check_target(each)
-        self._header = header
-        self._channel = channel
-        self._warn = warn
+        self._path, self._header, self._channel, self._warn = path, header, channel, warn
+        names = [path] if header is None else [path, input_log_path(path)]
+        self._targets = [check_target(each) for each in names]
+        self._parts = [target.with_name(target.name + PART) for target in self._targets]
         self._is_empty = True
         self._waiting = 0
         self._flush_at = time.monotonic() + _PERIOD
         self._events = None if header is None else InputLogWriter(header, self._write_events)
 
     def __enter__(self) -> LogOutputs:
-        self._files = GrowingFiles(self._paths)
-        log, *self._others = self._files.files
-        self._log = FrameLog(self._paths[0], log, self._channel)
+        for part in self._parts:
+            if part.exists():  # what another run left is not lost
+                raise UsageError(
+                    f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
+                )
+        with explaining(self._path):
+            log, *self._others = (part.open("xb", buffering=_BUFFER) for part in self._parts)
+        self._log = FrameLog(self._path, log, self._channel)
         for file in self._others:
             file.write(self._header.line().encode() if self._header is not None else b"")
         return self._write_frame, self._events
@@ -89,15 +91,28 @@ class Recording:
         if kind is not None and self._is_empty:
             with suppress(OSError):
                 self._close()
-            self._files.discard()
+            for part in self._parts:
+                part.unlink(missing_ok=True)
             return
         if self._events is not None:
             self._events.finish()
         self._attempt(self._close)
         if kind is None:
-            self._attempt(lambda: self._files.keep(obsolete=[input_log_path(self._paths[0])]))
+            self._attempt(self._take_names)
         else:
             self._fail("the run did not end regularly")
+
+    def _take_names(self) -> None:
+        for target in self._targets:
+            check_target(target)
+        with explaining(self._path):
+            for part in self._parts:
+                _sync(part)
+            log, *_ = self._targets
+            for old in (log, input_log_path(log)):  # the old log first: it must not get another's input log
+                old.unlink(missing_ok=True)
+            for part, target in reversed(list(zip(self._parts, self._targets, strict=True))):
+                os.replace(part, target)
 
     def _write_frame(self, frame: can.Message) -> None:
         self._flush_if_due()
@@ -139,8 +154,13 @@ class Recording:
     def _fail(self, reason: str) -> None:
         if self.failure is None:
             self.failure = reason
-            log, part = self._paths[0], self._files.parts[0]
-            self._warn(f"the log {log} is not complete: {reason}; what there is is in {part}")
+            self._warn(f"the log {self._path} is not complete: {reason}; partial data is in {self._parts[0]}")
             for close in (*(file.close for file in self._others), self._log.close):
                 with suppress(OSError):
                     close()
+
+
+def _sync(path: Path) -> None:
+    """Let the disk have the file before it gets its name, for the case that the power fails."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())

