@@ -61,7 +61,8 @@ class FrameLog:
         self._file = file
         self._channel = channel if kind == ".log" else None
         content: Any = file if kind == ".blf" else io.TextIOWrapper(file, encoding="utf-8")
-        self._writer: Any = MESSAGE_WRITERS[kind](content)
+        make: Any = MESSAGE_WRITERS[kind]
+        self._writer = make(content)
         self._writer.max_container_size = _CONTAINER  # which writers of other formats do not look at
 
     def write(self, frame: can.Message) -> None:
