@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from mcp_asdf_tools.view.film import Film, LiveFilm
 from support import PATIENCE
 
 if TYPE_CHECKING:
@@ -55,3 +56,10 @@ def until(page: Page, condition: str) -> Any:
             return value
         time.sleep(0.02)
     raise AssertionError(f"the page never came to {condition}")
+
+
+def developed(film: LiveFilm) -> Film:
+    """All that was filmed so far."""
+    _, stage, samples = film.since(-1, 0)
+    assert samples is not None
+    return Film(stage, samples)

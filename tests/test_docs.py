@@ -122,8 +122,6 @@ SLOW = {
     "mcp-asdf crosscheck --steps 1000 --json",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",
-    "mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --robots 8 --steps 600 "
-    "--filter-period 100 --animate swarm.webp --quiet",
 }
 """Commands that are for ``make verify``."""
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -51,7 +52,6 @@ examples:
   mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
-  mcp-asdf swarm --topology dynamic --animate swarm.webp --quiet
   mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
@@ -103,8 +103,11 @@ def run(args: argparse.Namespace) -> int:
     choice = interfaces.choose_bus(args)
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
-    pictures = _Pictures(args)
-    beside = [results_beside(path) for path in (args.log, args.plot, args.animate) if path is not None]
+    if args.plot is not None:
+        from mcp_asdf_tools.common import check_plot_path  # noqa: PLC0415 (loads matplotlib)
+
+        check_plot_path(args.plot)
+    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
     header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     began = time.monotonic()
@@ -118,13 +121,22 @@ def run(args: argparse.Namespace) -> int:
                 rows = summary(outcome, str(choice), seconds)
                 ending.callback(_print, args, outcome, report, rows)
             with FileSet() as files:
-                pictures.write(files, outcome, attached.camera)
+                if args.plot is not None:
+                    files.write(args.plot, _picture(outcome, args.plot))
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
     return exit_code(recording, _exit_code(outcome))
+
+
+def _picture(outcome: SwarmRun, path: Path) -> bytes:
+    """The plot of a run that is over."""
+    from mcp_asdf_tools.common import image_of  # noqa: PLC0415 (loads matplotlib)
+    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+
+    return image_of(draw(outcome), path)
 
 
 def _attach(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> _Attached:
@@ -175,14 +187,13 @@ def _watched(args: argparse.Namespace, swarm: Swarm, attached: _Attached) -> Swa
 
 def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
     """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
-    if not (args.view or args.animate):
+    if not args.view:
         return None
     from mcp_asdf_tools.view import SwarmCamera, serving  # noqa: PLC0415 (loads slowly)
 
     camera = SwarmCamera(settings)
-    if args.view:
-        view.announce(args, ending.enter_context(serving(camera.film, args.port)))
-        ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
+    view.announce(args, ending.enter_context(serving(camera.film, args.port)))
+    ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
     return camera
 
 
@@ -226,35 +237,6 @@ def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces
         return NodeProcesses()
     subjects = Subjects(estimates=settings.frames)
     return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
-
-
-class _Pictures:
-    """The pictures of a run that are wanted."""
-
-    def __init__(self, args: argparse.Namespace) -> None:
-        """Raises UsageError if one of them cannot be written."""
-        # Loading matplotlib takes longer than a short run, so it is loaded for a picture only.
-        if args.plot is not None:
-            from mcp_asdf_tools.common import check_plot_path  # noqa: PLC0415
-
-            check_plot_path(args.plot)
-        if args.animate is not None:
-            from mcp_asdf_tools.view import check_animation_path  # noqa: PLC0415
-
-            check_animation_path(args.animate)
-        self._plot, self._animation = args.plot, args.animate
-
-    def write(self, files: FileSet, outcome: SwarmRun, camera: SwarmCamera | None) -> None:
-        """Draw a run that is over."""
-        if self._plot is not None:
-            from mcp_asdf_tools.common import image_of  # noqa: PLC0415
-            from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
-
-            files.write(self._plot, image_of(draw(outcome), self._plot))
-        if self._animation is not None and camera is not None and outcome.results["steps"]:
-            from mcp_asdf_tools.view import image_of_film  # noqa: PLC0415
-
-            files.write(self._animation, image_of_film(camera.film.developed(), self._animation))
 
 
 @contextmanager

@@ -79,9 +79,6 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also run the same swarm without the filter, and compare",
     )
-    output.add_argument(
-        "--animate", metavar="FILE", type=Path, help="draw the run as an animation: .webp or .gif"
-    )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
     view.add_server_options(output)
     output.add_argument(

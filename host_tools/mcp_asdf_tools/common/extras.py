@@ -5,7 +5,6 @@ from __future__ import annotations
 from mcp_asdf_tools.common.errors import UsageError
 
 EXTRAS = {
-    "PIL": "study",
     "jinja2": "study",
     "markdown_it": "study",
     "matplotlib": "study",

@@ -1,4 +1,4 @@
-"""A run as a page in a browser, from a recording or live, and as an animation.
+"""A run as a page in a browser, from a recording or live.
 
 ``__init__.pyi`` names what other rooms may use; it is loaded when first used.
 """

@@ -1,12 +1,10 @@
-"""A run as a page in a browser, from a recording or live, and as an animation."""
+"""A run as a page in a browser, from a recording or live."""
 
-from .animation import check_animation_path as check_animation_path
-from .animation import image_of_film as image_of_film
-from .bus_film import BusFilm as BusFilm
 from .film import Film as Film
 from .film import LiveFilm as LiveFilm
+from .films import BusFilm as BusFilm
+from .films import SwarmCamera as SwarmCamera
+from .films import film_of_log as film_of_log
+from .films import film_of_trial as film_of_trial
 from .page import page as page
 from .server import serving as serving
-from .sources import film_of_log as film_of_log
-from .sources import film_of_trial as film_of_trial
-from .swarm_film import SwarmCamera as SwarmCamera

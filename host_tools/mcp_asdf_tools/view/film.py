@@ -143,11 +143,6 @@ class LiveFilm:
             rows = self._rows[index if generation == self.generation else 0 :]
             return self.generation, self.stage, _stacked(rows) if rows else None
 
-    def developed(self) -> Film:
-        """All that was taken so far; at least one sample must have been."""
-        with self._lock:
-            return Film(self.stage, _stacked(self._rows))
-
 
 def rows_of(samples: Samples) -> list[Sample]:
     """The samples one by one."""

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mcp_asdf_tools.bus import HOST
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.view.film import LiveFilm
-from mcp_asdf_tools.view.page import page
-from mcp_asdf_tools.view.wire import samples_as_plain, stage_as_plain
+from mcp_asdf_tools.view.page import page, samples_as_plain, stage_as_plain
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette

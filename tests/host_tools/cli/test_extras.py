@@ -101,7 +101,6 @@ def test_the_base_knows_all_options(tmp_path: Path) -> None:
         ("plot x.parquet x.png", "matplotlib", "study"),
         ("reproduce --quick", "pyarrow", "study"),
         ("swarm --steps 3 --plot x.png", "matplotlib", "study"),
-        ("swarm --steps 3 --animate x.webp", "matplotlib", "study"),
         ("swarm --steps 3 --view", "uvicorn", "view"),
         ("crosscheck --plot x.png", "matplotlib", "study"),
     ],

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
-from PIL import Image
 
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments import Experiment, run_trials, table_of
 from mcp_asdf_tools.experiments.results import write_table
 from mcp_asdf_tools.robots import Filtering
-from support import slow
 
 SWARM = ["swarm", "--robots", "5", "--steps", "60", "--filter-period", "20", "--quiet"]
 
@@ -75,24 +73,3 @@ def test_what_cannot_be_shown_is_refused(
 def test_choices_are_named(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", str(results)]) == 2
     assert "choose one with --where filter=asdf-plus|none" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("suffix", "options"),
-    [("webp", ["--topology", "dynamic"]), *slow([("webp", []), ("gif", ["--topology", "dynamic"])])],
-)
-def test_a_swarm_is_animated(suffix: str, options: list[str], tmp_path: Path) -> None:
-    paths = [tmp_path / f"{name}.{suffix}" for name in ("one", "two")]
-    for path in paths:
-        assert main([*SWARM, "--steps", "4", *options, "--animate", str(path)]) == 0
-    with Image.open(paths[0]) as image:
-        assert image.format == suffix.upper()
-        assert image.size == (960, 480)
-        assert image.n_frames == 4  # type: ignore[attr-defined]
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert json.loads(Path(f"{paths[0]}.json").read_text())["results"]["steps"] == 4
-
-
-def test_an_animation_has_a_format_that_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*SWARM, "--animate", str(tmp_path / "run.png")]) == 2
-    assert "cannot animate to run.png: choose a name that ends in .webp, .gif" in capsys.readouterr().err

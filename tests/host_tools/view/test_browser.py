@@ -18,7 +18,7 @@ import can
 import numpy as np
 import pytest
 
-from browser import browser_page, until
+from browser import browser_page, developed, until
 from mcp_asdf_tools.bus import FrameFormat
 from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
@@ -54,7 +54,7 @@ def filmed(settings: SwarmSettings) -> Film:
     camera = SwarmCamera(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [camera])
-    return camera.film.developed()
+    return developed(camera.film)
 
 
 def test_the_page_shows_a_film_and_follows_a_run(tmp_path: Path) -> None:

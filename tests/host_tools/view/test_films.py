@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from browser import developed
 from mcp_asdf_tools.bus import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common import UsageError
@@ -23,8 +24,8 @@ from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, film_of_log, film_of_trial
 from mcp_asdf_tools.view import film as films
 from mcp_asdf_tools.view.film import Sample, Stage, rows_of
-from mcp_asdf_tools.view.sources import spacing_of
-from mcp_asdf_tools.view.wire import samples_as_plain, stage_as_plain
+from mcp_asdf_tools.view.films import spacing_of
+from mcp_asdf_tools.view.page import samples_as_plain, stage_as_plain
 from mcp_asdf_tools.world import Arena
 
 PARAMETERS: dict[str, Any] = {
@@ -47,7 +48,7 @@ def filmed(**more: Any) -> Film:
     camera = SwarmCamera(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [camera])
-    return camera.film.developed()
+    return developed(camera.film)
 
 
 def trials_of(**more: Any) -> Trials:
@@ -193,7 +194,7 @@ def test_a_bus_is_filmed_as_robots_join() -> None:
         watch._take(0)
         watch.hear(encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)))
         watch._take(1)
-    film = watch.film.developed()
+    film = developed(watch.film)
     assert list(film.stage.robots) == [7, 3]
     expected = [[[0.5, np.nan], [np.nan] * 2, [0.5, np.nan], [0.9, np.nan]]]
     expected += [[[0.5, 0.25], [np.nan] * 2, [0.5, 0.25], [0.9, 0.9]]]
@@ -206,4 +207,4 @@ def test_rows_are_the_samples() -> None:
     live = LiveFilm(film.stage)
     for row in rows_of(film.samples):
         live.add(row)
-    assert equal(live.developed(), film)
+    assert equal(developed(live), film)
