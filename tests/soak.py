@@ -45,9 +45,8 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_of
 from mcp_asdf_tools.recording.recording import Recording
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
-from mcp_asdf_tools.robots.node_run import BusLink, NodeRun
-from mcp_asdf_tools.robots.observations import WorldSource
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.node import BusLink
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
@@ -55,6 +54,7 @@ from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from node_thread import live
 
 ROOT = Path(__file__).parents[1]
 RATES = (48, 49, 50, 50, 51, 52)
@@ -189,27 +189,26 @@ class RealTime:
             self._restart[place].clear()
             robot = min(place, len(RATES) - 2)
             record = RobotRecord(robot, "native", 0.9, TickConfig(generate(parse_omega("0.05"), 10)))
-            node = RobotNode(record.make(), NodeSettings(robot, steps_per_second=RATES[place]))
+            one = BusRobot(robot, record.make, FrameFormat())
             bus = Fading(_virtual("soak"), self._away)
             link = BusLink(bus, lambda: self._over.is_set() or self._restart[place].is_set(), endures=True)
-            run = NodeRun(node, link)
             with bus:
-                run.in_real_time(WorldSource(robot, 0.55, 0.9, 1))
-            self._finish(node, run)
+                live(one, link, RATES[place], lambda frame: None)
+            self._finish(one, link)
 
-    def _finish(self, node: RobotNode, run: NodeRun) -> None:
-        figures = node.figures()
+    def _finish(self, one: BusRobot, link: BusLink) -> None:
+        heard = one.reception
         self._note(
             robots_started=1,
-            ticks_in_real_time=node.ticks,
-            estimates_heard=figures["delivered"],
-            estimates_refused=figures["refused"],
-            invalid_frames=sum(figures["rejected"].values()),
-            failures_of_the_bus_noted=run.link.failures,
-            id_conflicts_noticed=len(figures["id_conflicts"]),
+            ticks_in_real_time=one.ticks,
+            estimates_heard=heard.delivered,
+            estimates_refused=heard.refused,
+            invalid_frames=heard.rejected.total(),
+            failures_of_the_bus_noted=link.failures,
+            id_conflicts_noticed=heard.id_conflicts,
         )
-        if run.outcome.has_failed or not _is_sound(node.robot):
-            self._survived.wrong.append(f"robot {node.settings.id}: {run.outcome.ending}")
+        if not _is_sound(one.robot):
+            self._survived.wrong.append(f"robot {one.id} is in an impossible state")
 
     def _trouble(self) -> None:
         """Take the bus away, restart robots, send what is no legal frame."""

@@ -57,7 +57,7 @@ RUN_ELSEWHERE = {
 HERE_WITH_MULTICAST = (
     "mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100",
     "mcp-asdf radio --id 3 --interface udp_multicast --verify --wait 60",
-    "mcp-asdf node --id 3 --interface udp_multicast --lockstep",
+    "mcp-asdf node --id 3 --interface udp_multicast",
 )
 C_NODES = (
     "mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value",

@@ -79,7 +79,6 @@ def test_the_lowest_bit_without_the_builtin(tmp_path: Path) -> None:
     "line",
     [
         "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
-        "node --id 3 --steps 1 --steps-per-second 500 --quiet",
         "radio --id 3 --robots 3 --steps 1 --steps-per-second 500",
         "simulate --robots 4 --steps 2000 --filter-period 10 --trials 2 --firmware mirror --workers 2",
         "--help",

@@ -109,7 +109,7 @@ class Loop:
         self.mirror = mirror_node(filter_period)
         self.compared = 0
         self._neighbours = {
-            i: RobotNode(TickedRobot(NativeRobot(config, i, ACCURACY)), NodeSettings(i, telemetry_period=0))
+            i: RobotNode(TickedRobot(NativeRobot(config, i, ACCURACY)), NodeSettings(i))
             for i in range(ROBOTS)
             if i != IMAGE_ID
         }

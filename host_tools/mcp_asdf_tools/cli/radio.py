@@ -19,6 +19,7 @@ from mcp_asdf_tools.bus import ONE, interfaces
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
+from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common import (
     INTERRUPTED,
     UsageError,
@@ -44,11 +45,7 @@ from mcp_asdf_tools.recording import InputLogHeader, LogOutputs, add_log_option
 from mcp_asdf_tools.robots import (
     BusLink,
     FrameTaker,
-    add_robot_options,
-    add_subject_options,
     filters_for,
-    robot_of,
-    subjects_of,
 )
 from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
 

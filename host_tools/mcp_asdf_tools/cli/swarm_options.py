@@ -8,11 +8,12 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus import FrameFormat, interfaces
 from mcp_asdf_tools.cli import parameter_options, view
+from mcp_asdf_tools.cli.robot_options import add_estimate_options
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.recording import add_log_option
-from mcp_asdf_tools.robots import ClockKind, add_estimate_options, format_of
+from mcp_asdf_tools.robots import ClockKind
 from mcp_asdf_tools.swarm import FaultKind, SwarmSettings, Wiring, check_remote
 
 _DEFAULTS = SwarmSettings()
@@ -88,7 +89,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
     """Settings from parsed arguments. Raises UsageError for a value out of range."""
-    own = {"frames": format_of(args.subject, args.priority), "faults": args.faults, "clock": args.clock}
+    own = {"frames": FrameFormat(args.subject, args.priority), "faults": args.faults, "clock": args.clock}
     return parameter_options.settings_from(args, SwarmSettings, **own)
 
 

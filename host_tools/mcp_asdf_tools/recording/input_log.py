@@ -25,18 +25,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import can
 
-from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus import FrameFormat, frame_as_text
 from mcp_asdf_tools.common import UsageError, software_versions
 from mcp_asdf_tools.recording.frame_logs import PART
-from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord, TickConfig
-from mcp_asdf_tools.tables import generate
+from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord
 
 FORMAT = "mcp-asdf events"
 VERSION = 2
@@ -206,7 +203,7 @@ class InputLogReader:
                 "the log with the mcp-asdf that wrote it, or record the run again"
             )
         try:
-            robots = tuple(_robot_of(each) for each in plain["robots"])
+            robots = tuple(RobotRecord.from_plain(each) for each in plain["robots"])
             frames = FrameFormat(**plain["frames"])
             return InputLogHeader(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
         except KeyError as error:
@@ -217,26 +214,6 @@ class InputLogReader:
     def wrong(self, what: str) -> UsageError:
         """An error that names the line read last."""
         return UsageError(f"{self._path}, line {self._number}: {what}")
-
-
-def _robot_of(plain: dict[str, Any]) -> RobotRecord:
-    table = None
-    if "table" in plain:
-        stated = plain["table"]
-        table = generate(Decimal(stated["omega"]), stated["q"])
-        if table.words()[-1] != stated["checksum"]:
-            raise UsageError(
-                f"the t-table of robot {plain['id']} has checksum {stated['checksum']}, "
-                f"the one made here {table.words()[-1]}"
-            )
-    periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
-    filters = {each.name.lower(): each for each in Filter}
-    if plain["filter"] not in filters:
-        raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(filters)}")
-    config = TickConfig(table=table, filter=filters[plain["filter"]], **periods)
-    record = RobotRecord(plain["id"], plain["firmware"], plain["b_hat"], config)
-    record.make()  # raises here if the firmware refuses it
-    return record
 
 
 def _is_event(event: Any) -> bool:

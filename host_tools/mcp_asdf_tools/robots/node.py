@@ -1,22 +1,22 @@
-"""Node of one robot without the bus: it schedules heartbeats and telemetry, and obeys commands.
+"""Node of one robot without the bus: it obeys commands, and schedules its heartbeats.
 
-The same node runs in ``mcp-asdf node``, on any bus and by either clock, and in tools that predict the frames
-of a robot. ``docs/frame.md`` has the rules that it follows in lockstep.
+The same node runs in ``mcp-asdf node``, on any bus, and in tools that predict the frames of a robot.
+``docs/frame.md`` has the rules that it follows.
 """
 
 from __future__ import annotations
 
 import errno
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
 import numpy as np
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus import (
     COMMANDS,
     EVERY_ROBOT,
@@ -33,15 +33,29 @@ from mcp_asdf_tools.bus import (
     decode_command,
 )
 from mcp_asdf_tools.common import UsageError, check_types
-from mcp_asdf_tools.robots.bus_robot import BusRobot
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickedRobot
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
+from mcp_asdf_tools.robots.rounds import TickedRobot
+
+_RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
+_FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
 ACCEPTANCE_MASK = 0x039F_FF80
 """Identifier bits that a receiver checks; see docs/frame.md."""
 
+
+SEND_TIMEOUT = 2.0
+"""Seconds after which a bus that takes no frame counts as failed."""
+
+_SLICE = 0.1
+"""Longest wait in seconds between two checks for a stop."""
+
+_MOST_AT_ONCE = 4096
+"""Upper bound on frames taken at once, so that a flood cannot starve a robot."""
+
 _PAUSE = 0.001
 """Seconds in which a bus sends several frames."""
+
+FrameTaker = Callable[[can.Message], None]
 
 
 @dataclass(frozen=True)
@@ -96,29 +110,23 @@ class NodeSettings:
     Attributes:
         id: Robot id and node id, 0 .. 127.
         subjects: Formats of the messages.
-        steps_per_second: Control ticks between two heartbeats, 1 or more.
-        telemetry_period: Control ticks between two telemetry frames; 1 in lockstep, 0 for none.
+        steps_per_second: Control ticks between two heartbeats, 1 .. 10**6.
     """
 
     id: int
     subjects: Subjects = field(default_factory=Subjects)
     steps_per_second: int = 10
-    telemetry_period: int = 1
 
     def __post_init__(self) -> None:
         check_types(self)
-        for name, low, high in (
-            ("id", 0, MAX_NODE_ID),
-            ("steps_per_second", 1, 10**6),
-            ("telemetry_period", 0, MAX_PERIOD),
-        ):
+        for name, low, high in (("id", 0, MAX_NODE_ID), ("steps_per_second", 1, 10**6)):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise UsageError(f"{name.replace('_', '-')} is {value}; it must be {low} to {high}")
 
 
 class RobotNode(BusRobot):
-    """Robot with a schedule of its own that obeys commands.
+    """Robot that obeys commands.
 
     Its methods return the frames to send now, in order.
 
@@ -154,11 +162,10 @@ class RobotNode(BusRobot):
         return heartbeats + self.broadcast(z, self._now)
 
     def settle(self) -> list[can.Message]:
-        """End the tick."""
+        """End the tick; the answer is telemetry."""
         self.end()
         self.is_settled = True
-        is_due = self.settings.telemetry_period and self.ticks % self.settings.telemetry_period == 0
-        return [self.telemetry(self._now)] if is_due else []
+        return [self.telemetry(self._now)]
 
     def hear(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
@@ -175,11 +182,6 @@ class RobotNode(BusRobot):
             message = command
         self.reception.rejected[message] += 1
         return []
-
-    def lost(self, frame: can.Message) -> None:
-        """Note that the bus did not take ``frame``, which was to be sent."""
-        if self.recorder is not None and isinstance(decode(frame, self.settings.subjects.estimates), Message):
-            self.recorder.silent()
 
     def figures(self) -> dict[str, Any]:
         """The frames sent and heard so far as plain values, for JSON."""
@@ -215,6 +217,132 @@ class RobotNode(BusRobot):
     def _now(self) -> float:
         """The node's own time, seconds."""
         return self.ticks / self.settings.steps_per_second
+
+
+def state_of(node: RobotNode) -> dict[str, Any]:
+    """A robot's estimates and counters as plain values, for JSON; with raw ones if the firmware has any."""
+    robot = node.robot
+    state: dict[str, Any] = {name: getattr(robot, name) for name in _FLOATS}
+    if isinstance(robot, FixedPointRobot):
+        state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW}
+    return state | {"counters": asdict(node.counters)}
+
+
+# --- On a bus ---
+
+
+class Stopped(Exception):  # noqa: N818 (no error)
+    """The node was asked to stop."""
+
+
+@dataclass
+class BusLink:
+    """A node's connection to its bus.
+
+    Attributes:
+        bus: The connection; its filters should pass only frames that the node needs.
+        should_stop: Checked while waiting.
+        endures: Whether to go on when the bus fails, as in real time.
+        log: Takes all frames sent and received; they are stamped with the time of day.
+        failures: How often sending or receiving failed.
+        last_failure: The last reason.
+    """
+
+    bus: can.BusABC
+    should_stop: Callable[[], bool] = lambda: False
+    endures: bool = False
+    log: FrameTaker | None = None
+    failures: int = 0
+    last_failure: str | None = None
+
+    def send(self, frame: can.Message) -> bool:
+        """Put a frame on the bus; returns whether that succeeded.
+
+        Raises can.CanError if it failed and the link does not endure.
+        """
+        try:
+            self.bus.send(frame, timeout=SEND_TIMEOUT)
+        except can.CanError as error:
+            self._note(error)
+            return False
+        if self.log is not None:
+            frame.timestamp = time.time()
+            self.log(frame)
+        return True
+
+    def receive(self, seconds: float) -> can.Message | None:
+        """A frame of another node, if one comes within ``seconds``, or within the next tenth of a second.
+
+        Raises Stopped if the node was asked to stop, can.CanError as ``send``.
+        """
+        if self.should_stop():
+            raise Stopped
+        seconds = min(seconds, _SLICE)
+        try:
+            frame = self.bus.recv(seconds)
+        except can.CanError as error:
+            self._note(error)
+            time.sleep(seconds)  # a bus that fails at once must not keep the processor busy
+            return None
+        if frame is None or not frame.is_rx:
+            return None
+        if self.log is not None:
+            self.log(frame)
+        return frame
+
+    def catch_up(self, take: FrameTaker) -> None:
+        """Hand over waiting frames, since a late clock leaves no time to listen."""
+        for _ in range(_MOST_AT_ONCE):
+            frame = self.receive(0)
+            if frame is None:
+                return
+            take(frame)
+
+    def _note(self, error: can.CanError) -> None:
+        self.failures += 1
+        self.last_failure = str(error)
+        if not self.endures:
+            raise error
+
+
+@dataclass
+class RunOutcome:
+    """End of a run on a bus.
+
+    Attributes:
+        ending: The reason in words.
+        is_interrupted: Whether the run was asked to stop before all its ticks were done.
+        has_failed: Whether the bus ended it.
+        lateness: Figures of ``clock.RealTimeClock``; None in lockstep.
+    """
+
+    ending: str
+    is_interrupted: bool = False
+    has_failed: bool = False
+    lateness: dict[str, Any] | None = None
+
+
+def run_node(
+    node: RobotNode, link: BusLink, ticks: int | None = None, watch: Callable[[], None] = lambda: None
+) -> RunOutcome:
+    """Let a node follow commands for ``ticks`` ticks, or for any number if None.
+
+    ``watch`` is called regularly. The run ends early when the link is asked to stop or fails.
+    """
+    outcome = RunOutcome("all ticks done")
+    try:
+        for frame in node.start():
+            link.send(frame)
+        while not node.is_settled or ticks is None or node.ticks < ticks:
+            heard = link.receive(_SLICE)
+            for answer in [] if heard is None else node.hear(heard):
+                link.send(answer)
+            watch()
+    except (Stopped, KeyboardInterrupt):
+        outcome.ending, outcome.is_interrupted = "stopped", ticks is not None
+    except can.CanError as error:
+        outcome.ending, outcome.has_failed = f"the bus failed: {error}", True
+    return outcome
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:

@@ -11,11 +11,12 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus import BusChoice
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.options import robot_arguments, subject_arguments
+from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.robots.record import RobotRecord
 
 _PATIENCE = 10.0
@@ -23,7 +24,7 @@ _PATIENCE = 10.0
 
 
 class NodeProcesses:
-    """Running ``mcp-asdf node --lockstep`` processes. A context manager: leaving it ends them all.
+    """Running ``mcp-asdf node`` processes. A context manager: leaving it ends them all.
 
     They end with this process, however it dies.
 
@@ -95,17 +96,16 @@ def start_nodes(
     ids = [robot.id for robot in robots]
     if len(set(ids)) < len(ids):
         raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-    commands = []
-    for robot in robots:
-        words = [
-            *robot_arguments(robot),
-            *subject_arguments(subjects),
+    commands = [
+        [
+            *(sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"),
+            *_options(robot, subjects),
             f"--steps-per-second={steps_per_second}",
+            *([f"--log={log_of(robot.id)}"] if log_of else []),
+            *bus_of(robot.id).arguments(),
         ]
-        words += ["--lockstep", "--until-eof", "--json", *([f"--log={log_of(robot.id)}"] if log_of else [])]
-        commands.append(
-            [sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", *words, *bus_of(robot.id).arguments()]
-        )
+        for robot in robots
+    ]
     if any(bus_of(robot).interface == "socketcan" for robot in ids):
         keep_order()
     with ExitStack() as stack:
@@ -114,6 +114,24 @@ def start_nodes(
             nodes.start(robot.id, command)
         stack.pop_all()  # all have started: the caller ends them
     return nodes
+
+
+def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
+    """Options of a robot, in one word each, so that a negative number is not taken for an option."""
+    plain, filters = robot.plain(), robot.config.filter
+    table = plain.pop("table", None)
+    if filters is Filter.ADAPTIVE and table is not None:
+        plain |= {"omega": table["omega"], "neighbours": table["q"]}
+    if filters is Filter.ALWAYS:
+        plain["activation"] = Activation.ALWAYS.value
+    plain |= {
+        "filter": (Filtering.NONE if filters is Filter.OFF else Filtering.ASDF_PLUS).value,
+        "subject": subjects.estimates.subject,
+        "priority": subjects.estimates.priority,
+        "telemetry_subject": subjects.telemetry.subject,
+        "command_subject": subjects.commands.subject,
+    }
+    return [f"--{name.replace('_', '-')}={value}" for name, value in plain.items()]
 
 
 def keep_order() -> None:

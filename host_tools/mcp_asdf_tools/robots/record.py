@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
-from mcp_asdf.robot import check_settings
+from mcp_asdf.robot import Filter, check_settings
 from mcp_asdf_tools.common import UsageError, check_types
 from mcp_asdf_tools.robots.firmwares import load_firmware
-from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
-from mcp_asdf_tools.tables import omega_from_word
+from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickConfig, TickedRobot
+from mcp_asdf_tools.tables import generate, omega_from_word
+
+_FILTERS = {each.name.lower(): each for each in Filter}
 
 
 @dataclass(frozen=True)
@@ -28,39 +31,65 @@ class RobotRecord:
     b_hat: float
     config: TickConfig
 
-    def __post_init__(self) -> None:
-        """Raises UsageError for a field of another type; ranges are checked where the robot is made."""
-        check_types(self)
-
     def make(self) -> TickedRobot:
         """A robot that starts like this one.
 
-        Raises UsageError if there is no such firmware here, FirmwareError if it refuses the config.
+        Raises UsageError if there is no such firmware here, FirmwareError if it refuses the record.
         """
-        config = self.config.in_rounds()
-        check_settings(config)  # names the wrong setting, which the C cannot
-        robot = load_firmware(self.firmware)(config, self.id, self.b_hat)
+        robot = load_firmware(self.firmware)(self.config.in_rounds(), self.id, self.b_hat)
         return TickedRobot(robot, self.config.comms_period)
 
     def plain(self) -> dict[str, Any]:
-        """The record as plain values, for JSON."""
-        return {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat} | config_as_plain(self.config)
+        """The record as plain values, for JSON: the table as its omega, q and checksum.
 
+        Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
+        """
+        config = self.config
+        plain: dict[str, Any] = {
+            "id": self.id,
+            "firmware": self.firmware,
+            "b_hat": self.b_hat,
+            "filter": config.filter.name.lower(),
+            "comms_period": config.comms_period,
+            "filter_period": config.filter_period,
+            "memory": config.memory,
+        }
+        if config.table is not None:
+            omega = omega_from_word(config.table.omega_word)
+            if omega is None:
+                raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
+            plain["table"] = {
+                "omega": str(omega),
+                "q": config.table.q,
+                "checksum": config.table.words()[-1],
+            }
+        return plain
 
-def config_as_plain(config: TickConfig) -> dict[str, Any]:
-    """A config as plain values: the table as its omega, q and checksum.
+    @classmethod
+    def from_plain(cls, plain: Any) -> RobotRecord:
+        """The record of ``plain`` values, which may come from any file.
 
-    Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
-    """
-    plain: dict[str, Any] = {
-        "filter": config.filter.name.lower(),
-        "comms_period": config.comms_period,
-        "filter_period": config.filter_period,
-        "memory": config.memory,
-    }
-    if config.table is not None:
-        omega = omega_from_word(config.table.omega_word)
-        if omega is None:
-            raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
-        plain["table"] = {"omega": str(omega), "q": config.table.q, "checksum": config.table.words()[-1]}
-    return plain
+        Raises a built-in error or one of ours, all with a message, for what is no record of a robot.
+        """
+        table = None
+        if "table" in plain:
+            stated = plain["table"]
+            table = generate(Decimal(stated["omega"]), stated["q"])
+            if table.words()[-1] != stated["checksum"]:
+                raise UsageError(
+                    f"the t-table of robot {plain['id']} has checksum {stated['checksum']}, "
+                    f"the one made here {table.words()[-1]}"
+                )
+        if plain["filter"] not in _FILTERS:
+            raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS)}")
+        periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
+        config = TickConfig(table, _FILTERS[plain["filter"]], **periods)
+        record = cls(plain["id"], plain["firmware"], plain["b_hat"], config)
+        check_types(config)
+        check_types(record)
+        comms, tau = config.comms_period, config.filter_period
+        if not 1 <= comms <= tau <= MAX_PERIOD or tau % comms:
+            raise UsageError(f"filter_period is {tau}; it must be a multiple of comms_period, {comms}")
+        check_settings(config.in_rounds())  # names the wrong setting, which the C cannot
+        record.make()  # raises here if the firmware refuses it
+        return record

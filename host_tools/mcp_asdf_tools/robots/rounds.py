@@ -8,19 +8,25 @@ does the same in C.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
 
+from mcp_asdf.fixed_point import ONE, alpha_to_word, word_to_alpha
 from mcp_asdf.robot import (
     DEFAULT_FILTER_PERIOD,
     DEFAULT_MEMORY,
     Config,
     Counters,
     Filter,
+    FirmwareError,
     Observation,
     Robot,
+    Status,
 )
 from mcp_asdf.table import Table
-from mcp_asdf_tools.common import UsageError, check_types
-from mcp_asdf_tools.robots.firmwares import port_of
+
+if TYPE_CHECKING:  # numpy is slow to load, and help needs the settings only
+    import numpy as np
+    from numpy.typing import NDArray
 
 MAX_PERIOD = 2**32 - 1
 """Control ticks."""
@@ -30,9 +36,13 @@ _TICKS_BETWEEN_COUNTS = 64
 """Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
 
 
+Words: TypeAlias = "NDArray[np.uint32]"
+"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
+
+
 @dataclass(frozen=True)
 class TickConfig:
-    """The firmware's settings with periods in control ticks. Raises UsageError if the periods do not fit.
+    """The firmware's settings with periods in control ticks.
 
     Attributes:
         table: As in ``mcp_asdf.robot.Config``.
@@ -47,16 +57,6 @@ class TickConfig:
     comms_period: int = 1
     filter_period: int = DEFAULT_FILTER_PERIOD
     memory: int = DEFAULT_MEMORY
-
-    def __post_init__(self) -> None:
-        check_types(self)
-        comms, tau = self.comms_period, self.filter_period
-        if not 1 <= comms <= MAX_PERIOD:
-            raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
-        if not 1 <= tau <= MAX_PERIOD or tau % comms:
-            raise UsageError(
-                f"filter_period is {tau}; choose a multiple of comms_period {comms} up to {MAX_PERIOD}"
-            )
 
     def in_rounds(self) -> Config:
         """The same for the firmware."""
@@ -112,3 +112,51 @@ class TickedRobot:
         self._counted = Counters(
             **{name: count + (found[name] - count) % _COUNTER_MODULUS for name, count in known.items()}
         )
+
+
+@runtime_checkable
+class Port(Protocol):
+    """A robot's side of the bus: the raw integers of a message (units: ``bus.frames.Message``)."""
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate to broadcast."""
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence to broadcast."""
+
+    def receive_all(self, words: Words) -> int:
+        """Hand over neighbours' messages in order; returns how many were accepted."""
+
+
+def port_of(robot: Robot) -> Port:
+    """Return ``robot`` itself if it speaks raw integers, else a port that rounds for it."""
+    return robot if isinstance(robot, Port) else RoundingPort(robot)
+
+
+class RoundingPort:
+    """The port of a robot that computes in float64: it rounds x_hat to nearest, alpha down as codecs do."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate to broadcast."""
+        return round(self._robot.x_hat * ONE)
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence to broadcast."""
+        return alpha_to_word(self._robot.alpha)
+
+    def receive_all(self, words: Words) -> int:
+        """Hand over neighbours' messages in order; returns how many were accepted."""
+        return sum(self._accepts(*each) for each in words.tolist())
+
+    def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
+        try:
+            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha)) is Status.OK
+        except FirmwareError:
+            return False

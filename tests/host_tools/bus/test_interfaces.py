@@ -115,10 +115,8 @@ def test_every_bus_has_a_name() -> None:
 
 
 def test_robots_count_it_and_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A swarm in lockstep and a node in real time, while a stranger sends what is no frame."""
+    """A swarm, while a stranger sends what is no frame."""
     choice, log, done = multicast(GROUP), tmp_path / "run.log", threading.Event()
-    options = shlex.join(choice.arguments())
-    capsys.readouterr()
 
     def disturb() -> None:
         with stranger(choice) as sending:
@@ -128,21 +126,16 @@ def test_robots_count_it_and_go_on(tmp_path: Path, capsys: pytest.CaptureFixture
     thread = threading.Thread(target=disturb)
     thread.start()
     try:
-        codes = [
-            main(shlex.split(f"swarm --robots 3 --steps 50 --json {options}")),
-            main(shlex.split(f"node --id 3 --steps 20 --steps-per-second 100 --log {log} --quiet {options}")),
-        ]
+        options = f"swarm --robots 3 --steps 50 --json --log {log} {shlex.join(choice.arguments())}"
+        assert main(shlex.split(options)) == 0
     finally:
         done.set()
         thread.join()
-    assert codes == [0, 0]
-    report = json.loads(capsys.readouterr().out)
-    assert report["results"]["steps"] == 50
-    results = json.loads(Path(f"{log}.json").read_text())["results"]
-    assert results["bus_failures"] == 0
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert results["steps"] == 50
     damaged = sum(frame.is_error_frame for frame in read_log(log))
-    assert results["frames"]["rejected"] == {"ERROR_FRAME": damaged}
     assert damaged > 0
+    assert results["frames"]["errors_heard"] == 3 * damaged
     assert main(["replay", str(log)]) == 0
     channels = {line.split()[1] for line in log.read_text().splitlines()}
     assert channels == {choice.channel}

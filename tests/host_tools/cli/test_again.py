@@ -12,7 +12,7 @@ import pytest
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.cli import node, radio, reproduce, simulate, swarm
+from mcp_asdf_tools.cli import radio, reproduce, simulate, swarm
 
 SHORT = "--robots 4 --steps 30 --filter-period 10"
 TABLE = "--omega 0.10 --neighbours 3"
@@ -34,7 +34,6 @@ def settled_bus(args: argparse.Namespace) -> tuple[str, str | None]:
 
 SETTINGS: dict[str, Callable[[argparse.Namespace], Any]] = {
     "swarm": lambda args: (swarm.settings_of(args), settled_bus(args)),
-    "node": lambda args: (node.settings_of(args), args.seed, args.b_hat, settled_bus(args)),
     "radio": lambda args: (radio.settings_of(args), settled_bus(args)),
     "simulate": simulate.settings_of,
     "reproduce": reproduce.scale_of,
@@ -44,7 +43,6 @@ SETTINGS: dict[str, Callable[[argparse.Namespace], Any]] = {
 RUNS = [
     f"swarm {SHORT} --flawed 50% --omega 0.15 --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1",
     f"swarm {SHORT} --seed=7 --true-accuracy 0.30000000000000004 --compare",
-    "node --id 9 --b-hat 0.30000000000000004 --steps 2 --steps-per-second 500 --memory 64 --subject 5",
     "radio --id 3 --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
     f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5",
     "simulate --output results.parquet one.toml --seed 3",

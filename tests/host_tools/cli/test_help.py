@@ -35,7 +35,6 @@ NOT_RUN = {
     f"radio --id 3 {CAN0} --verify --wait 60 --report it.md": NO_CAN,
     "node --id 3 --interface udp_multicast": CTRL_C,
     f"node --id 3 {CAN0} --b-hat 0.8 --log run.log": NO_CAN,
-    "node --id 3 --interface socketcan --channel vcan0 --lockstep": NO_CAN,
     "table --verify firmware.elf": "wants an image; tests/host_tools/tables has some",
     "crosscheck --steps 100000000 --seed 7": LONG,
     "sweep grid.toml --scheduler tcp://head:8786": "wants several machines",
@@ -167,7 +166,6 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     [
         ("help", "did you mean --help?"),
         ("simulate none.toml", "cannot read none.toml: No such file or directory\n"),
-        ("node --id 3 --observations none.txt", "from none.txt: No such file or directory\n"),
     ],
 )
 def test_what_a_stranger_types_is_answered_with_the_fix(

@@ -437,7 +437,7 @@ def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[
     report, log = tmp_path / "report.json", tmp_path / "run.log"
     options = f"{CONTROLLER} --verify --robots 5 --timeout 20 --json --report {report} --log {log} --steps 10"
     config = "--memory 64"
-    with node_in_a_thread(f"{CONTROLLER} --lockstep {config}"):
+    with node_in_a_thread(f"{CONTROLLER} {config}"):
         assert radio(f"{options} {config}") == 0
     content = json.loads(capsys.readouterr().out)
     assert json.loads(report.read_text()) == content
@@ -465,7 +465,7 @@ def test_a_wrong_controller_gives_exit_code_1_and_the_first_difference(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     report = tmp_path / "report.md"
-    with node_in_a_thread(f"{CONTROLLER} --lockstep --b-hat 0.56"):
+    with node_in_a_thread(f"{CONTROLLER} --b-hat 0.56"):
         assert radio(f"{CONTROLLER} --verify --timeout 20 --report {report}") == 1
     shown = " ".join(capsys.readouterr().out.split())
     assert (

@@ -19,8 +19,8 @@ from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter
-from mcp_asdf_tools.robots.events import Recorder
-from mcp_asdf_tools.robots.record import RobotRecord, config_as_plain
+from mcp_asdf_tools.robots.bus_robot import Recorder
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
 from wire import record
@@ -98,7 +98,7 @@ def test_what_cannot_be_written() -> None:
         InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
     own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        config_as_plain(TickConfig(own))
+        RobotRecord(1, "mirror", 0.9, TickConfig(own)).plain()
 
 
 def spoiled(**changes: Any) -> str:

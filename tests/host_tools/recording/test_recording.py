@@ -297,12 +297,12 @@ def test_a_full_disk_ends_the_log_but_not_the_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nor the swarm: tests/host_tools/swarm/test_swarm.py tries that in every format."""
-    log, options = tmp_path / "run.log", "--id 3 --steps 200 --steps-per-second 500 --json"
+    log, options = tmp_path / "run.log", "--robots 3 --steps 200 --json"
     with disk_with_room_for(8000):
-        assert main(["node", *shlex.split(options), "--log", str(log)]) == 2
+        assert main(["swarm", *shlex.split(options), "--log", str(log)]) == 2
     said = capsys.readouterr()
     assert said.err == (
-        f"mcp-asdf node: the log {log} is not complete: File too large; partial data is in {log}.part\n"
+        f"mcp-asdf swarm: the log {log} is not complete: File too large; partial data is in {log}.part\n"
     )
     assert json.loads(said.out)["results"]["steps"] == 200
     assert json.loads(Path(f"{log}.json").read_text()) == json.loads(said.out)

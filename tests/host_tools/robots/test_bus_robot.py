@@ -1,13 +1,17 @@
-"""The one robot that swarms, nodes, neighbours and replays drive: its numbers, its ears, its crashes."""
+"""The robot that swarms, nodes, neighbours and replays drive: its ticks, ears, numbers and crashes."""
 
 from __future__ import annotations
 
 import random
+from dataclasses import replace
+from typing import Any
 
 import can
+import numpy as np
 import pytest
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
@@ -20,12 +24,139 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
-from mcp_asdf_tools.robots.events import Recorder
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickedRobot
 from robots import ALPHA_ONE
 from wire import record
 
 ESTIMATES = FrameFormat()
+SEEN = (*Observation, None)
+
+
+# Ticks and rounds
+
+
+def said(frames: list[can.Message]) -> list[tuple[int, int]]:
+    decoded = [decode(frame, ESTIMATES) for frame in frames]
+    return [(message.x_hat, message.alpha) for message in decoded if isinstance(message, Message)]
+
+
+@pytest.mark.parametrize(("comms", "tau"), [(1, 10), (2, 10), (5, 20), (7, 7)])
+def test_nodes_do_what_the_plain_firmware_does(comms: int, tau: int) -> None:
+    """The same state after every tick as by docs/design.md, also after ticks that are not due, without an
+    observation, or with a message that is repeated."""
+    own = record(5, "mirror", 0.55, comms_period=comms, filter_period=tau)
+    plain = MirrorRobot(Config(own.config.table, filter_period=tau // comms), 5, 0.55)
+    node, member = RobotNode(own.make(), NodeSettings(5)), BusRobot(own.id, own.make, ESTIMATES)
+    draw = random.Random(comms)
+    for tick in range(1, 301):
+        z, replay = draw.choice(SEEN), f"random.Random({comms}), tick {tick}"
+        if z is not None:
+            assert plain.observe(z) == Status.OK
+        expected = [(plain.x_hat_raw, plain.alpha_raw)] if tick % comms == 0 else []
+        assert said(node.observe(z)) == expected, replay
+        assert said(member.broadcast(z, 0)) == expected, replay
+        for sender in draw.sample(range(6, 20), 5):
+            message = Message(sender, draw.randint(0, 1 << 20), ALPHA_ONE, 0)
+            plain.receive_raw(sender, message.x_hat, message.alpha)
+            frame = encode(message, ESTIMATES)
+            member.listen([frame])
+            node.hear(frame)
+        if tick % comms == 0:
+            plain.settle()
+        node.settle()
+        member.end()
+        for robot in (node.robot, member.robot):
+            assert isinstance(robot, MirrorRobot)
+            assert robot.state() == plain.state(), replay
+            assert robot.x == plain.x
+        if comms == 1:
+            assert member.heard == 5
+    assert plain.counters.updates > 0
+    assert comms == 1 or plain.counters.repeated > 0
+    assert node.counters == member.counters == plain.counters
+    assert node.ticks == member.ticks == 300
+
+
+class Counting(MirrorRobot):
+    """A robot whose counters are close to where they wrap."""
+
+    def __init__(self, **counters: int) -> None:
+        super().__init__(Config(filter=Filter.OFF), 5, 0.75)
+        for name, value in counters.items():
+            setattr(self.s, name, value)
+
+
+def receive(ticked: TickedRobot, sender: int, x_hat: int, alpha: int) -> None:
+    ticked.receive_all(np.array([[sender, x_hat, alpha]], np.uint32))
+
+
+def test_a_broadcast_that_did_not_end_its_tick_stays_due() -> None:
+    ticked = TickedRobot(Counting(), 3)
+    assert [ticked.observe(None) for _ in range(5)] == [False, False, True, True, True]
+    ticked.settle()
+    assert [ticked.observe(None) for _ in range(3)] == [False, False, True]
+
+
+def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
+    ticked = TickedRobot(Counting(accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533))
+    before = ticked.counters
+    assert before == Counters(65_000, 65_533, 1, 65_534, 65_535)
+    for _ in range(1000):
+        ticked.observe(Observation.BLACK)
+        for sender in (6, 6, 6, 7, 5):
+            receive(ticked, sender, 0, ALPHA_ONE)
+        ticked.settle()
+    assert ticked.robot.counters.accepted == (65_000 + 2000) % 2**16
+    assert ticked.counters == replace(before, accepted=67_000, repeated=67_533, rejected=1001)
+
+
+def test_counters_go_on_in_a_long_round_of_many_messages() -> None:
+    ticked = TickedRobot(Counting(), comms_period=10**6)
+    for _ in range(300):
+        ticked.observe(None)
+        for _ in range(1000):
+            receive(ticked, 5, 0, ALPHA_ONE)
+        ticked.settle()
+    assert ticked.counters == Counters(rejected=300_000)
+
+
+# Records
+
+
+def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
+    own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
+    assert RobotRecord.from_plain(own.plain()) == own
+    made = own.make().robot
+    assert isinstance(made, MirrorRobot)
+    assert made.state() == MirrorRobot(Config(own.config.table, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"comms_period": 0}, "filter_period is 10; it must be a multiple of comms_period, 0"),
+        ({"comms_period": 20}, "filter_period is 10; it must be a multiple of comms_period, 20"),
+        ({"filter_period": 2**32}, "filter_period is 4294967296"),
+        ({"comms_period": 3}, "filter_period is 10; it must be a multiple of comms_period, 3"),
+        ({"filter_period": 10.5}, "filter_period is 10.5; give a whole number"),
+        ({"filter": "some"}, "filter is 'some'; it must be one of adaptive, always, off"),
+        ({"memory": 66}, "memory is 66"),
+        ({"id": 128}, "robot id is 128"),
+        ({"b_hat": "high"}, "b_hat is 'high'"),
+        ({"firmware": "own"}, "firmware is 'own'"),
+        ({"table": {"omega": "0.05", "q": 20, "checksum": 1}}, "has checksum 1"),
+    ],
+)
+def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises((UsageError, FirmwareError), match=complaint):
+        RobotRecord.from_plain(record(5).plain() | changes)
+
+
+# On a bus
 
 
 def robot(recorder: Recorder | None = None) -> BusRobot:
@@ -53,14 +184,17 @@ def test_each_kind_is_numbered_anew_only_when_a_crash_loses_the_state(loses_stat
     assert transfer_ids(one) == [before % 32] * 3
 
 
-def test_a_dead_robot_hears_nothing_and_counts_nothing() -> None:
+def test_telemetry_is_the_state_and_frames_have_their_time() -> None:
     one = robot()
-    one.die(loses_state=False)
-    for frame in frames_of_all_kinds(random.Random(1)):
-        one.listen([frame])
-        one.hear_stranger(frame)
-    assert one.reception == Reception()
-    assert one.robot.counters.accepted == one.robot.counters.rejected == 0
+    for number in range(30):
+        (estimate,) = one.broadcast(SEEN[number % 2], 7.5)
+        one.end()
+    telemetry, heartbeat = one.telemetry(2.5), one.heartbeat(1.5)
+    told = decode_telemetry(telemetry)
+    assert isinstance(told, Telemetry)
+    assert (told.x, told.b_hat) == (int(one.robot.x * 2**23), int(one.robot.b_hat * 2**24))
+    assert (estimate.timestamp, telemetry.timestamp, heartbeat.timestamp) == (7.5, 2.5, 1.5)
+    assert one.sent.estimates == 30
 
 
 def frames_of_all_kinds(source: random.Random) -> list[can.Message]:
@@ -96,15 +230,29 @@ def test_a_stranger_is_counted_but_does_not_reach_the_firmware() -> None:
         one.hear_stranger(frame)
     heard = one.reception
     assert (heard.strays, heard.id_conflicts, heard.delivered, heard.refused) == (2, 1, 0, 0)
+    assert (heard.heartbeats, heard.telemetry, heard.errors, heard.rejected.total()) == (1, 1, 1, 1)
     assert one.robot.counters.accepted == one.robot.counters.rejected == 0
 
 
-def test_a_crash_that_loses_the_state_is_in_the_events_and_one_that_keeps_it_is_not() -> None:
+def test_a_dead_robot_hears_nothing_and_counts_nothing() -> None:
+    one = robot()
+    one.die(loses_state=False)
+    for frame in frames_of_all_kinds(random.Random(1)):
+        one.listen([frame])
+        one.hear_stranger(frame)
+    assert one.reception == Reception()
+    assert one.robot.counters.accepted == one.robot.counters.rejected == 0
+
+
+def test_events_tell_what_happened_to_a_robot() -> None:
+    """A crash that loses the state is among them, and one that keeps it is not."""
     lines: list[str] = []
-    one = robot(recorder=Recorder(5, lines.append))
+    one = robot(Recorder(5, lines.append))
     for loses_state in (False, True):
         one.die(loses_state)
         one.wake()
         one.broadcast(Observation.WHITE, 0)
+        one.listen([encode(Message(sender, 3, ALPHA_ONE, 0), ESTIMATES) for sender in (6, 7)])
         one.end()
-    assert lines == ["[5,0,3]\n", '[5,"restart",0,3]\n']
+    heard = f"[6,3,{ALPHA_ONE}],[7,3,{ALPHA_ONE}]"
+    assert lines == [f"[5,0,{heard},3]\n", f'[5,"restart",0,{heard},3]\n']

@@ -32,8 +32,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.bus.interfaces import add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError, LockstepSettings
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
-from mcp_asdf_tools.robots.node_run import state_of
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, state_of
 from mcp_asdf_tools.robots.processes import start_nodes
 from multicast import multicast
 from robots import ALPHA_ONE

@@ -28,8 +28,8 @@ from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.recording.replay import verify
+from mcp_asdf_tools.robots.bus_robot import SETTLE
 from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
-from mcp_asdf_tools.robots.events import SETTLE
 from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings

@@ -15,11 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from browser import developed
+from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Experiment, Trials, experiments_in, run_trials, table_of
-from mcp_asdf_tools.robots import Filtering
+from mcp_asdf_tools.robots import Filtering, Lockstep
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, film_of_log, film_of_trial
 from mcp_asdf_tools.view import film as films
@@ -27,6 +28,8 @@ from mcp_asdf_tools.view.film import Sample, Stage, rows_of
 from mcp_asdf_tools.view.films import spacing_of
 from mcp_asdf_tools.view.page import samples_as_plain, stage_as_plain
 from mcp_asdf_tools.world import Arena
+from node_thread import node_in_a_thread
+from support import PATIENCE
 
 PARAMETERS: dict[str, Any] = {
     "robots": 7,
@@ -93,7 +96,11 @@ def test_dead_robots_keep_their_values(tmp_path: Path) -> None:
 
 def test_a_node_has_a_film_without_a_world(tmp_path: Path) -> None:
     log = tmp_path / "node.log"
-    assert main(["node", "--id", "9", "--steps", "30", "--log", str(log), "--steps-per-second", "1000"]) == 0
+    with node_in_a_thread(f"--id 9 --log {log}") as bus:
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        for _ in range(30):
+            lockstep.observe({9: Observation.BLACK})
+            lockstep.settle({9})
     film = film_of_log(log)
     assert list(film.stage.robots) == [9]
     assert film.stage.floor is None and film.stage.sides is None
