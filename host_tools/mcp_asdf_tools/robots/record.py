@@ -88,8 +88,10 @@ class RobotRecord:
         check_types(config)
         check_types(record)
         comms, tau = config.comms_period, config.filter_period
-        if not 1 <= comms <= tau <= MAX_PERIOD or tau % comms:
-            raise UsageError(f"filter_period is {tau}; it must be a multiple of comms_period, {comms}")
+        if not 1 <= comms <= MAX_PERIOD:
+            raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
+        if not 1 <= tau <= MAX_PERIOD or tau % comms:
+            raise UsageError(f"filter_period is {tau}; choose a multiple of comms_period {comms}")
         check_settings(config.in_rounds())  # names the wrong setting, which the C cannot
         record.make()  # raises here if the firmware refuses it
         return record

@@ -41,7 +41,7 @@ COMMANDS = {
     "processes": Command(
         "swarm --robots 2 --steps 100000000 --quiet --processes --log run.log", keeps="run.log"
     ),
-    "node": Command("node --id 3 --log run.log", 0, "run.log"),
+    "node": Command("node --id 3", 0),
     "radio": Command("radio --id 3 --robots 4 --log run.log", 0, "run.log"),
     "verdict": Command("radio --id 3 --verify --wait 1000 --json"),
     "simulate": Command("simulate --trials 1000000"),

@@ -138,10 +138,10 @@ def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"comms_period": 0}, "filter_period is 10; it must be a multiple of comms_period, 0"),
-        ({"comms_period": 20}, "filter_period is 10; it must be a multiple of comms_period, 20"),
+        ({"comms_period": 0}, "comms_period is 0"),
+        ({"comms_period": 20}, "filter_period is 10; choose a multiple of comms_period 20"),
         ({"filter_period": 2**32}, "filter_period is 4294967296"),
-        ({"comms_period": 3}, "filter_period is 10; it must be a multiple of comms_period, 3"),
+        ({"comms_period": 3}, "filter_period is 10; choose a multiple of comms_period 3"),
         ({"filter_period": 10.5}, "filter_period is 10.5; give a whole number"),
         ({"filter": "some"}, "filter is 'some'; it must be one of adaptive, always, off"),
         ({"memory": 66}, "memory is 66"),
