@@ -108,12 +108,6 @@ def test_no_datagram_breaks_the_bus(seed: int) -> None:
                 assert frame.channel == choice.channel, f"replay: random.Random({seed})"
 
 
-def test_every_bus_has_a_name() -> None:
-    choice = multicast(GROUP)
-    with choice.open() as bus:
-        assert bus.channel_info == choice.channel
-
-
 def test_robots_count_it_and_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A swarm, while a stranger sends what is no frame."""
     choice, log, done = multicast(GROUP), tmp_path / "run.log", threading.Event()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-import importlib
-import signal
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -17,13 +13,9 @@ from can.interfaces import virtual
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from robots import ALPHA_ONE
-from support import PATIENCE, draws, interruptible
+from support import PATIENCE, draws
 
 pytestmark = pytest.mark.random
 
@@ -92,17 +84,6 @@ def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
             program.send(frame)
             assert essence(received(bus)) == essence(frame)
     assert server.dropped == 0
-
-
-def test_programs_come_and_go(server: SlcanServer) -> None:
-    with join() as bus:
-        for _ in range(3):
-            with client(server) as program:
-                wait_until_open(server)
-                bus.send(FRAMES[0])
-                assert essence(received(program)) == essence(FRAMES[0])
-            while server._is_open:
-                time.sleep(0.01)
 
 
 def raw(server: SlcanServer) -> socket.socket:
@@ -184,86 +165,3 @@ def test_a_taken_port_is_named(server: SlcanServer) -> None:
         SlcanServer(join(), 65536)
     with can.Bus(interface="virtual", channel=CHANNEL, ignore_config=True):
         assert len(virtual.channels[CHANNEL]) == 2, "a refused server left its bus open"
-
-
-async def heard_by_pycyphal(pycyphal: Any, port: int, is_listening: threading.Event) -> Any:
-    """A message of subject 3000 as Cyphal's own tools would receive it."""
-    cyphal_can = importlib.import_module("pycyphal.transport.can")
-    pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
-    media = pythoncan.PythonCANMedia(f"slcan:socket://127.0.0.1:{port}", 1_000_000, 8)
-    transport = cyphal_can.CANTransport(media, None)
-    subject = pycyphal.transport.MessageDataSpecifier(3000)
-    specifier = pycyphal.transport.InputSessionSpecifier(subject, None)
-    session = transport.get_input_session(specifier, pycyphal.transport.PayloadMetadata(7))
-    is_listening.set()
-    transfer = await session.receive(asyncio.get_running_loop().time() + PATIENCE)
-    transport.close()
-    return transfer
-
-
-def test_cyphal_s_tools_hear_the_swarm(server: SlcanServer) -> None:
-    require_serial()
-    pycyphal = pytest.importorskip("pycyphal", reason="pycyphal is not installed (pip install pycyphal)")
-    done, is_listening = threading.Event(), threading.Event()
-
-    def robot() -> None:
-        is_listening.wait(PATIENCE)
-        with join() as bus:
-            bus.send(frames.encode_heartbeat(Heartbeat(42, 1, 1)))
-            for count in range(1000):
-                bus.send(frames.encode(Message(42, 2**22, ALPHA_ONE, count % 32), FrameFormat()))
-                if done.wait(0.05):
-                    return
-
-    sender = threading.Thread(target=robot)
-    sender.start()
-    try:
-        transfer = asyncio.run(heard_by_pycyphal(pycyphal, server.port, is_listening))
-    finally:
-        done.set()
-        is_listening.set()
-        sender.join()
-    assert transfer is not None
-    assert transfer.source_node_id == 42
-    assert b"".join(map(bytes, transfer.fragmented_payload)) == bytes.fromhex("0000400000803f")
-
-
-def estimates_at(port: int, heard: list[can.Message], count: int) -> None:
-    """Connect as soon as there is an adapter, collect estimates, then press Ctrl-C."""
-    deadline = time.monotonic() + PATIENCE
-    try:
-        with connection_to(port, deadline) as program:
-            program.sendall(b"O\r")
-            for line in program.makefile("r", newline="\r"):
-                frame = frame_of(line.rstrip("\r").encode())
-                if frame is not None and isinstance(frames.decode(frame, FrameFormat()), Message):
-                    heard.append(frame)
-                if len(heard) == count or time.monotonic() > deadline:
-                    return
-    finally:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-
-
-def connection_to(port: int, deadline: float) -> socket.socket:
-    while True:
-        try:
-            return socket.create_connection(("127.0.0.1", port), PATIENCE)
-        except ConnectionRefusedError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.02)
-
-
-@interruptible()
-def test_a_running_swarm_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-    heard: list[can.Message] = []
-    listener = threading.Thread(target=estimates_at, args=(port, heard, 30))
-    listener.start()
-    swarm = ["swarm", "--robots", "3", "--steps", "100000", "--filter", "none", "--clock", "real-time"]
-    assert main([*swarm, "--slcan", str(port)]) == 130
-    listener.join()
-    assert f"socket://127.0.0.1:{port}" in capsys.readouterr().err
-    assert {frame.arbitration_id & 127 for frame in heard} == {0, 1, 2}
-    assert len(heard) == 30
