@@ -23,7 +23,6 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.robots.lockstep import LockstepSettings
 from mcp_asdf_tools.robots.node import NodeSettings, Subjects
 from mcp_asdf_tools.robots.population import Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -45,7 +44,6 @@ SOUND: dict[type[Any], dict[str, Any]] = {
     FrameFormat: {},
     Subjects: {},
     NodeSettings: {"id": 3},
-    LockstepSettings: {},
     RadioSettings: {
         "controller": RobotRecord(0, "mirror", 0.75, TickConfig(filter=Filter.OFF)),
         "neighbours": (),

@@ -25,7 +25,6 @@ from mcp_asdf_tools.radio.rounds import Content, Situation
 from mcp_asdf_tools.robots import (
     DRIVER_ID,
     Lockstep,
-    LockstepSettings,
     NodeSettings,
     Recorder,
     RobotNode,
@@ -113,7 +112,7 @@ class Bench:
         (greeting,) = self.model.start()
         self.comparison = Comparison(subjects, greeting)
         self.lockstep = Lockstep(
-            options.bus, LockstepSettings(subjects), options.timeout, watch=self._note, check=self._check_stop
+            options.bus, subjects, options.timeout, watch=self._note, check=self._check_stop
         )
         self._id = own.id
         self._said: list[can.Message] = []

@@ -18,7 +18,6 @@ from .firmwares import load_firmware as load_firmware
 from .lockstep import DRIVER_ID as DRIVER_ID
 from .lockstep import Lockstep as Lockstep
 from .lockstep import LockstepError as LockstepError
-from .lockstep import LockstepSettings as LockstepSettings
 from .node import BusLink as BusLink
 from .node import FrameTaker as FrameTaker
 from .node import NodeSettings as NodeSettings

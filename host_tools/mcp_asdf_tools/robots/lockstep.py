@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import NoReturn
 
 import can
 
-from mcp_asdf.robot import MAX_ID, Observation
+from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import (
     TRANSFER_IDS,
     Action,
@@ -32,11 +31,11 @@ from mcp_asdf_tools.bus import (
     decode_telemetry,
     encode_command,
 )
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.node import Subjects, send_all
 
 DRIVER_ID = 126
-"""Default node id of the simulator: the first that Cyphal keeps for tools."""
+"""Node id of the simulator: the first that Cyphal keeps for tools."""
 
 _SLICE = 0.1
 """Seconds between two checks while waiting."""
@@ -44,25 +43,6 @@ _SLICE = 0.1
 
 class LockstepError(RuntimeError):
     """A robot did not answer in time, or not in order; the message names it."""
-
-
-@dataclass(frozen=True)
-class LockstepSettings:
-    """Parameters of a simulator.
-
-    Attributes:
-        subjects: Formats of the messages.
-        node_id: Its id, 0 .. 127, which no robot has.
-    """
-
-    subjects: Subjects = field(default_factory=Subjects)
-    node_id: int = DRIVER_ID
-
-    def __post_init__(self) -> None:
-        """Raises UsageError for a field that is wrong."""
-        check_types(self)
-        if not 0 <= self.node_id <= MAX_ID:
-            raise UsageError(f"node_id is {self.node_id}; it must be 0 to {MAX_ID}")
 
 
 class Lockstep:
@@ -76,20 +56,21 @@ class Lockstep:
     def __init__(
         self,
         bus: can.BusABC,
-        settings: LockstepSettings | None = None,
+        subjects: Subjects | None = None,
         timeout: float = 2.0,
         watch: Callable[[can.Message], None] = lambda frame: None,
         check: Callable[[], None] = lambda: None,
     ) -> None:
         """Command from ``bus``, which is left open at the end. Nothing is sent yet.
 
-        Robots have ``timeout`` seconds to answer; after half of them a command is repeated once. ``watch``
-        takes every frame that comes in and, with ``is_rx`` false, every command that goes out; ``check`` is
-        called several times per second of waiting and may raise an error that ends it.
+        Messages have the formats of ``subjects``. Robots have ``timeout`` seconds to answer; after half of
+        them a command is repeated once. ``watch`` takes every frame that comes in and, with ``is_rx`` false,
+        every command that goes out; ``check`` is called several times per second of waiting and may raise an
+        error that ends it.
         """
         self.tick = self.repeated = 0
         self._bus = bus
-        self._settings = settings or LockstepSettings()
+        self._subjects = subjects or Subjects()
         self._timeout = timeout
         self._watch = watch
         self._check = check
@@ -115,10 +96,8 @@ class Lockstep:
 
         Raises can.CanError if the bus does not take the commands.
         """
-        if self._settings.node_id in observations:
-            raise UsageError(
-                f"robot {self._settings.node_id} has the id of the simulator; give one of them another"
-            )
+        if DRIVER_ID in observations:
+            raise UsageError(f"robot {DRIVER_ID} has the id of the simulator; give it another")
         self._estimates.clear()
         self._order({robot: Action.observing(z) for robot, z in observations.items()})
 
@@ -173,8 +152,8 @@ class Lockstep:
     def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
         for robot, action in orders.items():
-            command = Command(self._settings.node_id, self.tick, robot, action, self._commands % TRANSFER_IDS)
-            frames.append(encode_command(command, self._settings.subjects.commands))
+            command = Command(DRIVER_ID, self.tick, robot, action, self._commands % TRANSFER_IDS)
+            frames.append(encode_command(command, self._subjects.commands))
             self._commands += 1
         send_all(self._bus, frames, self._timeout)
         for frame in frames:
@@ -221,10 +200,10 @@ class Lockstep:
         )
 
     def _take(self, frame: can.Message) -> None:
-        estimate = decode(frame, self._settings.subjects.estimates)
+        estimate = decode(frame, self._subjects.estimates)
         if isinstance(estimate, Message):
             self._estimates.setdefault(estimate.sender, estimate)
             return
-        telemetry = decode_telemetry(frame, self._settings.subjects.telemetry)
+        telemetry = decode_telemetry(frame, self._subjects.telemetry)
         if isinstance(telemetry, Telemetry):
             self._telemetry.setdefault(telemetry.sender, telemetry)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from statistics import fmean
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +22,11 @@ from mcp_asdf_tools.bus import ONE, bus_load
 from mcp_asdf_tools.robots import BusRobot
 from mcp_asdf_tools.swarm.swarm import Companion, Swarm
 from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
-from mcp_asdf_tools.swarm.watch import Recalibration, Watch, mean_error
 
+_MOST_ERRORS = 400
+"""About as many as a terminal can show."""
+_NOTABLE = 0.002
+"""Change of b_hat below which nothing is said: a robot that is right and tests again."""
 _SECONDS_BETWEEN_PICTURES = 0.3
 _SHARE_OF_PICTURES = 0.03
 """Of the time of a run, at most."""
@@ -277,3 +282,65 @@ def _places(swarm: Swarm) -> tuple[NDArray[np.float64], tuple[float, float]]:
 
 def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+# --- The course of a run in figures ---
+
+
+class Recalibration(NamedTuple):
+    """Change of a robot's b_hat.
+
+    Attributes:
+        tick: Ticks done when it was seen.
+        robot: Id.
+        before: b_hat until then.
+        after: b_hat from then on.
+    """
+
+    tick: int
+    robot: int
+    before: float
+    after: float
+
+
+class Watch:
+    """Hook that notes the course of a run.
+
+    Attributes:
+        errors: Mean |x - f| over the robots, every few ticks.
+        errors_without: The same of the swarm without the filter, if one is run along.
+        recalibrations: In order.
+    """
+
+    def __init__(self, companion: Companion | None = None) -> None:
+        self.errors: list[float] = []
+        self.errors_without: list[float] = []
+        self.recalibrations: list[Recalibration] = []
+        self._companion = companion
+        self._b_hat: list[float] = []
+
+    def __call__(self, swarm: Swarm) -> None:
+        """Note the present state. O(robots), in most ticks O(1)."""
+        settings = swarm.settings
+        is_due = swarm.ticks % -(-settings.steps // _MOST_ERRORS) == 0
+        # Robots that never crash test together, so that nothing is to be seen in between.
+        if is_due or settings.faults or swarm.ticks % settings.filter_period == 0:
+            self.recalibrations += self._changes(swarm)
+        if is_due:
+            self.errors.append(mean_error(swarm))
+            if self._companion is not None:
+                self.errors_without.append(mean_error(self._companion.swarm))
+
+    def _changes(self, swarm: Swarm) -> Iterator[Recalibration]:
+        now = [node.robot.b_hat for node in swarm.nodes]
+        before = self._b_hat or [swarm.settings.b_hat(node.id) for node in swarm.nodes]
+        self._b_hat = now
+        if now != before:
+            for robot, (old, new) in enumerate(zip(before, now, strict=True)):
+                if abs(new - old) > _NOTABLE:
+                    yield Recalibration(swarm.ticks, robot, old, new)
+
+
+def mean_error(swarm: Swarm) -> float:
+    """Mean |x - f| over the robots at present."""
+    return fmean(abs(node.robot.x - swarm.settings.fill_ratio) for node in swarm.nodes)

@@ -27,7 +27,6 @@ from mcp_asdf_tools.robots import (
     DRIVER_ID,
     BusRobot,
     Lockstep,
-    LockstepSettings,
     Recorder,
     RobotRecord,
     Subjects,
@@ -162,7 +161,7 @@ class Driver:
         self._estimates: dict[int, can.Message] = {}
         self._lockstep = Lockstep(
             bus,
-            LockstepSettings(Subjects(estimates=frames)),
+            Subjects(estimates=frames),
             ANSWER_TIMEOUT,
             watch=self._see,
             check=self._look_after,

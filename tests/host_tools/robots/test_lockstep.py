@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.interfaces import add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError, LockstepSettings
+from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, state_of
 from mcp_asdf_tools.robots.processes import start_nodes
 from multicast import multicast
@@ -399,14 +399,14 @@ def test_a_tick_may_be_left_open() -> None:
 def test_commands_are_where_they_were_asked_to_be() -> None:
     subjects = Subjects(FrameFormat(1), FrameFormat(2), FrameFormat(3, priority=0))
     wire = Wire(RobotNode(record(1).make(), NodeSettings(1, subjects)))
-    lockstep = Lockstep(wire, LockstepSettings(subjects, node_id=99))
+    lockstep = Lockstep(wire, subjects)
     for _ in range(40):
         lockstep.observe({1: None})
         lockstep.estimates({1})
         lockstep.settle({1})
     commands = [decode_command(frame, subjects.commands) for frame in wire.sent]
     actions = (Action.OBSERVE_NONE, Action.SETTLE)
-    assert commands == [Command(99, n // 2, 1, actions[n % 2], n % 32) for n in range(80)]
+    assert commands == [Command(126, n // 2, 1, actions[n % 2], n % 32) for n in range(80)]
 
 
 @still()

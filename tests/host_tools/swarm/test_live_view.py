@@ -19,10 +19,9 @@ from rich.console import Console
 
 from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Companion, LiveView, Swarm, SwarmRun, SwarmSettings, Wiring, run_swarm
-from mcp_asdf_tools.swarm.live_view import SwarmPicture
+from mcp_asdf_tools.swarm.live_view import SwarmPicture, Watch
 from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES
 from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
-from mcp_asdf_tools.swarm.watch import Watch
 from support import slow
 
 MOVING = SwarmSettings(

@@ -48,12 +48,11 @@ from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.robots.rounds import RoundingPort
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture
+from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture, Watch
 from mcp_asdf_tools.swarm.plot import draw
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import summary, summary_table
 from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES, QUANTITIES, Swarm, SwarmHook, SwarmRun, run_swarm
-from mcp_asdf_tools.swarm.watch import Watch
 from mcp_asdf_tools.tables.thresholds import generate
 from support import interruptible, slow
 
