@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from benchmarks.cost import figures
-from benchmarks.cost.measurement import OTHER_CALLS, TICK_CALLS
-from benchmarks.cost.report import fill, largest_ratio
+from benchmarks.cost.report import fill
 from mutation.c_mutants import MUTATED, mutants
 from mutation.equivalents import equivalents
 from proofs import accuracy, arithmetic, core
@@ -32,15 +30,6 @@ def _of_proofs() -> Iterator[tuple[str, str]]:
     yield "claims of the errors' proof: of the code, of the numbers", f"{len(claims)}, {inequalities}"
 
 
-def _of_cost() -> Iterator[tuple[str, str]]:
-    targets = figures.kept()["targets"]
-    cores = [(name, levels[level]["firmware"]) for name, levels in targets.items() for level in levels]
-    ratios = [f"{name} {largest_ratio(each, TICK_CALLS):.2f}" for name, each in cores[1::2]]
-    yield "a tick's calls, bound / most that was seen, at -O2", ", ".join(ratios)
-    other = max(largest_ratio(each, OTHER_CALLS) for _, each in cores)
-    yield "the same of all other calls, at most", f"{other:.1f}"
-
-
 def _of_tests() -> Iterator[tuple[str, str]]:
     mistakes, harmless = sum(1 for file in MUTATED for _ in mutants(file)), len(equivalents("c"))
     yield "mistakes made in the C, and those of them that make no difference", f"{mistakes}, {harmless}"
@@ -51,7 +40,7 @@ def _of_tests() -> Iterator[tuple[str, str]]:
 
 def section() -> str:
     """The table between the markers."""
-    rows = (*_of_proofs(), *_of_cost(), *_of_tests())
+    rows = (*_of_proofs(), *_of_tests())
     return "\n".join(["| counted | |", "|---|---|", *(f"| {what} | {count} |" for what, count in rows)])
 
 

@@ -35,7 +35,6 @@ SHOWN = (
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
 RUN_ELSEWHERE = {
-    "tests/benchmarks/test_cost.py": ("cost.md", "benchmarks.cost --draw"),
     "tests/c_ref/test_porting.py": ("porting.md", "avr-gcc"),
     "tests/host_tools/cli/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
     "tests/host_tools/bus/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),

@@ -73,46 +73,46 @@ def _share(member: Member, name: str) -> str:
 
 
 def seals(folder: Path) -> dict[str, int]:
-    """Cycles of a Cortex-M4 at -O2: a step, the invariants, and a tick's two seals."""
+    """Instructions of a Cortex-M4 at -O2: a step, the invariants, and a tick's two seals."""
     target = next(each for each in TARGETS if each.name == "Cortex-M4")
     cost = HERE.parent / "benchmarks/cost"
     sources = [cost / "firmware.c", HERE / "sealed.c", *sorted(CORE.parent.glob("*.c")), TABLE]
     kept = [f"-Wl,-u,{name}" for name in ("seal_words", "seal_image", "bench_start", "bench_set")]
     machine = UnicornMachine(build(target, folder / "sealed", sources, "-O2", "-DWHOLE", *kept))
     robot = ("pointer", machine.image.address("robot"))
-    machine.do("bench_start", ("word", 0xF3333333))
-    machine.do("bench_set", *(("word", number) for number in (1000, 1 << 31, 1000, 700)))
+    machine.call("bench_start", ("word", 0xF3333333))
+    machine.call("bench_set", *(("word", number) for number in (1000, 1 << 31, 1000, 700)))
     return {
-        "step": machine.call("mcp_asdf_step", robot, ("enum", 1)).cycles,
-        "invariants": machine.call("mcp_asdf_invariants_hold", robot).cycles,
-        "words": 2 * machine.call("seal_words", robot).cycles,
-        "image": 2 * machine.call("seal_image", robot).cycles,
+        "step": machine.call("mcp_asdf_step", robot, ("enum", 1)).instructions,
+        "invariants": machine.call("mcp_asdf_invariants_hold", robot).instructions,
+        "words": 2 * machine.call("seal_words", robot).instructions,
+        "image": 2 * machine.call("seal_image", robot).instructions,
     }
 
 
-def sealed(found: dict[str, Member], cycles: dict[str, int]) -> str:
-    """Flips that sealing would detect, and its cost, for the page."""
+def sealed(found: dict[str, Member], counts: dict[str, int]) -> str:
+    """Flips that sealing would detect, and its cost in instructions, for the page."""
     every = total(found.values())
     unseen, wrong = (100 * every[name] / every["at_rest"] for name in ("at_rest_unseen", "at_rest_wrong"))
     return (
         f"Of {every['at_rest']} flips between ticks the invariants miss {unseen:.0f} %, which a seal sees; "
         f"{wrong:.1f} % move x by 1 %.\n"
-        f"A tick's two seals take {cycles['words']} cycles of a Cortex-M4 as checksums over the robot, and "
-        f"{cycles['image']} as images that\nare compared; its step takes {cycles['step']}, `invariants_hold` "
-        f"{cycles['invariants']}."
+        f"A tick's two seals take {counts['words']} instructions of a Cortex-M4 as checksums over the robot, "
+        f"and {counts['image']} as images\nthat are compared; its step takes {counts['step']}, "
+        f"`invariants_hold` {counts['invariants']}."
     )
 
 
-def page(text: str, found: dict[str, Member], cycles: dict[str, int]) -> str:
+def page(text: str, found: dict[str, Member], counts: dict[str, int]) -> str:
     """The page with both parts new."""
-    return fill(text, {"bit flips": table(found), "sealed robot": sealed(found, cycles)})
+    return fill(text, {"bit flips": table(found), "sealed robot": sealed(found, counts)})
 
 
 def main() -> None:
     """Write the page."""
     with TemporaryDirectory() as name:
-        found, cycles = members(Path(name), FLIPS), seals(Path(name))
-    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), found, cycles), encoding="utf-8")
+        found, instructions = members(Path(name), FLIPS), seals(Path(name))
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), found, instructions), encoding="utf-8")
 
 
 if __name__ == "__main__":

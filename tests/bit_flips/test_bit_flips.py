@@ -37,7 +37,7 @@ def test_each_bit_flips_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_published_table_is_true(tmp_path: Path) -> None:
-    """To the last digit; cycles within a tenth, as compilers differ."""
+    """To the last digit; instructions within a tenth, as compilers differ."""
     require("arm-none-eabi-gcc", "gcc-arm-none-eabi")
     found, text = members(tmp_path, FLIPS), PAGE.read_text(encoding="utf-8")
     check(found, FLIPS)

@@ -16,9 +16,8 @@ from pathlib import Path
 import can
 import pytest
 
-from benchmarks.cost import demo, figures
-from benchmarks.cost.budgets import stack_of_tick
-from benchmarks.cost.images import LEVELS
+from benchmarks.cost import report
+from benchmarks.cost.images import KILOBOT_BAUD, KILOBOT_CLOCK, kilobot_image
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Observation
@@ -177,16 +176,16 @@ CORES = {
 
 def test_the_page_s_budget_of_stack_is_what_was_measured() -> None:
     """From the least to the most of all targets and levels, in tens."""
-    kept = [levels[level]["firmware"] for levels in figures.kept()["targets"].values() for level in LEVELS]
-    needs = [stack_of_tick(core) for core in kept]
-    row = f"| stack | {in_tens(needs)} bytes for a tick"
-    for call in ("save", "restore"):
-        row += f", {in_tens([core['stack'][call][0] for core in kept])} for `mcp_asdf_{call}()`"
-    assert row in PAGE
+    published = report.read(report.PAGE, "memory")
 
+    def needs(what: str) -> str:
+        numbers = [
+            each for (title, _), both in published.items() if title == f"stack of {what}" for each in both
+        ]
+        return f"{min(numbers) // 10 * 10:.0f} to {-(-max(numbers) // 10) * 10:.0f}"
 
-def in_tens(numbers: list[int]) -> str:
-    return f"{min(numbers) // 10 * 10} to {-(-max(numbers) // 10) * 10}"
+    row = f"| stack | {needs('a tick')} bytes for a tick, {needs('save')} for `mcp_asdf_save()`"
+    assert f"{row}, {needs('restore')} for `mcp_asdf_restore()`" in PAGE
 
 
 PARTS = {"method": "mcp_asdf.c", "saving": "mcp_asdf_image.c", "frames": "mcp_asdf_frame.c"}
@@ -421,8 +420,8 @@ def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
 
 def test_the_image_whose_cost_is_told_is_a_kilobot_s(tmp_path: Path) -> None:
     require("avr-gcc", PACKAGES["avr"])
-    assert CLOCKS["Kilobot"] == (demo.CLOCK, demo.BAUD)
-    check_on_an_atmega(demo.demo_image(tmp_path / "image").path, *CLOCKS["Kilobot"], tmp_path)
+    assert CLOCKS["Kilobot"] == (KILOBOT_CLOCK, KILOBOT_BAUD)
+    check_on_an_atmega(kilobot_image(tmp_path / "image").path, *CLOCKS["Kilobot"], tmp_path)
 
 
 @pytest.mark.parametrize(

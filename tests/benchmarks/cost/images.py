@@ -16,6 +16,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
 FIRMWARE = ROOT / "c_ref" / "src"
 PORTS = ROOT / "c_ref" / "ports"
+TABLE = ROOT / "tables" / "t_table_omega05_q30.c"
 LEVELS = ("-Os", "-O2")
 
 _LINE = re.compile(r"^\s*([0-9a-f]+):\t(\S+)[ \t]*(.*)$|^[0-9a-f]+ <(.+)>:$", re.MULTILINE)
@@ -163,3 +164,16 @@ def build(target: Target, folder: Path, sources: list[Path], *flags: str) -> Ima
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}\n{done.stderr}")
     return Image(target, elf)
+
+
+AVR = TARGETS[0]
+KILOBOT_CLOCK, KILOBOT_BAUD = 8_000_000, 38_400
+"""Hertz, and the speed of its serial line: 115200 is out of an 8 MHz UART's reach."""
+
+
+def kilobot_image(folder: Path) -> Image:
+    """The whole firmware of a Kilobot: core, t-table, frame codec and the main loop of c_ref/ports/demo.c."""
+    ports = (PORTS / name for name in ("demo.c", "packet_radio.c", "avr/demo_atmega.c", "avr/atmega.c"))
+    core = (FIRMWARE / f"mcp_asdf{part}.c" for part in ("", "_image", "_frame"))
+    clock = (f"-DF_CPU={KILOBOT_CLOCK}UL", f"-DBAUD={KILOBOT_BAUD}")
+    return build(AVR, folder, [*ports, *core, TABLE], "-Os", f"-I{PORTS}", *clock)

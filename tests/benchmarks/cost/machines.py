@@ -8,7 +8,6 @@ import subprocess
 import tempfile
 from abc import ABC, abstractmethod
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +26,6 @@ from unicorn import (
 )
 
 from .images import HERE, Image, Instruction
-from .timing import TIMINGS, is_conditional
 
 _IT = re.compile("it[te]{0,3}")
 _PAINT = 0xA5
@@ -38,18 +36,13 @@ _SIZES = {"pointer": 2, "enum": 2, "byte": 1, "word": 4}
 """Bytes of an argument on an AVR; elsewhere each has a register to itself."""
 
 
-Way = tuple[tuple[int, int], ...]
-"""Blocks that ran one after the other: address and bytes."""
-
-
 class Cost(NamedTuple):
-    """Result of a call with its instructions, cycles, bytes of stack touched, and path (not on an AVR)."""
+    """Result of a call with its instructions, cycles (on an AVR only) and bytes of stack touched."""
 
     value: int
     instructions: int
     cycles: int
     stack: int
-    way: Way = ()
 
 
 Argument = tuple[str, int]
@@ -66,16 +59,7 @@ class Machine(ABC):
         """Call a function. Raises RuntimeError if it does not return."""
         self._paint(bytes([_PAINT]) * _PAINTED)
         value, instructions, cycles = self._run(self.image.address(name), arguments)
-        stack = len(self._painted().lstrip(bytes([_PAINT])))
-        return Cost(value, instructions, cycles, stack, self._way())
-
-    def do(self, name: str, *arguments: Argument) -> int:
-        """Call a function faster than ``call``, for what it does; returns its value."""
-        return self.call(name, *arguments).value
-
-    def _way(self) -> Way:
-        """That of the last call, if it was recorded."""
-        return ()
+        return Cost(value, instructions, cycles, len(self._painted().lstrip(bytes([_PAINT]))))
 
     @abstractmethod
     def read(self, address: int, size: int) -> bytes:
@@ -98,21 +82,11 @@ class Machine(ABC):
         """Call what is at the address: its value, instructions and cycles."""
 
 
-class _Block(NamedTuple):
-    """Instructions without a jump among them that always run, the cycles of all, and further ones if the jump
-    at their end is taken.
-    """
-
-    instructions: int
-    cycles: int
-    taken: int
-
-
 class UnicornMachine(Machine):
-    """A Cortex-M or RV32 under Unicorn. Cycles are estimates from above.
+    """A Cortex-M or RV32 under Unicorn, which counts instructions.
 
     Whole blocks are counted, which is fast, but for the instructions that a condition may skip (Thumb-2 IT):
-    of those each one is counted that runs. A skipped one takes a cycle all the same.
+    of those each one is counted that runs.
     """
 
     _TOP, _RETURN, _END = 0x100000, 0x10F000, 0x110000
@@ -120,34 +94,29 @@ class UnicornMachine(Machine):
     def __init__(self, image: Image) -> None:
         super().__init__(image)
         self._arm = image.target.tools.startswith("arm")
-        self._memory = ctypes.create_string_buffer(self._END)
-        self._uc, self._uncounted = self._processor(), self._processor()
+        mode = UC_MODE_THUMB | UC_MODE_MCLASS
+        self._uc = Uc(UC_ARCH_ARM, mode) if self._arm else Uc(UC_ARCH_RISCV, UC_MODE_RISCV32)
+        self._uc.mem_map(0, self._END, UC_PROT_ALL)
         for address, _, content in image.segments():
             self._uc.mem_write(address, content)
-        self._timing = TIMINGS[image.target.name]
-        self._code = {instruction.address: instruction for instruction in image.code}
-        self._blocks: dict[tuple[int, int], _Block] = {}
-        self._trace: list[tuple[int, int]] = []
-        self._totals: dict[Way, tuple[Way, int, int]] = {}
-        self._uc.hook_add(UC_HOOK_BLOCK, lambda _, address, size, __: self._trace.append((address, size)))
-        self._skippable, self._not_skipped = _skippable(image.code), 0
-        for address in self._skippable:
-            self._uc.hook_add(UC_HOOK_CODE, self._count, begin=address, end=address)
-
-    def _processor(self) -> Uc:
-        """One that works on the machine's memory."""
-        uc = (
-            Uc(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS)
-            if self._arm
-            else Uc(UC_ARCH_RISCV, UC_MODE_RISCV32)
-        )
-        uc.mem_map_ptr(0, self._END, UC_PROT_ALL, self._memory)
         if not self._arm:
-            uc.reg_write(riscv_const.UC_RISCV_REG_GP, self.image.address("__global_pointer$"))
-        return uc
+            self._uc.reg_write(riscv_const.UC_RISCV_REG_GP, image.address("__global_pointer$"))
+        self._addresses, self._skippable = {line.address for line in image.code}, _skippable(image.code)
+        self._blocks: dict[tuple[int, int], int] = {}
+        self._count = 0
+        self._uc.hook_add(UC_HOOK_BLOCK, self._block)
+        for address in self._skippable:
+            self._uc.hook_add(UC_HOOK_CODE, self._one, begin=address, end=address)
 
-    def _count(self, *_: object) -> None:
-        self._not_skipped += 1
+    def _block(self, _: Uc, address: int, size: int, __: object) -> None:
+        key = address, size
+        if key not in self._blocks:
+            always = self._addresses - self._skippable
+            self._blocks[key] = sum(at in always for at in range(address, address + size, 2))
+        self._count += self._blocks[key]
+
+    def _one(self, *_: object) -> None:
+        self._count += 1
 
     def read(self, address: int, size: int) -> bytes:
         return bytes(self._uc.mem_read(address, size))
@@ -161,52 +130,17 @@ class UnicornMachine(Machine):
     def _painted(self) -> bytes:
         return self.read(self._TOP - _PAINTED, _PAINTED)
 
-    def do(self, name: str, *arguments: Argument) -> int:
-        return self._start(self._uncounted, self.image.address(name), arguments)
-
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
-        self._trace.clear()
-        self._not_skipped = 0
-        return self._start(self._uc, address, arguments), *self._total()
-
-    def _start(self, uc: Uc, address: int, arguments: tuple[Argument, ...]) -> int:
-        """Have a processor call what is at the address; what that returns."""
-        thumb = int(self._arm)
+        thumb, uc = int(self._arm), self._uc
         first = arm_const.UC_ARM_REG_R0 if self._arm else riscv_const.UC_RISCV_REG_A0
         for register, (_, value) in enumerate(arguments, first):
             uc.reg_write(register, value)
         uc.reg_write(arm_const.UC_ARM_REG_SP if self._arm else riscv_const.UC_RISCV_REG_SP, self._TOP)
         back = arm_const.UC_ARM_REG_LR if self._arm else riscv_const.UC_RISCV_REG_RA
         uc.reg_write(back, self._RETURN | thumb)
+        self._count = 0
         uc.emu_start(address | thumb, self._RETURN)
-        return int(uc.reg_read(first))
-
-    def _way(self) -> Way:
-        return self._totals[tuple(self._trace)][0]  # the same tuple for all calls that went the same way
-
-    def _total(self) -> tuple[int, int]:
-        way = tuple(self._trace)
-        if way not in self._totals:
-            self._totals[way] = way, *self._sum(way)
-        _, instructions, cycles = self._totals[way]
-        return instructions + self._not_skipped, cycles
-
-    def _sum(self, way: Way) -> tuple[int, int]:
-        """Instructions but for those that may be skipped, and cycles."""
-        instructions, cycles = 0, 0
-        for (address, size), (following, _) in pairwise([*way, (self._RETURN, 0)]):
-            block = self._blocks.get((address, size)) or self._read_block(address, size)
-            instructions += block.instructions
-            cycles += block.cycles + (block.taken if following != address + size else 0)
-        return instructions, cycles
-
-    def _read_block(self, address: int, size: int) -> _Block:
-        lines = [self._code[at] for at in range(address, address + size, 2) if at in self._code]
-        cycles = sum(self._timing.cycles(line.name, line.operands) for line in lines)
-        taken = self._timing.taken if is_conditional(lines[-1].name) else 0
-        always = sum(line.address not in self._skippable for line in lines)
-        self._blocks[address, size] = block = _Block(always, cycles, taken)
-        return block
+        return int(uc.reg_read(first)), self._count, 0
 
 
 def _skippable(code: list[Instruction]) -> set[int]:

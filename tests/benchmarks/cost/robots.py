@@ -1,182 +1,196 @@
-"""Robots in images: living through what runs.py holds while every call's cost is noted."""
+"""Robots in images: what they live through, and what each call costs in it."""
 
 from __future__ import annotations
 
 import random
+import struct
 from collections import defaultdict
+from dataclasses import dataclass
 
-from . import runs
-from .machines import Argument, Cost, Machine, Way
+from mcp_asdf import Config, Filter, NativeRobot, Observation
+from mcp_asdf.fixed_point import alpha_units, alpha_word, word_to_alpha
 
-Spans = dict[str, list[float]]
-"""Least, mean and most by unit: "instructions" and "cycles"."""
+from .machines import Argument, Cost, Machine
 
-UNITS = ("instructions", "cycles")
-SHORT = "step, filter due, m < 2"
-TESTED, UPDATED = "step with test", "step with test and update"
-NEVER = 2**31
-"""A filtering period that no run reaches."""
+OWN_ID = 5
+SHORT, TESTED, UPDATED = "step, filter due, m < 2", "step with test", "step with test and update"
+NEVER, MEMORY = 2**31, 2**31
+"""A filtering period that no run reaches; the longest memory."""
+AGES = tuple(2**k for k in range(32))
+"""Observations counted by the steps that are looked at one by one; at the last one t is halved."""
+ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
+"""Messages in the rounds that are looked at one by one."""
+SAMPLES = 40
+"""Random situations of every age."""
+_BLACK = 0.545
+"""p(z = 1) for a fill ratio of 0.55 and sensors right 95 times out of 100."""
+_B_HATS = (2**12, 2**32 - 2**12)
+_ONE = 2**23
+_ALPHAS = tuple(map(alpha_word, (0, 1, 2, 2**24 - 1, 2**24, 2**32 - 2**8, 2**32, 2**54, 2**55)))
+
+Message = tuple[int, int, int]
+"""Sender, x_hat in units of 2**-23, alpha as the firmware's word."""
 
 
-def is_quiet_step(name: str) -> bool:
-    """True if a call is a step in which the filter is not due."""
-    return name.startswith("step, m = ")
+@dataclass(frozen=True)
+class Situation:
+    """A robot before an observation: b_hat (unit 2**-32), memory, t, n, open round, and what it sees next."""
+
+    b_hat: int
+    memory: int
+    t: int
+    n: int
+    messages: tuple[Message, ...]
+    observation: int
+
+
+DEAR = (
+    Situation(2151478824, 400, 399, 199, (), 0),
+    Situation(2190624173, 88, 87, 44, (), 0),
+    Situation(4096, 221264, 221263, 3, (), 0),
+    Situation(2148008077, 860, 859, 429, (), 1),
+    Situation(2145240280, 158480, 158479, 79219, (), 0),
+    Situation(2165418860, 1232, 1231, 620, (), 1),
+    Situation(2145276522, 131072, 131071, 65524, ((0, 2429867, 0x80000001),), 0),
+    Situation(2146997536, 4636, 4635, 4125, ((0, 4187684, 0x80000001),), 1),
+    Situation(2118891038, 408, 407, 201, ((0, 4202300, 0x100), (1, 4183491, 0x100)), 1),
+    Situation(2145728125, 266560, 266559, 133270, ((0, 2**23, 0x100), (1, 8374204, 0x100)), 1),
+    Situation(2149672830, 88, 87, 43, ((0, 4200436, 0x100), (1, 4200365, 0x100), (2, 5114038, 0)), 1),
+)
+"""Results of long searches: a memory halved, b_hat beside 1/2 or at a clamp, n beside t/2 or c t."""
+
+
+def situation(rng: random.Random, messages: int, age: int) -> Situation:
+    """Any one of a robot that will have made ``age`` observations, edges over-represented."""
+    half, sign = 2**31, rng.choice((-1, 1))
+    b_hat = rng.choice(
+        (
+            rng.choice((*_B_HATS, half, half + sign * 2**19)),
+            sign * int(2 ** rng.uniform(12, 31)) % 2**32,
+            _clamped(half + sign * int(2 ** rng.uniform(18, 31)), *_B_HATS),
+            rng.randint(*_B_HATS),
+        )
+    )
+    b, small = b_hat / 2**32, 2 ** rng.uniform(-32, 0)
+    share = rng.choice((0.0, 0.5, 1.0, b, 1 - b, rng.random(), small, 1 - small))
+    t = age - 1
+    n = _clamped(int(t * share) + rng.randint(-3, 3), 0, t)
+    return Situation(b_hat, MEMORY, t, n, _round(rng, messages), rng.getrandbits(1))
+
+
+def _round(rng: random.Random, messages: int) -> tuple[Message, ...]:
+    """Messages around any x_hat, 1/2 more often, close together or not; confidence of all kinds."""
+    away = rng.choice((-1, 1)) * int(2 ** rng.uniform(0, 22))
+    middle = rng.choice((_ONE // 2, _ONE // 2 + away, rng.randint(0, _ONE), 0, _ONE))
+    width, common = rng.choice((0, 1, 3, 2 ** rng.randrange(1, 23))), rng.choice((None, *_ALPHAS))
+    return tuple(
+        (sender, _clamped(middle + rng.randint(-width, width), 0, _ONE), _alpha(rng, common))
+        for sender in senders(messages)
+    )
+
+
+def _alpha(rng: random.Random, common: int | None) -> int:
+    any_size = alpha_word(int(2 ** rng.uniform(0, 55)))
+    return rng.choice((rng.getrandbits(32), any_size)) if common is None else common
+
+
+def _clamped(value: int, least: int, most: int) -> int:
+    return max(least, min(value, most))
+
+
+def senders(count: int) -> list[int]:
+    """That many robots beside the own one; at most 127."""
+    return [sender for sender in range(128) if sender != OWN_ID][:count]
 
 
 class Robot:
-    """The robot of an image, of the firmware or the baseline.
+    """The robot of an image, of the firmware ("mcp_asdf") or of the baseline ("plain_robot").
 
     Attributes:
+        lived: Costs of calls in a usual life, for the means.
+        costs: Costs in that life and in all situations.
+        by_age: Costs of a step by the robot's age.
+        by_messages: Costs of a round's last message and of its end by the messages.
         deepest: Most stack that each function was seen to use, bytes.
-        ways: Those that steps of every kind, and the other calls, were seen to take.
-        by_age: Costs of a step by the robot's age, after ``suffer``.
-        by_messages: Costs of a round's last message and of its end by the messages, after ``fill_rounds``.
     """
 
-    def __init__(self, machine: Machine, prefix: str) -> None:
-        self._machine, self._prefix = machine, prefix
-        self._own: Argument = ("pointer", machine.image.address("robot"))
-        self._size = machine.do("bench_size")
-        self._new: dict[int, bytes] = {}
-        self._lived: dict[str, list[Cost]] = defaultdict(list)
-        self._extreme: dict[str, list[Cost]] = defaultdict(list)
-        self._costs: dict[str, list[Cost]] = self._lived
-        self.deepest: dict[str, int] = defaultdict(int)
-        self.ways: dict[str, set[Way]] = defaultdict(set)
+    def __init__(self, machine: Machine, prefix: str = "mcp_asdf") -> None:
+        self.machine, self._prefix = machine, prefix
+        self.own: Argument = ("pointer", machine.image.address("robot"))
+        self.lived: dict[str, list[Cost]] = defaultdict(list)
+        self.costs: dict[str, list[Cost]] = defaultdict(list)
         self.by_age: dict[int, list[Cost]] = defaultdict(list)
         self.by_messages: dict[int, list[tuple[Cost, Cost]]] = defaultdict(list)
-
-    def spans(self) -> dict[str, Spans]:
-        """Of every call: the mean in lives, least and most in lives and situations."""
-        return {name: {unit: self._span(name, unit) for unit in UNITS} for name in self._lived}
-
-    def _span(self, name: str, unit: str) -> list[float]:
-        lived = [getattr(cost, unit) for cost in self._lived[name]]
-        every = lived + [getattr(cost, unit) for cost in self._extreme[name]]
-        return [min(every), round(sum(lived) / len(lived), 1), max(every)]
-
-    # ---- Calls ----
+        self.deepest: dict[str, int] = defaultdict(int)
 
     def call(self, name: str, *arguments: Argument) -> Cost:
         """Call one of the robot's functions."""
-        cost = self._machine.call(f"{self._prefix}_{name}", self._own, *arguments)
+        cost = self.machine.call(f"{self._prefix}_{name}", self.own, *arguments)
         self.deepest[name] = max(self.deepest[name], cost.stack)
+        self.costs[name].append(cost)
         return cost
 
-    def start(
-        self, b_hat: int, period: int = NEVER, t: int = 0, n: int = 0, memory: int = runs.MEMORIES[1]
-    ) -> None:
+    def start(self, b_hat: int, period: int = NEVER, t: int = 0, n: int = 0, memory: int = MEMORY) -> None:
         """Make it new, then give it a past; it filters every ``period`` rounds."""
-        own = self._own[1]
-        if b_hat in self._new:
-            self._machine.write(own, self._new[b_hat])
-        else:
-            self._machine.do("bench_start", ("word", b_hat))
-            self._new[b_hat] = self._machine.read(own, self._size)
-        past = (("word", value) for value in (period, memory, t, n))
-        self._machine.do("bench_set", *past)
+        self.machine.call("bench_start", ("word", b_hat))
+        self.machine.call("bench_set", *(("word", value) for value in (period, memory, t, n)))
 
-    def receive(self, message: runs.Message) -> Cost:
+    def receive(self, message: Message) -> Cost:
         """Take a message, whose confidence the baseline takes as the frame has it."""
         sender, x_hat, alpha = message
         if self._prefix != "mcp_asdf":
-            alpha = runs.binary32(alpha)
+            alpha = int.from_bytes(struct.pack("<f", word_to_alpha(alpha)), "little")
         return self.call("receive", ("byte", sender), ("word", x_hat), ("word", alpha))
 
-    def step(self, observation: int) -> Cost:
-        """Take a whole tick."""
-        return self.call("step", ("enum", observation))
+    def step(self, observation: int, due: bool, audible: int) -> tuple[str, Cost]:
+        """Take a whole tick; returns the kind of step and its cost."""
+        before = self.machine.call("bench_updates").value
+        cost = self.machine.call(f"{self._prefix}_step", self.own, ("enum", observation))
+        updates = self.machine.call("bench_updates").value != before
+        kind = "step" if not due else SHORT if audible < 2 else UPDATED if updates else TESTED
+        self.deepest["step"] = max(self.deepest["step"], cost.stack)
+        self.costs[kind].append(cost)
+        return kind, cost
 
-    def _updates(self) -> int:
-        return self._machine.do("bench_updates")
+    def live(self, ticks: int = 240, period: int = 20) -> None:
+        """Live among ten neighbours that know better than to take their sensors for 0.55 right."""
+        rng, config = random.Random(10), Config(filter=Filter.OFF)
+        swarm = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
+        self.start(int(0.55 * 2**32), period)
+        for number in range(1, ticks + 1):
+            for sender, other in swarm.items():
+                other.step(Observation(int(rng.random() < _BLACK)))
+                heard = self.receive((sender, other.x_hat_raw, other.alpha_raw))
+                self.lived["receive"].append(heard)
+            kind, cost = self.step(int(rng.random() < _BLACK), number % period == 0, len(swarm))
+            self.lived[kind].append(cost)
+            self.lived["x"].append(self.call("x"))
 
-    def _note(self, name: str, cost: Cost) -> None:
-        self._costs[name].append(cost)
-        self.ways["step" if is_quiet_step(name) else name].add(cost.way)
+    def suffer(self, seed: int) -> None:
+        """Live through the dear situations, random ones of every age, and rounds of every size."""
+        rng = random.Random(seed)
+        for age in AGES:
+            for _ in range(SAMPLES):
+                self.by_age[age].append(self.tick(situation(rng, rng.choice((0, 1, 3)), age), NEVER))
+                self.tick(situation(rng, rng.choice((2, 5)), age), 1)
+        for each in DEAR:
+            for period in (NEVER, 1):
+                self.tick(each, period)
+        for messages in 4 * ROUNDS:
+            self._begin(situation(rng, messages, rng.choice(AGES)), NEVER)
+            self.by_messages[messages].append((self.costs["receive"][-1], self.call("settle")))
 
-    def _note_step(self, observation: int, messages: int, due: bool, audible: int) -> Cost:
-        tests = due and audible >= 2
-        before = self._updates() if tests else 0
-        cost = self.step(observation)
-        if tests:
-            self._note(UPDATED if self._updates() != before else TESTED, cost)
-        else:
-            self._note(SHORT if due else f"step, m = {messages}", cost)
+    def tick(self, situation: Situation, period: int) -> Cost:
+        """Take the situation's tick, and form x; returns the cost of the step."""
+        self._begin(situation, period)
+        audible = sum(alpha_units(alpha) > 0 for _, _, alpha in situation.messages)
+        _, cost = self.step(situation.observation, period == 1, audible)
+        self.call("x")
+        self._begin(situation, period)
+        self.call("observe", ("enum", situation.observation))
         return cost
 
-    def _note_halves(self, observation: int, due: bool) -> None:
-        self._note("observe", self.call("observe", ("enum", observation)))
-        self._note("settle, filter due" if due else "settle", self.call("settle"))
-        self._note("x", self.call("x"))
-
-    # ---- Lives and situations ----
-
-    def live(self) -> None:
-        """Live through every life; ticks are whole and in halves by turns."""
-        self._costs = self._lived
-        for life in runs.lives():
-            self.start(life.b_hat, life.period)
-            for number, tick in enumerate(life.ticks):
-                for message in tick.messages:
-                    self._note("receive", self.receive(message))
-                turn = number // life.period if tick.due else number
-                if turn % 2 == 0:
-                    self._note_step(tick.observation, life.neighbours, tick.due, len(tick.messages))
-                else:
-                    self._note_halves(tick.observation, tick.due)
-
-    def suffer(self, samples: int, rng: random.Random) -> None:
-        """Live through ``samples`` situations of every age."""
-        self._costs = self._extreme
-        for age in runs.AGES:
-            for number in range(samples):
-                messages = runs.NEIGHBOURS[3 if number % 40 == 0 else number % 3]
-                quiet, testing = (runs.situation(rng, count, age) for count in (messages, rng.choice([2, 5])))
-                self.by_age[age].append(self.step_in(quiet, NEVER))
-                self.tick_in(quiet, NEVER)
-                self.tick_in(testing, 1)
-
-    def fill_rounds(self, samples: int, rng: random.Random) -> None:
-        """Hear rounds of every size, and end them."""
-        self._costs = self._extreme
-        for messages in samples * runs.ROUNDS:
-            last = self._begin(runs.situation(rng, messages, rng.choice(runs.AGES)))
-            self.call("observe", ("enum", 1))
-            self.by_messages[messages].append((last, self.call("settle")))
-
-    def lead_usual_life(self) -> None:
-        """Close a round and hear another."""
-        self.start(0xF3333333, 1000, 1000, 600)
-        for _ in range(2):
-            for message in runs.usual_round(10):
-                self.receive(message)
-            self.step(1)
-        for message in runs.usual_round(10):
-            self.receive(message)
-
-    def step_in(self, situation: runs.Situation, period: int) -> Cost:
-        """Take the situation's tick."""
-        self._begin(situation, period)
-        return self._note_step(situation.observation, len(situation.messages), period == 1, situation.audible)
-
-    def tick_in(self, situation: runs.Situation, period: int) -> None:
-        """Take the situation's tick in halves, and form x."""
-        self._begin(situation, period)
-        self._note_halves(situation.observation, period == 1)
-
-    def x_in(self, situation: runs.Situation) -> Cost:
-        """Form x after the situation's tick."""
-        self._begin(situation)
-        self.step(situation.observation)
-        cost = self.call("x")
-        self._note("x", cost)
-        return cost
-
-    def _begin(self, situation: runs.Situation, period: int = NEVER) -> Cost:
-        """Put the robot into a situation; returns the cost of its last message."""
-        last = Cost(0, 0, 0, 0)
+    def _begin(self, situation: Situation, period: int) -> None:
         self.start(situation.b_hat, period, situation.t, situation.n, situation.memory)
         for message in situation.messages:
-            last = self.receive(message)
-            self._note("receive", last)
-        return last
+            self.receive(message)

@@ -1,0 +1,164 @@
+"""Bounds from the machine code: the longest path through a function without loops, and its deepest stack."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable
+from graphlib import CycleError, TopologicalSorter
+
+from .images import Image, Instruction
+
+_CALL = re.compile(r"bl|jal|call|rcall")
+_TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
+_BRANCH = re.compile(r"(?!bic|bf[ci]|bkpt)b\w+(\.[nw])?|b(\.[nw])?|cbn?z|j|jal|r?jmp|r?call")
+_INDIRECT_CALL = re.compile(r"blx|jalr|e?icall")
+_COMPUTED = re.compile(r"tb[bh]|ijmp|mov\s+pc|jr\s+(?!ra)|bx\s+(?!lr)|ldr(\.w)?\s+pc, \[(?!sp)")
+_END = re.compile(r"(ret|reti|jr|bx|udf)\b|(pop|ldm\w*).*\bpc\b|(ldr|mov)(\.w)?\s+pc")
+_JUMP = re.compile(r"b(\.[nw])?|j|r?jmp")
+_DIVISION = re.compile(r"[us]div|(div|rem)u?")
+_CLONE = re.compile(r"\.(constprop|part|isra|cold)\.\d+")
+_DOWN = (
+    re.compile(r"(?:push|stmdb(?:\.w)? sp!,)(?:\.w)? \{(?P<list>.*)\}"),
+    re.compile(r"sub(?:w|\.w)? sp, (?:sp, )?#(?P<bytes>\d+)"),
+    re.compile(r"strd?(?:\.w)? .*\[sp, #-(?P<bytes>\d+)\]!"),
+    re.compile(r"addi sp,sp,-(?P<bytes>\d+)"),
+    re.compile(r"push (?P<list>r\d+)$"),
+)
+"""Instructions that move the stack pointer down by a constant."""
+
+Weight = Callable[[Instruction], int]
+
+
+def instruction(_: Instruction) -> int:
+    """The weight that counts instructions."""
+    return 1
+
+
+def division(line: Instruction) -> int:
+    """The weight that counts divisions."""
+    return int(bool(_DIVISION.fullmatch(line.name)))
+
+
+class Paths:
+    """The instructions of an image, and bounds of its functions whatever the data."""
+
+    def __init__(self, image: Image) -> None:
+        self._image, self._lines = image, image.code
+        self._numbers = {line.address: number for number, line in enumerate(image.code)}
+        self._functions: dict[str, list[int]] = defaultdict(list)
+        for number, line in enumerate(image.code):
+            self._functions[line.function].append(number)
+
+    def longest(self, name: str, weight: Weight = instruction, without: str = "") -> int:
+        """The most of a weight on any path through a function and what it calls. ``without``: paths that call
+        or jump to the function of this name are left out.
+
+        Raises ValueError if there is no bound: a loop, recursion, a computed jump.
+        """
+        known: dict[int, int] = {}
+
+        def most(start: int, callers: tuple[int, ...]) -> int:
+            function = self._lines[start].function
+            if start in callers:
+                raise ValueError(f"{function} calls itself")
+            if start in known:
+                return known[start]
+            graph = self._graph(start, without)
+            found: dict[int, int] = {}
+            try:
+                for number in TopologicalSorter(graph).static_order():
+                    line, called = self._lines[number], self._called(number)
+                    own = weight(line) + (0 if called is None else most(called, (*callers, start)))
+                    found[number] = own + max((found[each] for each in graph[number]), default=0)
+            except CycleError:
+                raise ValueError(f"there is a loop in {function}") from None
+            known[start] = found[start]
+            return known[start]
+
+        return most(self._start(name), ())
+
+    def deepest(self, name: str) -> int:
+        """Bytes of stack below the pointer before the call, with the return address if the call pushes it.
+
+        A compiled function takes its frame, as the compiler reports it (-fstack-usage), and the most of what
+        it calls; where it ends with a jump to another function its frame is gone by then. A function of the
+        compiler's library takes all that its instructions ever move the pointer down. Raises ValueError if
+        there is no bound.
+        """
+        return self._deepest(self._start(name), ())
+
+    # --- The graph ---
+
+    def _start(self, name: str) -> int:
+        return self._numbers[self._image.address(name)]
+
+    def _target(self, line: Instruction) -> int | None:
+        if _INDIRECT_CALL.fullmatch(line.name):
+            raise ValueError(f"{line.function} calls what a pointer leads to: {line.name} {line.operands}")
+        match = _TARGET.search(line.operands) if _BRANCH.fullmatch(line.name) else None
+        return self._numbers.get(int(match[1], 16)) if match else None
+
+    def _called(self, number: int) -> int | None:
+        """The first instruction of what this one calls; a call of what follows only takes stack (AVR)."""
+        line = self._lines[number]
+        target = self._target(line) if _CALL.fullmatch(line.name) else None
+        return None if target == number + 1 else target
+
+    def _following(self, number: int) -> list[int]:
+        """Numbers of what may run next in the same call; calls return."""
+        line = self._lines[number]
+        text = f"{line.name} {line.operands}"
+        if _COMPUTED.match(text):
+            raise ValueError(f"{line.function} jumps to what a table holds: {text}")
+        if _END.match(text):
+            return []
+        target = self._target(line)
+        jumped = [] if target is None or _CALL.fullmatch(line.name) else [target]
+        return jumped if _JUMP.fullmatch(line.name) else [*jumped, number + 1]
+
+    def _graph(self, start: int, without: str) -> dict[int, list[int]]:
+        graph, left = dict[int, list[int]](), [start]
+        while left:
+            number = left.pop()
+            if number not in graph:
+                graph[number] = [each for each in self._following(number) if not self._enters(each, without)]
+                left += graph[number]
+        return graph
+
+    def _enters(self, number: int, name: str) -> bool:
+        places = [number, self._called(number)]
+        return name != "" and any(
+            _CLONE.sub("", self._lines[each].function) == name for each in places if each is not None
+        )
+
+    # --- Stack ---
+
+    def _deepest(self, start: int, callers: tuple[int, ...]) -> int:
+        name = self._lines[start].function
+        if start in callers:
+            raise ValueError(f"{name} calls itself")
+        frames = self._image.frames
+        frame = frames.get(name, frames.get(_CLONE.sub("", name)))
+        own = self._moved_down(name) if frame is None else frame
+        deepest = own
+        for number in self._functions[name]:
+            line = self._lines[number]
+            falls_through = self._following(number) if frame is None and number + 1 < len(self._lines) else []
+            for target in (self._target(line), *falls_through):
+                if target is not None and self._lines[target].function != name:
+                    below = self._deepest(target, (*callers, start))
+                    is_call = _CALL.fullmatch(line.name) is not None
+                    deepest = max(deepest, below + own if is_call or frame is None else below)
+        return deepest
+
+    def _moved_down(self, name: str) -> int:
+        """Bytes that a function's instructions move the stack pointer down, as if all of them ran."""
+        is_avr = self._image.target.tools.startswith("avr")
+        slot, found = (1, 2) if is_avr else (4, 0)  # an AVR's call pushes the return address
+        for line in map(self._lines.__getitem__, self._functions[name]):
+            for pattern in _DOWN:
+                if match := pattern.match(f"{line.name} {line.operands}"):
+                    parts = match.groupdict()
+                    found += slot * len(parts["list"].split(",")) if "list" in parts else int(parts["bytes"])
+        return found
