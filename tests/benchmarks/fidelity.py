@@ -1,7 +1,7 @@
 """Compare distributions of scores, configuration by configuration: with the paper's reference study, and our
 firmwares with each other.
 
-    python tests/benchmarks/fidelity.py [PART ...] [--trials N] [--seed S] [--workers N] [--json]
+    python tests/benchmarks/fidelity.py [PART ...] [--trials N] [--seed S] [--workers N]
 
 Parts, all of them by default:
 
@@ -10,12 +10,10 @@ Parts, all of them by default:
 - ``dynamic``: the reference firmware with the authors' conventions and messages a step late, in our arena,
   with the authors' own programs in their physics simulation, 11 configurations;
 - ``native``: the native firmware with the reference firmware, both with the paper's conventions, in all 57,
-  with other draws;
-- ``conventions``: the reference firmware with the paper's and with the authors' conventions, with the same
-  draws, where robots filter. Shows how many trials come out differently, which is no failure.
+  with other draws.
 
-The others are two-sample Kolmogorov-Smirnov tests of h_K, h_e and H by configuration; a part fails at 1 % in
-all, by Holm's correction over its tests. Exit code: 0 all agree, 1 not. The references are in
+These are two-sample Kolmogorov-Smirnov tests of h_K, h_e and H by configuration; a part fails at 1 % in all,
+by Holm's correction over its tests. Exit code: 0 all agree, 1 not. The references are in
 tests/data/reference_scores/.
 """
 
@@ -23,7 +21,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -51,12 +48,10 @@ REFERENCE, PHYSICS = FOLDER / "fully_connected_trials.csv", FOLDER / "dynamic_tr
 LIMITS = Limits(k_max=40_000, e_max=0.45)
 LEVEL = 0.01
 SCORES = ("h_K", "h_e", "H")
-TESTED = ("fully_connected", "dynamic", "native")
-TRIALS = {"fully_connected": 320, "dynamic": 120, "native": 60, "conventions": 60}
+TRIALS = {"fully_connected": 320, "dynamic": 120, "native": 60}
 """Of each configuration, unless given; those of the reference are slower."""
 
 _OTHER_DRAWS = 1000
-_SAME_SCORE = 1e-6
 _DIGITS = 7
 """To which the reference's numbers are rounded, so that equal ones are equal here."""
 
@@ -179,15 +174,6 @@ class Parts:
         others = [by_reference(replace(each, seed=each.seed + _OTHER_DRAWS)) for each in all_natives]
         return self._rows("native", all_natives, others)
 
-    def conventions(self) -> list[Row]:
-        """The paper's conventions against the authors', trial by trial, where they could matter."""
-        natives = [each for each in self._natives() if each.filter is not Filtering.NONE]
-        return self._rows(
-            "conventions",
-            [by_reference(each) for each in natives],
-            [by_reference(each, Convention.AUTHORS) for each in natives],
-        )
-
     def _natives(self) -> list[Experiment]:
         return [cell.experiment for path in (REFERENCE, PHYSICS) for cell in read_cells(self._seed, path)]
 
@@ -219,9 +205,6 @@ def _place(experiment: Experiment) -> str:
 
 def show(part: str, rows: Sequence[Row]) -> None:
     """Print a part as a table."""
-    if part not in TESTED:
-        print(f"\n{part}:\n{conventions_table(rows)}")
-        return
     print(f"\n{part}: medians of H, p-values of {', '.join(SCORES)}")
     print(f"{'topology':>15}    f    b b_hat flawed       mode  tau    ours   other")
     for row in rows:
@@ -230,48 +213,12 @@ def show(part: str, rows: Sequence[Row]) -> None:
     print(f"smallest p by Holm's correction over {3 * len(rows)} tests: {smallest(rows):.3g}")
 
 
-def conventions_table(rows: Sequence[Row]) -> str:
-    """Where trials with the same draws come out differently, as Markdown."""
-    titles = (
-        "topology, f, b, b_hat, flawed, mode, tau, H by paper, H by authors, trials that differ, by at most"
-    )
-    lines = [f"| {titles.replace(', ', ' | ')} |", "|---" * len(titles.split(", ")) + "|"]
-    for row in rows:
-        e, apart = row.experiment, np.abs(row.ours[:, 2] - row.others[:, 2])
-        if (differing := int((apart > _SAME_SCORE).sum())) == 0:
-            continue
-        medians = f"{np.median(row.ours[:, 2]):.2f} | {np.median(row.others[:, 2]):.2f}"
-        topology = str(plain_value(e.topology)).replace("-", " ")
-        place = f"{topology} | {e.fill_ratio} | {e.true_accuracy} | {e.flawed_accuracy} | {e.flawed}"
-        outcome = f"{medians} | {differing} | {apart.max():.2f}"
-        lines.append(f"| {place} | {e.filter.value} | {e.filter_period} | {outcome} |")
-    trials, others = len(rows[0].ours), len(rows) - len(lines) + 2
-    lines += ["", f"Of {trials} trials each; in the other {others} configurations none differ."]
-    return "\n".join(lines)
-
-
-def _as_json(part: str, rows: Sequence[Row]) -> dict[str, object]:
-    cells: list[dict[str, object]] = [
-        {
-            "parameters": row.experiment.parameters(),
-            "median_H": [float(np.median(sample[:, 2])) for sample in (row.ours, row.others)],
-        }
-        for row in rows
-    ]
-    if part not in TESTED:
-        return {"cells": cells}
-    for cell, row in zip(cells, rows, strict=True):
-        cell["p"] = dict(zip(SCORES, row.p_values(), strict=True))
-    return {"cells": cells, "smallest_corrected": smallest(rows)}
-
-
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Compare scores with references and with each other.")
     parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(TRIALS)}; default all")
     parser.add_argument("--trials", type=int, help=f"of each configuration (default by part: {TRIALS})")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=default_workers())
-    parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     if unknown := set(args.parts) - set(TRIALS):
         parser.error(f"unknown part {', '.join(unknown)}; choose of {', '.join(TRIALS)}")
@@ -282,14 +229,12 @@ def main() -> int:
     """Compare and print; returns the exit code."""
     args = _arguments()
     parts = Parts(args.seed, args.trials, args.workers)
-    results: dict[str, list[Row]] = {}
+    agrees = True
     for part in args.parts or TRIALS:
-        results[part] = getattr(parts, part)()
-        if not args.json:
-            show(part, results[part])
-    if args.json:
-        print(json.dumps({part: _as_json(part, rows) for part, rows in results.items()}, indent=2))
-    return int(any(smallest(rows) < LEVEL for part, rows in results.items() if part in TESTED))
+        rows = getattr(parts, part)()
+        show(part, rows)
+        agrees = agrees and smallest(rows) >= LEVEL
+    return int(not agrees)
 
 
 if __name__ == "__main__":

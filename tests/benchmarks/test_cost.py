@@ -167,7 +167,7 @@ def test_cycles_of_an_avr_are_those_of_its_manual(tmp_path: Path) -> None:
 
 def test_instructions_that_run_are_counted(tmp_path: Path) -> None:
     """With those that a condition before them skips left out."""
-    lines = (".syntax unified", ".thumb_func", "push {r4, lr}", "movs r0, #10", "1: subs r0, #1", "bne 1b")
+    lines = [".syntax unified", ".thumb_func", "push {r4, lr}", "movs r0, #10", "1: subs r0, #1", "bne 1b"]
     lines += ("cmp r0, #1", "it eq", "moveq r1, #2", "it ne", "movne r1, #3", "pop {r4, pc}")
     cost = written(named("Cortex-M4"), tmp_path, *lines).call("known")
     assert (cost.instructions, cost.stack) == (2 + 10 + 10 + 1 + 1 + 2 + 1, 8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
@@ -118,7 +118,7 @@ def _transposed(corner: str, columns: dict[str, Rows]) -> str:
     return _lines([[corner, *titles], *([name, *map(rows.get, titles)] for name, rows in columns.items())])
 
 
-def _lines(rows: Iterable[list[str | None]]) -> str:
+def _lines(rows: Iterable[Sequence[str | None]]) -> str:
     head, *rest = ("| " + " | ".join(each or "" for each in row) + " |" for row in rows)
     return "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rest])
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import arena as comparison
 from benchmarks.motion_statistics import bursts as motion_bursts
 from benchmarks.motion_statistics import motion_statistics, runs
 from mcp_asdf_tools.common.errors import UsageError
@@ -434,17 +433,3 @@ def test_bursts_join_avoidances_that_follow_at_once() -> None:
         avoids[start:end] = True
     found = motion_bursts(avoids)
     assert found == {"avoidance bursts in 1000 s": 1000 / 6, "ticks between bursts": (10 + 15) / 2}
-
-
-def test_the_comparison_of_docs_can_be_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = tmp_path / "arena.md"
-    page.write_text(f"before\n{comparison.START}\nold\n{comparison.END}\nafter\n", encoding="utf-8")
-    monkeypatch.setattr(comparison, "SPEED_TICKS", 100)
-    monkeypatch.setattr("sys.argv", ["arena", "--trials", "2", "--steps", "600", "--write", str(page)])
-    assert comparison.main() in (0, 1)  # two short trials may differ from the reference
-    assert "robot-ticks a second and core" in capsys.readouterr().out
-    written = page.read_text(encoding="utf-8")
-    assert "old" not in written
-    assert all(f"| {name}" in written for name in REFERENCE)
