@@ -2,8 +2,8 @@
 
 ``python tests/benchmarks/engine.py [--check]``, with the compiler that ``CC`` names (default ``cc``).
 Robot-steps per second of processor time on one core, fully connected (N = 10) and in the moving world
-(N = 20, D = 1, messages a step late), 40 000 steps, filter on. All are measured in turn, ten times over, and the best
-of each counts. The physics simulator's figure, with its logging removed, is that of
+(N = 20, D = 1, messages a step late), 40 000 steps, filter on. All are measured in turn, ten times over, and
+the best of each counts. The physics simulator's figure, with its logging removed, is that of
 tests/data/motion_statistics.json. ``--check`` exits with 1 where a ratio is below its floor.
 """
 
