@@ -63,8 +63,8 @@ static void run_moving(int count)
         for (int i = 0; i < count; ++i) {
             plain_t *const own = &robots[i];
             plain_observe(own, draw(ACCURACY) == arena.black[i]);
-            series[(long)i * (STEPS + 1) + k] = (float)((own->alpha * own->x_hat + heard[i].alpha_x) /
-                                                        (own->alpha + heard[i].alpha));
+            series[(long)i * (STEPS + 1) + k] =
+                (float)((own->alpha * own->x_hat + heard[i].alpha_x) / (own->alpha + heard[i].alpha));
             if (k % PERIOD == 0) {
                 filter(own, &heard[i]);
             }

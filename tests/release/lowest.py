@@ -1,6 +1,7 @@
 """Install the lowest versions that ``pyproject.toml`` allows in build/lowest, and run the Python tests.
 
-Run as ``python -m release.lowest [PYTEST ARGUMENT...]`` with ``tests`` on PYTHONPATH.
+Run as ``python -m release.lowest [PYTEST ARGUMENT...]`` with ``tests`` on PYTHONPATH. uv chooses the versions
+(``lowest-direct``) and the oldest Python that the project allows.
 """
 
 from __future__ import annotations
@@ -17,17 +18,8 @@ from support import PATH, ROOT
 FOLDER = ROOT / "build/lowest"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 TESTED = ("tests/firmware_py", "tests/host_tools")
-"""The Python tests; all others are of C, targets and tools."""
 TOOLS = ("hypothesis", "pytest", "pytest-timeout", "pytest-xdist", "pycparser", "cantools")
 """Packages that these tests need beside the project, in any version."""
-NEWEST_MINOR = 30
-
-
-def oldest_python() -> str:
-    """The oldest Python on PATH that the project allows; this one if no other has its version in its name."""
-    lowest = int(PROJECT["project"]["requires-python"].removeprefix(">=3."))
-    names = (f"python3.{minor}" for minor in range(lowest, NEWEST_MINOR))
-    return next((found for name in names if (found := shutil.which(name))), sys.executable)
 
 
 def requirements() -> list[str]:
@@ -37,7 +29,7 @@ def requirements() -> list[str]:
     every = {
         *PROJECT["build-system"]["requires"],
         *project["dependencies"],
-        *(each for e in extras for each in e),
+        *(one for e in extras for one in e),
     }
     return sorted(each for each in every if not each.startswith("mcp-asdf"))
 
@@ -50,36 +42,22 @@ def call(*command: str | Path, **environment: str) -> None:
         sys.exit(code)
 
 
-def install() -> Path:
-    """Make the environment anew; returns its Python."""
+def main(arguments: list[str]) -> None:
+    """Install and test. Old libraries may warn of what newer Pythons will drop: that is no failure here."""
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
     stated, chosen, python = FOLDER / "stated.txt", FOLDER / "versions.txt", FOLDER / "venv/bin/python"
     stated.write_text("".join(f"{each}\n" for each in requirements()), encoding="utf-8")
-    call("uv", "venv", "--quiet", "--python", oldest_python(), FOLDER / "venv")
-    lowest = (
-        "uv",
-        "pip",
-        "compile",
-        "--quiet",
-        "--resolution",
-        "lowest-direct",
-        "--no-annotate",
-        "--no-header",
-    )
-    call(*lowest, "--python", python, "--output-file", chosen, stated)
+    oldest = PROJECT["project"]["requires-python"].removeprefix(">=")
+    found = shutil.which(f"python{oldest}") or sys.executable
+    call("uv", "venv", "--quiet", "--python", found, FOLDER / "venv")
+    lowest = ("--quiet", "--resolution", "lowest-direct", "--no-annotate", "--no-header")
+    call("uv", "pip", "compile", *lowest, "--python", python, "--output-file", chosen, stated)
     into = ("uv", "pip", "install", "--quiet", "--python", python)
     call(*into, "--requirement", chosen, "--constraint", chosen, *TOOLS, "pip", "cmake", "ninja")
-    bin_folder = os.pathsep.join([str(python.parent), PATH])
-    call(*into, "--no-deps", "--no-build-isolation", "--editable", ROOT, PATH=bin_folder)
+    path = os.pathsep.join([str(python.parent), PATH])
+    call(*into, "--no-deps", "--no-build-isolation", "--editable", ROOT, PATH=path)
     print(chosen.read_text(encoding="utf-8"), end="", flush=True)
-    return python
-
-
-def main(arguments: list[str]) -> None:
-    """Install and test. Old libraries may warn of what newer Pythons will drop: that is no failure here."""
-    python = install()
-    path = os.pathsep.join([str(python.parent), os.environ["PATH"]])
     options = ("-q", "-m", "not slow", "-W", "default", "--numprocesses=auto", "--dist=worksteal")
     call(python, "-m", "pytest", *options, *(arguments or TESTED), PATH=path)
 

@@ -1,0 +1,49 @@
+"""Dependencies have tested lower bounds; builds are reproducible; the bill of materials is whole."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from c_ref.consumer import version_of_header
+from release.lowest import requirements
+from release.reproducible import build_twice
+from support import ROOT, require
+
+BOUNDED = re.compile(r"([\w.-]+)(\[[\w,-]+\])?>=\d[\d.]*")
+
+
+def test_each_dependency_has_a_lower_bound() -> None:
+    assert len(requirements()) > 8
+    assert [each for each in requirements() if not BOUNDED.fullmatch(each)] == []
+
+
+@pytest.mark.slow
+def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
+    require("cmake")
+    first, second = build_twice(tmp_path)
+    assert {Path(name).suffix for name in first} > {".a", ".whl", ".so"}
+    assert first == second
+
+
+@pytest.mark.slow
+def test_the_bill_names_each_dependency() -> None:
+    require("cyclonedx-py")
+    from cyclonedx.schema import SchemaVersion  # noqa: PLC0415 - comes with the tool
+    from cyclonedx.validation.json import JsonStrictValidator  # noqa: PLC0415
+
+    from release.sbom import bill  # noqa: PLC0415
+
+    found = bill()
+    text = json.dumps(found)
+    assert JsonStrictValidator(SchemaVersion.V1_6).validate_str(text) is None
+    names = {each["name"].lower().replace("_", "-").replace(".", "-") for each in found["components"]}
+    builders = {"scikit-build-core", "cffi", "hatch-fancy-pypi-readme"}
+    stated = {match[1].lower() for each in requirements() if (match := BOUNDED.fullmatch(each))}
+    assert {*stated - builders, "uplot"} <= names
+    assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"}), "tests' own tools"
+    assert found["metadata"]["component"]["version"] == version_of_header()
+    assert str(ROOT) not in text
