@@ -22,7 +22,7 @@ from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
 from mcp_asdf_tools.recording import InputLogHeader, LogOutputs
-from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, start_nodes
+from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, node_processes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
     Companion,
@@ -234,9 +234,9 @@ def _admit(
 def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> NodeProcesses:
     """The robots' processes; none unless asked for."""
     if not args.processes:
-        return NodeProcesses()
+        return NodeProcesses({})
     subjects = Subjects(estimates=settings.frames)
-    return start_nodes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
+    return node_processes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
 
 
 @contextmanager

@@ -34,7 +34,7 @@ from .population import Filtering as Filtering
 from .population import Population as Population
 from .population import parameter_names as parameter_names
 from .processes import NodeProcesses as NodeProcesses
-from .processes import start_nodes as start_nodes
+from .processes import node_processes as node_processes
 from .record import RobotRecord as RobotRecord
 from .rounds import TickConfig as TickConfig
 from .rounds import TickedRobot as TickedRobot

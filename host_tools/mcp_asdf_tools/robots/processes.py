@@ -6,9 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from mcp_asdf.robot import Filter
@@ -24,7 +23,7 @@ _PATIENCE = 10.0
 
 
 class NodeProcesses:
-    """Running ``mcp-asdf node`` processes. A context manager: leaving it ends them all.
+    """Processes of ``mcp-asdf node``. A context manager: entering starts them, leaving ends them all.
 
     They end with this process, however it dies.
 
@@ -32,21 +31,24 @@ class NodeProcesses:
         reports: What each node reported at its end, by robot id: ``mcp-asdf node --json``.
     """
 
-    def __init__(self) -> None:
-        """Start without processes; ``start_nodes`` adds them."""
+    def __init__(self, commands: Mapping[int, Sequence[str]]) -> None:
+        """Prepare a process for each of these ``commands``, by robot id."""
         self.reports: dict[int, dict[str, Any]] = {}
+        self._commands = commands
         self._processes: dict[int, subprocess.Popen[str]] = {}
 
-    def start(self, robot: int, command: Sequence[str]) -> None:
-        """Start one more process. Raises OSError if that is impossible."""
-        self._processes[robot] = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,  # Ctrl-C is for this process, which then ends the others
-        )
+    def __enter__(self) -> NodeProcesses:
+        pipe = subprocess.PIPE
+        for robot, command in self._commands.items():
+            self._processes[robot] = subprocess.Popen(
+                command,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+                text=True,
+                start_new_session=True,  # Ctrl-C is for this process, which then ends the others
+            )
+        return self
 
     def check(self) -> None:
         """Raises LockstepError, with its error output, if a process has ended. O(processes)."""
@@ -57,9 +59,6 @@ class NodeProcesses:
                     f"the process of robot {robot} ended with exit code {process.returncode}: "
                     f"{errors or 'no error output'}"
                 )
-
-    def __enter__(self) -> NodeProcesses:
-        return self
 
     def __exit__(self, *_: object) -> None:
         for process in self._processes.values():
@@ -74,46 +73,38 @@ class NodeProcesses:
                 self.reports[robot] = json.loads(report)
 
 
-def start_nodes(
+def node_processes(
     robots: Sequence[RobotRecord],
     bus_of: Callable[[int], BusChoice],
     subjects: Subjects,
     steps_per_second: int,
-    log_of: Callable[[int], Path] | None = None,
 ) -> NodeProcesses:
-    """Start a process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
+    """A process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
 
     Open the connection that commands them first, then wait until all are up::
 
-        with can_bus as bus, start_nodes(robots, lambda robot: choice, Subjects(), 10) as nodes:
+        with can_bus as bus, node_processes(robots, lambda robot: choice, Subjects(), 10) as nodes:
             lockstep = Lockstep(bus, check=nodes.check)
             lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
 
-    A heartbeat is due every ``steps_per_second`` ticks. ``log_of`` gives the path of a node's log, which
-    gets an input log for ``mcp-asdf replay``. On SocketCAN all processes stay on one processor, see
+    A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN all processes stay on one processor, see
     ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
     """
     ids = [robot.id for robot in robots]
     if len(set(ids)) < len(ids):
         raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-    commands = [
-        [
+    commands = {
+        robot.id: [
             *(sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"),
             *_options(robot, subjects),
             f"--steps-per-second={steps_per_second}",
-            *([f"--log={log_of(robot.id)}"] if log_of else []),
             *bus_of(robot.id).arguments(),
         ]
         for robot in robots
-    ]
+    }
     if any(bus_of(robot).interface == "socketcan" for robot in ids):
         keep_order()
-    with ExitStack() as stack:
-        nodes = stack.enter_context(NodeProcesses())
-        for robot, command in zip(robots, commands, strict=True):
-            nodes.start(robot.id, command)
-        stack.pop_all()  # all have started: the caller ends them
-    return nodes
+    return NodeProcesses(commands)
 
 
 def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:

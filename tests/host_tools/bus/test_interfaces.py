@@ -8,16 +8,18 @@ import shlex
 import socket
 import struct
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import can
 import msgpack  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
-from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.bus.interfaces import BusChoice, WithoutEcho
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots.node import filters_for
@@ -133,3 +135,46 @@ def test_robots_count_it_and_go_on(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["replay", str(log)]) == 0
     channels = {line.split()[1] for line in log.read_text().splitlines()}
     assert channels == {choice.channel}
+
+
+class Echoing(can.BusABC):
+    """A connection to a bus of which everybody gets every frame, the sender too."""
+
+    def __init__(self, everybody: list[Echoing]) -> None:
+        super().__init__(channel="echo")
+        self.channel_info = "echo"
+        self._waiting: deque[can.Message] = deque()
+        self.everybody = everybody
+        everybody.append(self)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        for each in self.everybody:
+            each._waiting.append(msg)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return (self._waiting.popleft() if self._waiting else None), False
+
+    def fileno(self) -> int:
+        return 99
+
+
+def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
+    everybody: list[Echoing] = []
+    connections = [WithoutEcho(Echoing(everybody)) for _ in range(3)]
+    draw, heard, due = random.Random(2), [[], [], []], [[], [], []]  # type: ignore[var-annotated]
+    for _ in range(2000):
+        place = draw.randrange(3)
+        if draw.random() < 0.5:
+            # Contents come again and again, also from others at the same time.
+            frame = can.Message(arbitration_id=draw.randrange(2), data=bytes([draw.randrange(2)]))
+            connections[place].send(frame, timeout=1)
+            for other in {0, 1, 2} - {place}:
+                due[other].append((frame.arbitration_id, bytes(frame.data)))
+        frame_or_none = connections[place].recv(0)
+        if frame_or_none is not None:
+            heard[place].append((frame_or_none.arbitration_id, bytes(frame_or_none.data)))
+    for place, connection in enumerate(connections):
+        heard[place] += [(f.arbitration_id, bytes(f.data)) for f in iter(lambda: connection.recv(0), None)]  # noqa: B023
+        assert sorted(heard[place]) == sorted(due[place]), "replay: random.Random(2)"
+        assert connection.fileno() == 99
+        connection.shutdown()
