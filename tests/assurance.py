@@ -24,10 +24,9 @@ def _of_proofs() -> Iterator[tuple[str, str]]:
     named = {each for variant in VARIANTS for room in (arithmetic, core) for each in room.contracts(variant)}
     yield "functions with a lemma, and variants of the code", f"{len(named)}, {len(VARIANTS)}"
     code = program(VARIANTS[0], core.CORE)
-    claims = [*accuracy.of_estimate(code), *accuracy.of_set_b_hat(code), *accuracy.of_square_of_ratio(code)]
-    roundings = [accuracy.of_x_hat, accuracy.of_alpha, accuracy.of_squares, accuracy.of_alpha_at_an_end]
-    inequalities = sum(1 for each in roundings for _ in each())
-    yield "claims of the errors' proof: of the code, of the numbers", f"{len(claims)}, {inequalities}"
+    of_code = sum(1 for claims in accuracy.OF_THE_CODE for _ in claims(code))
+    of_numbers = sum(1 for claims in accuracy.OF_THE_NUMBERS for _ in claims())
+    yield "claims of the errors' proof: of the code, of the numbers", f"{of_code}, {of_numbers}"
 
 
 def _of_tests() -> Iterator[tuple[str, str]]:

@@ -1,10 +1,9 @@
 """How far x_hat, alpha, x_bar and b_hat are from the paper's equations, for all inputs: the limits of
 tests/exact.py.
 
-Two parts with the same names. Of the C: a run of estimate() in whole numbers, or of reestimate() in words, in
-which each call of the arithmetic is a number; the proof says which numbers it is called with. Of the numbers:
-what the functions' lemmas say of each result, and for each rounding an inequality. Both are settled by the
-solver.
+Two parts with the same names. The first says which numbers the C forms: each function that the limits depend
+on equals a formula of calls, whatever the called functions compute. The second says of each rounding, by what
+the functions' lemmas know of their results, how much it takes away.
 
 Names: T and P are t and the rarer colour's count, shifted until T has 32 bits; L is c T, rounded down; G is
 2^32 - 2 c. Powers of two that shifts multiply by are numbers of their own.
@@ -12,7 +11,6 @@ Names: T and P are t and the rarer colour's count, shifted until T has 32 bits; 
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
@@ -21,235 +19,150 @@ import z3
 
 from proofs.core import C_MOST, ONE
 from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Arithmetic, Integers, Number, Type, Words
+from proofs.numbers import Number, Type, Words
 from proofs.prove import terms
 from proofs.source import Program
 
-WORD, LONG = Type(32), Type(64)
-LONG_RESULTS = {"multiply", "shift_right_64", "join"}
-CALLED = (
-    *("leading_zeros", "shift_left", "shift_right_64", "upper", "high_word", "low_word", "join"),
-    *("multiply", "multiply_high", "divide_24", "alpha_word", "square_of_ratio"),
-    *("mean", "quotient", "set_b_hat"),
-)
+RESULTS = {
+    **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
+    **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
+    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient"), 32),
+}
+"""Called functions, of which nothing is known here, and bits of their results."""
 Claim = tuple[str, Any, list[Any]]
 """Name of a claim, its formula, and of what it follows."""
+Claims = Callable[[], Iterator[Claim]]
 
 # --- Of the C --------------------------------------------------------------------------------------------
 
 
-class Sizes(Integers):
-    """Whole numbers, with as much of ``^`` and of shifts by a bit as estimate() needs."""
-
-    def binary(self, operator: str, left: Number, right: Number) -> Number:
-        if operator == "^":
-            differ = left.term / 2**31 != right.term / 2**31
-            return Number(z3.If(differ, 2**31, 0) + z3.FreshInt("low") % 2**31, left.type)
-        if operator == ">>" and not z3.is_int_value(z3.simplify(right.term)):
-            shifted = z3.If(right.term == 1, left.term / 2, z3.FreshInt("shifted"))
-            return Number(z3.If(right.term == 0, left.term, shifted), left.type)
-        return super().binary(operator, left, right)
+def call(name: str, *arguments: Any) -> Any:
+    """The result of a function of the C on these words: anything, but the same for the same arguments."""
+    function = z3.Function(name, *(each.sort() for each in arguments), z3.BitVecSort(RESULTS[name]))
+    return function(*arguments)
 
 
-class Run:
-    """A function on unknown arguments.
+def _stands_in(name: str) -> Summary:
+    return lambda _, *arguments: Number(call(name, *(each.term for each in arguments)), Type(RESULTS[name]))
 
-    Attributes:
-        given: Terms of its arguments by name; the members of a structure that one points to by theirs.
-        results: Results of the calls by function, in their order.
-        arguments: Those of the same calls, pointers left out.
-        found: Terms of what it returns, or else of what its first argument then points to.
-        facts: What is known of all these.
-    """
 
-    def __init__(self, program: Program, name: str, arithmetic: Callable[..., Arithmetic] = Sizes) -> None:
-        self.results: dict[str, list[Any]] = defaultdict(list)
-        self.arguments: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
-        called = {each: self._stands_in(each) for each in CALLED if each != name}
-        machine = Machine(program, arithmetic, called)
-        parameters = program.parameters(name)
-        values = [machine.unknown_of(each.type, each.name) for each in parameters]
-        self.given: dict[str, Any] = {}
-        for parameter, value in zip(parameters, values, strict=True):
-            seen = terms(machine.load(value) if isinstance(value, Place) else value)
-            self.given |= seen if isinstance(seen, dict) else {parameter.name: seen}
-        found = machine.call(name, *values)
-        result = found if found is not None else values[0]
-        self.found = terms(machine.load(result) if isinstance(result, Place) else result)
-        self.facts = machine.facts
+def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
+    """set_b_hat(), as far as reestimate() is concerned."""
+    machine.store(Place(robot.variable, (*robot.path, "accuracy", "b_hat")), b_hat)
 
-    def _stands_in(self, name: str) -> Summary:
-        def summary(machine: Machine, *arguments: Number | Place) -> Number:
-            found = machine.unknown(name, LONG if name in LONG_RESULTS else WORD)
-            self.results[name].append(found.term)
-            numbers = [each for each in arguments if isinstance(each, Number)]
-            self.arguments[name].append(tuple(each.term for each in numbers))
-            return found
 
-        return summary
+def formed(program: Program, name: str) -> tuple[dict[str, Any], Any]:
+    """Terms of a function's unknown arguments, members of structures by their own names; and what it returns,
+    with what its first argument then points to, if it is a pointer that it may write to."""
+    called: dict[str, Summary] = {each: _stands_in(each) for each in RESULTS if each != name}
+    machine = Machine(program, Words, called | ({"set_b_hat": _keep_b_hat} if name != "set_b_hat" else {}))
+    given: dict[str, Any] = {}
+    values = [machine.unknown_of(each.type, each.name) for each in program.parameters(name)]
+    for parameter, value in zip(program.parameters(name), values, strict=True):
+        seen = terms(machine.load(value) if isinstance(value, Place) else value)
+        given |= seen if isinstance(seen, dict) else {parameter.name: seen}
+    found = terms(machine.call(name, *values))
+    return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)
+
+
+def half(word: Any) -> Any:
+    return z3.LShR(word, 1)
 
 
 def of_estimate(program: Program) -> Iterator[Claim]:
-    """Which numbers estimate() forms, in which order, and what it returns."""
-    run = Run(program, "estimate")
-    yield from _inside(run)
-    yield from _at_an_end(run)
-
-
-def _inside(run: Run) -> Iterator[Claim]:
-    t, n, b_hat, c, g_shift = (run.given[name] for name in ("t", "n", "b_hat", "c", "g_shift"))
-    total, rarer, scale, above, dividend = run.results["shift_left"]
-    least, root, square = run.results["multiply_high"]
-    *_, spread = run.results["multiply"]
-    shift, _, square_shift, spread_shift = run.results["leading_zeros"]
-    x, ratio = run.results["divide_24"]
-    _, divisor = run.results["upper"]
-    known = _possible(run)
+    """Eq. 3 and 4 as the second part writes them."""
+    given, (found, _) = formed(program, "estimate")
+    t, n, b_hat, c, g_shift = (given[name] for name in ("t", "n", "b_hat", "c", "g_shift"))
     white = t - n
-    shifts = run.arguments["shift_left"]
-    yield "t, shifted", z3.And(shifts[0][0] == t, shifts[0][1] == shift), known
-    part = z3.If(n < white, n, white)
-    yield "the rarer colour's count, shifted", z3.And(shifts[1][0] == part, shifts[1][1] == shift), known
-    yield "c t", z3.And(*_equal(run.arguments["multiply_high"][0], (c, total))), known
-    inside = [*known, rarer > least, c <= C_MOST]
-    yield "g t", z3.And(*_equal(shifts[2], (total - 2 * least, g_shift))), inside
-    yield "part - c t", z3.And(*_equal(shifts[3], (rarer - least, g_shift))), inside
-    yield "x", z3.And(*_equal(run.arguments["divide_24"][0], (above, scale / 2))), inside
-    products = run.arguments["multiply_high"]
-    yield "(g t)^2", z3.And(*_equal(products[1], (scale, scale))), inside
-    yield "(g t)^2 t", z3.And(*_equal(products[2], (root, total))), inside
-    yield "p (1 - p)", z3.And(*_equal(run.arguments["multiply"][-1], (rarer, total - rarer))), inside
-    yield "dividend", z3.And(*_equal(shifts[4], (square, square_shift))), inside
-    yield "divisor", z3.And(*_equal(run.arguments["upper"][-1], (spread, spread_shift))), inside
-    yield "ratio", z3.And(*_equal(run.arguments["divide_24"][1], (dividend / 2, divisor / 2))), inside
-    ((mantissa, exponent),) = run.arguments["alpha_word"]
-    excess = z3.If(ratio >= 2**24, 1, 0)
-    upper = z3.If(excess == 1, ratio / 2, ratio)
-    formed = (32 - 2 * g_shift - shift + spread_shift - square_shift + excess) % 2**32
-    is_long = [*inside, ratio < 2**25]
-    yield "mantissa and exponent", z3.And(mantissa == upper, exponent == formed), is_long
-    mirrored = (n < white) == (b_hat < 2**31)
-    near = z3.If(rarer <= least, 0, x / 4)
-    x_hat = z3.If(mirrored, ONE - near, near)
-    says_nothing = z3.And(rarer <= least, c == 2**32 - 1)
-    returned = z3.If(says_nothing, run.found["x_hat"] == ONE / 2, run.found["x_hat"] == x_hat)
-    small = [t < 2**31, x / 4 <= ONE]
-    yield "x_hat", returned, [*known, *small]
-    alpha = run.found["alpha"]
-    yield "alpha", z3.If(says_nothing, alpha == 0, alpha == run.results["alpha_word"][0]), known
+    part = z3.If(z3.ULT(n, white), n, white)
+    shift = call("leading_zeros", t)
+    total, rarer = call("shift_left", t, shift), call("shift_left", part, shift)
+    least = call("multiply_high", c, total)
+    scale, above = call("shift_left", total - 2 * least, g_shift), call("shift_left", rarer - least, g_shift)
+    at_end = z3.ULE(rarer, least)
+    x = z3.If(at_end, z3.BitVecVal(0, 32), z3.LShR(call("divide_24", above, half(scale)), 2))
+    mirrored = z3.ULT(n, white) == z3.ULT(b_hat, 2**31)
+    known = [z3.ULE(n, t), z3.ULT(t, 2**31), z3.ULE(g_shift, 31)]
+    nothing = z3.And(found["x_hat"] == ONE // 2, found["alpha"] == 0)
+    yield "without information", nothing, [*known, at_end, c == 2**32 - 1]
+    known = [*known, z3.Or(z3.Not(at_end), c != 2**32 - 1)]
+    yield "x_hat", found["x_hat"] == z3.If(mirrored, ONE - x, x), known
+    inside = _alpha_inside(given, shift, total, rarer, scale)
+    yield "alpha", found["alpha"] == inside, [*known, z3.Not(at_end)]
+    for name, side in (("one colour alone", part == 0), ("at an end", part != 0)):
+        alpha = _alpha_at_an_end(given, t - part, part)
+        yield f"alpha, {name}", found["alpha"] == alpha, [*known, at_end, side]
 
 
-def _possible(run: Run) -> list[Any]:
-    """Formulas known of the arguments and of the first results, by lemmas."""
-    t, n, c, g_shift = (run.given[name] for name in ("t", "n", "c", "g_shift"))
-    total, rarer, *_ = run.results["shift_left"]
-    least = run.results["multiply_high"][0]
-    return [
-        *run.facts,
-        *(t >= 1, t <= 2**31, n <= t, c >= 2**12, g_shift <= 11, total >= 2**31, 2 * rarer <= total),
-        *(z3.Or(c <= C_MOST, c == 2**32 - 1), 2 * least <= total),
-    ]
-
-
-def _at_an_end(run: Run) -> Iterator[Claim]:
-    """The sum, moved until it has 64 bits, of which the mantissa is the upper 24."""
-    t, n, common, rare = (run.given[name] for name in ("t", "n", "common", "rare"))
-    g_shift, rare_shift = run.given["g_shift"], run.given["rare_shift"]
-    rarer, least = run.results["shift_left"][1], run.results["multiply_high"][0]
-    first, second, _ = run.results["multiply"]
-    (moved,), (joined,), (low,) = (run.results[name] for name in ("shift_right_64", "join", "low_word"))
-    high, upper_word, _ = run.results["high_word"]
-    known = [*_possible(run), rarer <= least, run.given["c"] <= C_MOST, rare_shift <= 38]
-    known += [first < 2**63, second < 2**63, moved <= first]
-    part = z3.If(n < t - n, n, t - n)
-    products = run.arguments["multiply"]
-    yield "part common", z3.And(*_equal(products[0], (t - part, common))), known
-    yield "part rare", z3.And(*_equal(products[1], (part, rare))), [*known, part > 0]
-    yield (
-        "moved",
-        z3.And(*_equal(run.arguments["shift_right_64"][0], (first, rare_shift))),
-        [*known, part > 0],
+def _alpha_inside(given: dict[str, Any], shift: Any, total: Any, rarer: Any, scale: Any) -> Any:
+    """(g t)^2 t over p (1 - p), whose upper bits are divided; the exponent takes the shifts out again."""
+    square = call("multiply_high", call("multiply_high", scale, scale), total)
+    spread = call("multiply", rarer, total - rarer)
+    square_shift, spread_shift = (
+        call("leading_zeros", square),
+        call("leading_zeros", call("high_word", spread)),
     )
-    total = z3.If(part == 0, first, second + moved)
-    yield "sum", run.arguments["high_word"][0][0] == total, known
-    long = z3.If(high == 0, joined, total)
-    small = [*known, high == 0]
-    yield "of a short sum, low", z3.And(run.arguments["low_word"][0][0] == total), small
-    yield "of a short sum, joined", z3.And(*_equal(run.arguments["join"][0], (low, 0))), small
-    yield "upper word", run.arguments["high_word"][1][0] == long, known
-    sum_shift = run.results["leading_zeros"][1]
-    yield "leading zeros", run.arguments["leading_zeros"][1][0] == upper_word, known
-    yield "upper bits", z3.And(*_equal(run.arguments["upper"][0], (long, sum_shift))), known
-    ((mantissa, exponent),) = run.arguments["alpha_word"]
-    moves = z3.If(part == 0, 0, rare_shift) - z3.If(high == 0, 32, 0) - sum_shift
-    yield "mantissa", mantissa == run.results["upper"][0] / 2**8, known
-    yield "exponent", exponent == (34 - 2 * g_shift + moves) % 2**32, known
+    dividend, divisor = call("shift_left", square, square_shift), call("upper", spread, spread_shift)
+    ratio = call("divide_24", half(dividend), half(divisor))
+    excess = z3.LShR(ratio, 24) & 1
+    exponent = 32 - 2 * given["g_shift"] - shift + spread_shift - square_shift + excess
+    return call("alpha_word", z3.LShR(ratio, excess), exponent)
+
+
+def _alpha_at_an_end(given: dict[str, Any], common: Any, rare: Any) -> Any:
+    """The sum of both colours' terms, moved until it has 64 bits, of which the mantissa is the upper 24."""
+    first, second = call("multiply", common, given["common"]), call("multiply", rare, given["rare"])
+    some = rare != 0
+    total = z3.If(some, second + call("shift_right_64", first, given["rare_shift"]), first)
+    moved = z3.If(some, given["rare_shift"], z3.BitVecVal(0, 32))
+    is_short = call("high_word", total) == 0
+    long = z3.If(is_short, call("join", call("low_word", total), z3.BitVecVal(0, 32)), total)
+    sum_shift = call("leading_zeros", call("high_word", long))
+    exponent = 34 - 2 * given["g_shift"] + moved - z3.If(is_short, z3.BitVecVal(32, 32), 0) - sum_shift
+    return call("alpha_word", z3.LShR(call("upper", long, sum_shift), 8), exponent)
 
 
 def of_set_b_hat(program: Program) -> Iterator[Claim]:
-    """Of which quotients it keeps the squares, for any b_hat but 1/2."""
-    run = Run(program, "set_b_hat")
-    b_hat, held = run.given["b_hat"], run.found["accuracy"]
-    g_shift, c_shift = run.results["leading_zeros"]
-    shifted, again, shifted_c = run.results["shift_left"]
-    common, rare = run.results["square_of_ratio"]
-    known = [*run.facts, b_hat >= 2**12, b_hat <= 2**32 - 2**12, b_hat != 2**31, g_shift <= 31, c_shift <= 31]
-    c = z3.If(b_hat < 2**31, b_hat, 2**32 - b_hat)
-    g = 2**32 - 2 * c
-    counted = run.arguments["leading_zeros"]
-    yield "shifts of g and c", z3.And(counted[0][0] == g, counted[1][0] == c), known
-    shifts = run.arguments["shift_left"]
-    wanted = ((g, g_shift), (g, g_shift), (c, c_shift))
-    yield (
-        "g and c, shifted",
-        z3.And([z3.And(*_equal(*each)) for each in zip(shifts, wanted, strict=True)]),
-        known,
-    )
-    squares = run.arguments["square_of_ratio"]
-    yield "g / (1 - c)", z3.And(*_equal(squares[0], (shifted, 2**32 - c))), known
-    yield "g / c", z3.And(*_equal(squares[1], (again, shifted_c))), known
-    members = {"common": common, "rare": rare, "g_shift": g_shift, "rare_shift": 2 * c_shift}
-    yield "members", z3.And([held[name] == each for name, each in members.items()]), known
-
-
-def _equal(found: tuple[Any, ...], wanted: tuple[Any, ...]) -> list[Any]:
-    return [one == other for one, other in zip(found, wanted, strict=True)]
+    """The squares are those of g / (1 - c) and of g / c."""
+    given, (_, after) = formed(program, "set_b_hat")
+    b_hat, held = z3.BitVec("b_hat_given", 32), after["accuracy"]
+    c = z3.If(z3.ULT(b_hat, 2**31), b_hat, -b_hat)
+    g = -2 * c
+    g_shift, c_shift = call("leading_zeros", g), call("leading_zeros", c)
+    shifted = call("shift_left", g, g_shift)
+    members = {
+        "common": call("square_of_ratio", shifted, -c),
+        "rare": call("square_of_ratio", shifted, call("shift_left", c, c_shift)),
+        **{"g_shift": g_shift, "rare_shift": 2 * c_shift},
+    }
+    for name, value in members.items():
+        yield name, held[name] == value, [given["b_hat"] == b_hat]
 
 
 def of_square_of_ratio(program: Program) -> Iterator[Claim]:
     """The square of a quotient of 24 or 25 bits, whose unit is 2^-24."""
-    run = Run(program, "square_of_ratio")
-    (quotient,), (square,) = run.results["divide_24"], run.results["multiply_high"]
-    known = [*run.facts, quotient < 2**25]
-    halves = (run.given["g"] / 2, run.given["p"] / 2)
-    yield "quotient", z3.And(*_equal(run.arguments["divide_24"][0], halves)), known
-    ratio = quotient * 2**7
-    yield "square", z3.And(*_equal(run.arguments["multiply_high"][0], (ratio, ratio))), known
-    yield "result", run.found == square, known
+    given, (found, _) = formed(program, "square_of_ratio")
+    ratio = call("divide_24", half(given["g"]), half(given["p"])) << 7
+    yield "square", found == call("multiply_high", ratio, ratio), []
 
 
 def of_reestimate(program: Program) -> Iterator[Claim]:
-    """Which quotient is b_hat, and when there is none; in words, of which products are any."""
-    run = Run(program, "reestimate", Words)
-    t, n, closed = (run.given[name] for name in ("t", "n", "closed"))
-    (mean,), (quotient,), (joined,) = (run.results[name] for name in ("mean", "quotient", "join"))
-    span, taken = run.results["multiply"]
-    sums = (closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
-    yield "x_bar", z3.And(*_equal(run.arguments["mean"][0], tuple(sums))), run.facts
+    """Which quotient is b_hat, and when there is none."""
+    given, (found, after) = formed(program, "reestimate")
+    t, n, closed = (given[name] for name in ("t", "n", "closed"))
+    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
     is_below = z3.ULT(mean, 2**31)
     a, black = z3.If(is_below, ~mean, mean), z3.If(is_below, t - n, n)
-    yield "whether x_bar says something", (run.found != 0) == z3.UGE(2 * a, 2**20), run.facts
-    known = [*run.facts, z3.UGE(2 * a, 2**20)]
-    spans = run.arguments["multiply"]
-    yield "D", z3.And(*_equal(spans[0], (t, 2 * a))), known
-    yield "t (1 - x_bar)", z3.And(*_equal(spans[1], (t, -a))), known
-    yield "2^32 n", z3.And(*_equal(run.arguments["join"][0], (black, z3.BitVecVal(0, 32)))), known
-    above = z3.If(joined - taken > 0, joined - taken, 0)
-    dividend = z3.If(z3.ULT(above, span), above, span)
-    yield "N / D, between 0 and 1", z3.And(*_equal(run.arguments["quotient"][0], (dividend, span))), known
+    says_something = z3.UGE(2 * a, 2**20)
+    yield "whether x_bar says something", (found != 0) == says_something, []
+    span, taken = call("multiply", t, 2 * a), call("multiply", t, -a)
+    excess = call("join", black, z3.BitVecVal(0, 32)) - taken
+    above = z3.If(excess > 0, excess, 0)
+    quotient = call("quotient", z3.If(z3.ULT(above, span), above, span), span)
     least, most = z3.BitVecVal(2**12, 32), z3.BitVecVal(2**32 - 2**12, 32)
     kept = z3.If(z3.ULT(quotient, least), least, z3.If(z3.UGT(quotient, most), most, quotient))
-    yield "b_hat in its range", run.arguments["set_b_hat"][0][0] == kept, known
+    b_hat = after["accuracy"]["b_hat"]
+    yield "N / D, in the range of b_hat", b_hat == kept, [says_something]
 
 
 # --- Of the numbers --------------------------------------------------------------------------------------
@@ -428,3 +341,7 @@ def _kept(value: Any, least: int, most: int, parts: int = 1) -> Any:
     """The value, kept within two numbers that are given in ``parts`` of 1."""
     low, high = z3.RealVal(least) / parts, z3.RealVal(most) / parts
     return z3.If(value < low, low, z3.If(value > high, high, value))
+
+
+OF_THE_CODE = (of_estimate, of_reestimate, of_set_b_hat, of_square_of_ratio)
+OF_THE_NUMBERS = (of_x_hat, of_alpha, of_squares, of_alpha_at_an_end, of_quotient, of_b_hat)

@@ -17,6 +17,8 @@ from proofs.source import Program
 
 SECONDS = 120
 """For one query; most take milliseconds, the slowest a few seconds."""
+WITNESS_SECONDS = 60
+"""For something that satisfies what a proof takes for known."""
 Formula = Callable[..., Any]
 
 
@@ -66,13 +68,25 @@ def _has_integers(term: Any) -> bool:
     return term.sort() == z3.IntSort() or any(_has_integers(each) for each in term.children())
 
 
-def refuse_contradiction(known: list[Any], name: str) -> None:
-    """Anything follows from what contradicts itself. The solver need not find an example."""
+def require_possible(known: Iterable[Any], about: str) -> None:
+    """That something satisfies all that a proof takes for known: from a contradiction anything follows."""
     solver = z3.Solver()
-    solver.set("timeout", 200)
+    solver.set("timeout", WITNESS_SECONDS * 1000)
     solver.add(*known)
-    if solver.check() == z3.unsat:
-        raise UnprovenError(f"{name}: what is known contradicts itself")
+    if solver.check() != z3.sat:
+        raise UnprovenError(f"{about}: nothing is found that satisfies what is taken for known")
+
+
+def prove_all(claims: Iterable[tuple[str, Any, list[Any]]]) -> None:
+    """Each claim, by name, from what is known of it."""
+    possible = set[str]()
+    for about, claim, known in claims:
+        text = str(sorted(each.sexpr() for each in known))
+        if text not in possible:
+            require_possible(known, about)
+        possible.add(text)
+        prove(claim, *known, about=about)
+    assert possible
 
 
 def terms(value: Any) -> Any:
@@ -171,7 +185,7 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
         if invariant:
             invariant.at_end(machine, results[0])
         prove_obligations(machine, name)
-        refuse_contradiction(machine.facts, name)
+        require_possible(machine.facts, name)
         shown: list[Any] = []
         for number, step in enumerate((*contract.steps, Step(contract.ensures, contract.by)), 1):
             formula = step.formula(*results, *before)
