@@ -18,15 +18,23 @@ from numpy.typing import NDArray
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
+    Action,
+    Command,
     FrameFormat,
+    Heartbeat,
     Message,
     Rejection,
+    Telemetry,
     alpha_bits,
     binary32_of,
     bits_of,
     decode,
+    decode_any,
     decode_heartbeat,
     encode,
+    encode_command,
+    encode_heartbeat,
+    encode_telemetry,
     word_of,
 )
 from robots import ALPHA_ONE
@@ -140,6 +148,16 @@ REJECTED = {
 def test_every_rejection(name: str) -> None:
     frame, reason = REJECTED[name]
     assert decode(frame, DEFAULT) is reason
+
+
+def test_any_frame_is_told_by_what_it_holds() -> None:
+    estimate, beat, told = Message(5, 9, ALPHA_ONE, 7), Heartbeat(5, 99, 7), Telemetry(5, 3, 1 << 20, 2, 7)
+    order = encode_command(Command(5, 1, 2, Action.SETTLE, 7))
+    assert decode_any(encode(estimate, DEFAULT), DEFAULT) == estimate
+    assert decode_any(encode_heartbeat(beat), DEFAULT) == beat
+    assert decode_any(encode_telemetry(told), DEFAULT) == told
+    assert decode_any(order, DEFAULT) is Rejection.SUBJECT
+    assert decode_any(changed(data=""), DEFAULT) is Rejection.LENGTH
 
 
 def is_legal_by_the_text(frame: can.Message, subject: int) -> bool:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
-import select
 import shlex
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,7 +24,6 @@ from support import PATH, PATIENCE, ROOT, interruptible, require
 
 ROBOTS = 3
 PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
-CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 @pytest.fixture(scope="module")
@@ -97,32 +93,3 @@ def logged(log: Path) -> set[Message]:
     with can.LogReader(log) as reader:
         found = (frames.decode(frame, FrameFormat()) for frame in reader)
         return {message for message in found if isinstance(message, Message)}
-
-
-@pytest.mark.slow
-def test_every_robot_is_in_its_monitor(environment: dict[str, str]) -> None:
-    """Operational and healthy, next to the monitor itself, node 126; with the subjects that they send."""
-    with swarm(environment) as yakut:
-        screen = watched([*yakut, "monitor"], environment, shows_all)
-    assert shows_all(screen), CONTROL.sub("", screen)
-
-
-def shows_all(screen: str) -> bool:
-    text = CONTROL.sub("", screen)
-    healthy = {int(node) for node in re.findall(r"(\d+) +oper +nomina", text)}
-    subjects = {int(subject) for subject in re.findall(r"^ *(\d+) .* \1\s*$", text, re.MULTILINE)}
-    return healthy >= {*range(ROBOTS), 126} and subjects >= {3000, frames.HEARTBEAT_SUBJECT}
-
-
-def watched(command: list[str], environment: dict[str, str], is_enough: Callable[[str], bool]) -> str:
-    """Output of a program on its terminal until it is enough, or for too long."""
-    ours, its = pty.openpty()
-    with subprocess.Popen(command, env=environment, stdin=its, stdout=its, stderr=its) as program:
-        screen, deadline = "", time.monotonic() + PATIENCE
-        while time.monotonic() < deadline and not is_enough(screen):
-            if select.select([ours], [], [], 0.1)[0]:
-                screen += os.read(ours, 1 << 16).decode(errors="replace")
-        program.kill()
-    os.close(ours)
-    os.close(its)
-    return screen
