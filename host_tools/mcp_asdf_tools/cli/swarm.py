@@ -61,11 +61,11 @@ examples:
   mcp-asdf swarm --clock real-time --steps 100
   mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100
   mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
-With {robot} in the channel each robot has a bus of its own, and a medium carries frames between them. The
+With {robot} in the channel each robot has a bus of its own, and frames are carried between them. The
 same settings give the same run and, on the bus inside this process, the same log to the byte. More about
 media, faults and clocks is in docs/swarm.md.
 The bus inside this process is left out where nothing else can listen (no --slcan,
---processes, --device or {robot}), which makes lossless runs 10 to 50 times as fast; frames, logs and
+--processes, --device or {robot}), which makes runs twice as fast; frames, logs and
 states stay the same to the bit.
 exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
 if interrupted (what was done is saved)"""

@@ -1,7 +1,7 @@
 """A swarm of robots on CAN buses, tick by tick.
 
 Every robot runs a firmware of its own and joins the bus with a connection of its own. In one tick all
-robots observe, those whose broadcast is due send a frame, all hear what the medium carries to them, and all
+robots observe, those whose broadcast is due send a frame, all hear what the carrier brings them, and all
 settle: the latency 0 of the paper's Algorithm 1. In lockstep a tick ends only when nothing is missing that
 the faults have not taken away, so that a run depends on its settings alone, not on the timing of the bus.
 """

@@ -1,7 +1,7 @@
 """The ground truth of a run: observations, positions, and who hears whom, step by step.
 
 The world knows nothing of radios, frames or firmware. It gives who could hear whom; whether and when a
-message arrives is up to the medium. One world therefore drives a swarm on a CAN bus, trials in Python and
+message arrives is up to the carrier. One world therefore drives a swarm on a CAN bus, trials in Python and
 trials in C alike: equal settings and trial give the same bits in all of them.
 """
 
