@@ -11,7 +11,6 @@ from .figures import INK as INK
 from .figures import MEDIUM as MEDIUM
 from .figures import OTHER as OTHER
 from .figures import SMALL as SMALL
-from .figures import TOGETHER as TOGETHER
 from .figures import WIDTH as WIDTH
 from .figures import WITHOUT as WITHOUT
 from .figures import add_caption as add_caption

@@ -69,9 +69,6 @@ COLOURS = (
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
 """Flawed robots, healthy ones, the truth."""
 
-TOGETHER = COLOURS[6]
-"""Robots whose values are one and the same."""
-
 WITHOUT = GREY
 """Swarms without a filter."""
 

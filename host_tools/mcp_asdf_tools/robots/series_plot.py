@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import (
@@ -18,7 +17,6 @@ from mcp_asdf_tools.common import (
     MEDIUM,
     OTHER,
     SMALL,
-    TOGETHER,
     WIDTH,
     add_legend,
     clean,
@@ -30,10 +28,6 @@ _PANELS = (
     ("x_hat", r"local estimate $\hat{x}$", "f"),
     ("x", r"informed estimate $x$", "f"),
 )
-_EQUAL = 1e-6
-"""Values this close are one line."""
-_APART, _MOST_APART = 0.6, 4.0
-"""Points between the lines of robots with equal values, and between the first and the last of them."""
 _BEYOND = 0.02
 """Share of the time axis behind the last step, which shows what the last filter step changed."""
 
@@ -58,10 +52,7 @@ class TimeSeries:
 
 
 def draw_time_series(runs: Sequence[TimeSeries]) -> Figure:
-    """Runs side by side, at least one: three panels each, with the same axes.
-
-    Lines of robots with equal values lie side by side, so that none hides another.
-    """
+    """Runs side by side, at least one: three panels each, with the same axes."""
     figure = empty_figure(WIDTH, 7.5)
     grid = figure.subplots(len(_PANELS), len(runs), sharex=True, sharey="row", squeeze=False)
     for column, run in zip(grid.T, runs, strict=True):
@@ -78,26 +69,17 @@ def draw_time_series(runs: Sequence[TimeSeries]) -> Figure:
     return figure
 
 
-def are_equal(values: NDArray[np.float64]) -> bool:
-    """True if there are several robots and their lines are one and the same."""
-    return values.shape[1] > 1 and float(np.ptp(values, axis=1).max()) < _EQUAL
-
-
 def _draw_panel(axes: Axes, run: TimeSeries, name: str, truth: float, letter: str) -> None:
     """A line for each robot, the flawed ones on top, and the true value."""
     values = run.values[name]
-    robots, together = values.shape[1], are_equal(values)
-    apart = 0 if together else min(_APART, _MOST_APART / robots)
-    for robot in range(robots - 1, -1, -1):
-        (line,) = axes.plot(
+    for robot in range(values.shape[1] - 1, -1, -1):
+        axes.plot(
             *_line(run.steps, values[:, robot], name),
-            color=TOGETHER if together else FLAWED if robot < run.flawed else OTHER,
+            color=FLAWED if robot < run.flawed else OTHER,
             linewidth=1.1,
             alpha=0.75,
             drawstyle="steps-post" if name == "b_hat" else "default",
         )
-        aside = (robot - (robots - 1) / 2) * apart / 72
-        line.set_transform(line.get_transform() + ScaledTranslation(0, aside, axes.figure.dpi_scale_trans))
     axes.axhline(truth, color=INK, linewidth=1.2, linestyle=(0, (5, 3)))
     place, offset = (1, truth), (3, 0)
     words = f"{letter} = {truth:g}"
@@ -132,6 +114,4 @@ def _legend_of(runs: Sequence[TimeSeries]) -> list[Line2D]:
         lines.append(Line2D([], [], color=FLAWED, label="flawed robots"))
     if True in robots:
         lines.append(Line2D([], [], color=OTHER, label="healthy robots"))
-    if any(are_equal(values) for run in runs for values in run.values.values()):
-        lines.append(Line2D([], [], color=TOGETHER, label="all robots, the same"))
     return [*lines, Line2D([], [], color=INK, linestyle="--", label="true value")]

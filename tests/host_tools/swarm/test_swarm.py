@@ -808,8 +808,7 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
         drawn = sorted(
             (meaning[line.get_color()], np.asarray(line.get_ydata())[:count].tolist()) for line in robots
         )
-        own_kinds = ["flawed robots"] * 2 + ["healthy robots"] * 3
-        kinds = ["all robots, the same"] * 5 if quantity == "x" else own_kinds
+        kinds = ["flawed robots"] * 2 + ["healthy robots"] * 3
         assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
         assert {line.get_drawstyle() for line in robots} == {
             "steps-post" if quantity == "b_hat" else "default"
