@@ -37,4 +37,4 @@ def test_runs_beside_each_other_share_their_axes() -> None:
 def test_flawed_robots_are_on_top_and_in_their_colour() -> None:
     (axes, *_) = draw_time_series([run_of([0.55, 0.95], [0.5, 0.5])]).axes
     assert [line.get_color() for line in axes.lines[:2]] == [OTHER, FLAWED]
-    assert list(axes.lines[-1].get_ydata()) == [0.95, 0.95], "the true value"
+    assert np.asarray(axes.lines[-1].get_ydata()).tolist() == [0.95, 0.95], "the true value"
