@@ -53,18 +53,15 @@ def total(found: Iterable[Member]) -> Member:
 
 
 def table(found: dict[str, Member]) -> str:
-    """For the page, in per cent of each member's flips."""
+    """For the page, in per cent of all flips."""
     shown = ("in_time", "late", "crash", "hang", "no_effect", "less", "more", "still", "told")
     head = (
         *("member", "bits", "seen before x is off", "seen after", "crash", "hang"),
         *("unseen: x right", "less off", "off by 1 %", "so after 600 ticks", "told neighbours"),
     )
-    rows = [
-        [f"`{name}`", member["flips"] // FLIPS, *(_share(member, each) for each in shown)]
-        for name, member in {**found, "all": total(found.values())}.items()
-    ]
-    lines = [" | ".join(map(str, row)) for row in (head, ["---"] * len(head), *rows)]
-    return "\n".join(f"| {line} |" for line in lines).replace("`all`", "all")
+    every = total(found.values())
+    row = ["all", every["flips"] // FLIPS, *(_share(every, each) for each in shown)]
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in (head, ["---"] * len(head), row))
 
 
 def _share(member: Member, name: str) -> str:
