@@ -293,7 +293,7 @@ _MEDIA: list[tuple[OpenBus | None, bool]] = [
     (lambda robot: _virtual("shared"), True),
     (lambda robot: _virtual(f"own {robot}"), False),
 ]
-_SUFFIXES = (".log", ".blf", ".asc", ".csv", ".log.gz")
+_SUFFIXES = (".log", ".blf", ".asc", ".csv")
 
 
 def run_recorded(draw: random.Random, folder: Path, survived: Survived, room: int | None = None) -> None:

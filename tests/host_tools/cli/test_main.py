@@ -257,7 +257,6 @@ def test_without_a_standard_output_what_needs_one_says_so(name: str, rest: str) 
     [
         ("table --neighbours 0 --output . 2>&-", 2),
         ("table --neighbours 0 --output . 2>/dev/full", 2),
-        ("radio --id 3 --robots 2 --steps 1 --report x.md >&- 2>&-", 0),
     ],
 )
 def test_what_cannot_be_told_changes_no_exit_code(line: str, code: int) -> None:

@@ -372,6 +372,8 @@ def test_the_events_of_a_robot_elsewhere_are_those_of_one_here() -> None:
     start = settings.records()[1]
     here = BusRobot(1, start.make, settings.frames, Recorder(1, lines["here"].append))
     elsewhere = half_here(start, settings.frames, Recorder(1, lines["elsewhere"].append))
+    known = elsewhere.robot
+    assert (known.x_hat, known.alpha, known.x, known.b_hat) == (0.5, 0.0, 0.5, start.b_hat)
     draw = random.Random(5)
     for tick in range(60):
         z = draw.choice([None, Observation.WHITE, Observation.BLACK])
