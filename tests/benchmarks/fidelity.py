@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.common.parameters import plain_value
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.sweep import default_workers
@@ -64,19 +63,6 @@ class Cell:
 
     experiment: Experiment
     scores: Floats
-
-
-@dataclass(frozen=True)
-class Row:
-    """One configuration's samples of scores, shape (trials, 3), and what they are compared with."""
-
-    experiment: Experiment
-    ours: Floats
-    others: Floats
-
-    def p_values(self) -> list[float]:
-        """Of each score, that both samples come from one distribution."""
-        return p_values(self.ours, self.others)
 
 
 def read_cells(seed: int = 1, path: Path = REFERENCE) -> list[Cell]:
@@ -142,78 +128,42 @@ def compare(cells: Sequence[Cell], trials: int) -> list[list[float]]:
     return [p_values(simulate(cell.experiment, trials), cell.scores) for cell in cells]
 
 
-def smallest(rows: Sequence[Row]) -> float:
-    """The least of all p-values by Holm's correction."""
-    return min(holm([value for row in rows for value in row.p_values()]))
+# --- The command -----------------------------------------------------------------------------------------
 
 
-# --- Parts -----------------------------------------------------------------------------------------------
+def pairs_of(part: str, seed: int, trials: int, workers: int) -> list[tuple[Experiment, Floats, Floats]]:
+    """The configurations of a part, with both samples of scores."""
+    cells = {
+        "fully_connected": read_cells(seed),
+        "dynamic": read_cells(seed, PHYSICS),
+        "native": [*read_cells(seed), *read_cells(seed, PHYSICS)],
+    }[part]
+    ours = [cell.experiment for cell in cells]
+    if part == "dynamic":
+        ours = [by_reference(each, Convention.AUTHORS) for each in ours]
+    with ProcessPoolExecutor(workers) as pool:
+        others = [cell.scores for cell in cells]
+        if part == "native":
+            drawn = [by_reference(replace(each, seed=each.seed + _OTHER_DRAWS)) for each in ours]
+            others = list(pool.map(partial(simulate, trials=trials), drawn))
+        return list(zip(ours, pool.map(partial(simulate, trials=trials), ours), others, strict=True))
 
 
-class Parts:
-    """The comparisons by name. Each experiment is run once, on all workers together."""
-
-    def __init__(self, seed: int, trials: int | None, workers: int) -> None:
-        self._seed, self._trials, self._workers = seed, trials, workers
-
-    def fully_connected(self) -> list[Row]:
-        """Native against the independent float64 program."""
-        return self._against_scores(read_cells(self._seed), "fully_connected")
-
-    def dynamic(self) -> list[Row]:
-        """The reference with the authors' conventions against the authors' programs."""
-        cells = read_cells(self._seed, PHYSICS)
-        authors = [
-            replace(cell, experiment=by_reference(cell.experiment, Convention.AUTHORS)) for cell in cells
-        ]
-        return self._against_scores(authors, "dynamic")
-
-    def native(self) -> list[Row]:
-        """Native against the reference, with other draws."""
-        all_natives = self._natives()
-        others = [by_reference(replace(each, seed=each.seed + _OTHER_DRAWS)) for each in all_natives]
-        return self._rows("native", all_natives, others)
-
-    def _natives(self) -> list[Experiment]:
-        return [cell.experiment for path in (REFERENCE, PHYSICS) for cell in read_cells(self._seed, path)]
-
-    def _against_scores(self, cells: Sequence[Cell], part: str) -> list[Row]:
-        samples = self._run(part, [cell.experiment for cell in cells])
-        return [
-            Row(cell.experiment, sample, cell.scores) for cell, sample in zip(cells, samples, strict=True)
-        ]
-
-    def _rows(self, part: str, ours: Sequence[Experiment], others: Sequence[Experiment]) -> list[Row]:
-        samples = self._run(part, [*ours, *others])
-        half = len(ours)
-        return [Row(*row) for row in zip(ours, samples[:half], samples[half:], strict=True)]
-
-    def _run(self, part: str, experiments: Sequence[Experiment]) -> list[Floats]:
-        trials = TRIALS[part] if self._trials is None else self._trials
-        with ProcessPoolExecutor(self._workers) as pool:
-            return list(pool.map(partial(simulate, trials=trials), experiments))
+def agrees(part: str, pairs: Sequence[tuple[Experiment, Floats, Floats]]) -> bool:
+    """Print a part as a table; whether all its tests pass."""
+    print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
+    values = [p_values(own, other) for _, own, other in pairs]
+    for (experiment, own, other), ps in zip(pairs, values, strict=True):
+        e, medians = experiment, [np.median(sample[:, 2]) for sample in (own, other)]
+        place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period)
+        print(*place, e.filter, *(f"{each:8.3g}" for each in (*medians, *ps)))
+    least = min(holm([value for ps in values for value in ps]))
+    print(f"smallest p by Holm's correction over {3 * len(pairs)} tests: {least:.3g}")
+    return least >= LEVEL
 
 
-# --- Output ----------------------------------------------------------------------------------------------
-
-
-def _place(experiment: Experiment) -> str:
-    e = experiment
-    accuracies = f"{e.fill_ratio:4g} {e.true_accuracy:4g} {e.flawed_accuracy:5g} {e.flawed:6}"
-    return f"{plain_value(e.topology):>15} {accuracies} {e.filter.value:>10} {e.filter_period:4}"
-
-
-def show(part: str, rows: Sequence[Row]) -> None:
-    """Print a part as a table."""
-    print(f"\n{part}: medians of H, p-values of {', '.join(SCORES)}")
-    print(f"{'topology':>15}    f    b b_hat flawed       mode  tau    ours   other")
-    for row in rows:
-        medians = f"{np.median(row.ours[:, 2]):7.2f} {np.median(row.others[:, 2]):7.2f}"
-        print(f"{_place(row.experiment)} {medians} " + "".join(f"{p:9.3g}" for p in row.p_values()))
-    print(f"smallest p by Holm's correction over {3 * len(rows)} tests: {smallest(rows):.3g}")
-
-
-def _arguments() -> argparse.Namespace:
+def main() -> int:
+    """Compare and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Compare scores with references and with each other.")
     parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(TRIALS)}; default all")
     parser.add_argument("--trials", type=int, help=f"of each configuration (default by part: {TRIALS})")
@@ -222,19 +172,11 @@ def _arguments() -> argparse.Namespace:
     args = parser.parse_args()
     if unknown := set(args.parts) - set(TRIALS):
         parser.error(f"unknown part {', '.join(unknown)}; choose of {', '.join(TRIALS)}")
-    return args
-
-
-def main() -> int:
-    """Compare and print; returns the exit code."""
-    args = _arguments()
-    parts = Parts(args.seed, args.trials, args.workers)
-    agrees = True
-    for part in args.parts or TRIALS:
-        rows = getattr(parts, part)()
-        show(part, rows)
-        agrees = agrees and smallest(rows) >= LEVEL
-    return int(not agrees)
+    found = [
+        agrees(part, pairs_of(part, args.seed, args.trials or TRIALS[part], args.workers))
+        for part in args.parts or TRIALS
+    ]
+    return int(not all(found))
 
 
 if __name__ == "__main__":
