@@ -343,5 +343,59 @@ def _kept(value: Any, least: int, most: int, parts: int = 1) -> Any:
     return z3.If(value < low, low, z3.If(value > high, high, value))
 
 
+def of_lengths() -> Iterator[Claim]:
+    """What estimate() owes the functions that it calls: numbers that are divided lie in [2^30, 2^31), so that
+    the quotient has 24 or 25 bits; alpha_word() gets 24 bits and an exponent of at least -31.
+    """
+    p, total, least, c, g, root, square = z3.Ints("P T L c G root square")
+    common = [*(c >= 2**12, c <= C_MOST, g == 2**32 - 2 * c, total >= 2**31, total < 2**32)]
+    common += [2**32 * least <= c * total, c * total < 2**32 * (least + 1)]
+    for shift in range(12):
+        scale, power = (total - 2 * least) * 2**shift, g * 2**shift
+        known = [*common, power >= 2**31, power < 2**32]
+        yield f"g t, g shifted by {shift}", z3.And(scale >= 2**30, scale < 2**32, 2 * least <= total), known
+    scale, above, power = z3.Ints("scale above power")
+    known = [power >= 1, scale == (total - 2 * least) * power, above == (p - least) * power, 2 * p <= total]
+    yield "above is at most half", 2 * above <= scale, known
+    yield (
+        "a half is no longer than twice a half",
+        above < 2 * (scale / 2),
+        [2 * above <= scale, scale >= 2**30],
+    )
+    yield "a colour that is not at an end is not rare", p >= 2**11, [*common, p > least]
+    yield "spread", p * (total - p) >= 2**41, [p >= 2**11, 2 * p <= total, total >= 2**31]
+    floors = [2**32 * root <= scale * scale, scale * scale < 2**32 * (root + 1), scale >= 2**30]
+    yield "(g t)^2", root >= 2**28, floors
+    floors = [2**32 * square <= root * total, root * total < 2**32 * (square + 1), root >= 2**28]
+    yield "(g t)^2 t", square >= 2**27, [*floors, total >= 2**31]
+    a, d, found = z3.Ints("a d found")
+    similar = [*(a >= 2**30, a < 2**31, d >= 2**30, d < 2**31), found * d <= 2**24 * a]
+    similar += [2**24 * a < (found + 1) * d]
+    yield "a quotient of equally long numbers", z3.And(found >= 2**23, found < 2**25), similar
+    yield "the square of one", 2**14 * found * found >= 2**60, [found >= 2**23]
+    yield from _of_exponents()
+
+
+def _of_exponents() -> Iterator[Claim]:
+    """A product of at least 2^k has at most 63 - k leading zeros."""
+    names = z3.Ints("g_shift shift spread_shift square_shift excess moved sum_shift short")
+    g_shift, shift, spread_shift, square_shift, excess, moved, sum_shift, short = names
+    counts = [z3.And(each >= 0, each <= 31) for each in names]
+    exponent = 32 - 2 * g_shift - shift + spread_shift - square_shift + excess
+    known = [*counts, g_shift <= 11, square_shift <= 31 - 27, excess <= 1]
+    yield "exponent", z3.And(exponent >= -31, exponent < 2**31), known
+    exponent = 34 - 2 * g_shift + moved - 32 * short - sum_shift
+    known = [*counts[:-3], moved >= 0, moved <= 38, g_shift <= 11, counts[-2], short >= 0, short <= 1]
+    known.append(z3.Implies(short == 1, sum_shift <= 31 - 28))
+    yield "exponent at an end", z3.And(exponent >= -31, exponent < 2**31), known
+    t, part, common, rare, first, moved_first = z3.Ints("t part common rare first moved_first")
+    known = [*(t >= 1, t <= 2**31, part >= 0, 2 * part <= t), first == (t - part) * common]
+    known += [*(common >= 2**28, common < 2**32, rare >= 2**28, rare < 2**32)]
+    yield "the commoner colour's term", z3.And(first >= 2**28, first < 2**63), known
+    known += [*(part >= 1, moved_first >= 0, moved_first < 2**63)]
+    total = part * rare + moved_first
+    yield "both terms", z3.And(total >= 2**28, total < 2**64), known
+
+
 OF_THE_CODE = (of_estimate, of_reestimate, of_set_b_hat, of_square_of_ratio)
-OF_THE_NUMBERS = (of_x_hat, of_alpha, of_squares, of_alpha_at_an_end, of_quotient, of_b_hat)
+OF_THE_NUMBERS = (of_lengths, of_x_hat, of_alpha, of_squares, of_alpha_at_an_end, of_quotient, of_b_hat)

@@ -10,7 +10,7 @@ from proofs.arithmetic import contracts as arithmetic_contracts
 from proofs.arithmetic import quotient_ensures
 from proofs.machine import Machine, Summary
 from proofs.numbers import Integers, Number, Type
-from proofs.prove import By, Contract, Step, always
+from proofs.prove import By, Contract, Step
 from proofs.source import SOURCES, Variant
 
 CORE = SOURCES / "mcp_asdf.c"
@@ -209,10 +209,6 @@ def _is_on_grid(found: Any, mantissa: Any, exponent: Any) -> Any:
     return z3.If(exponent > 31, found == largest, found == z3.If(exponent >= 0, exact, below))
 
 
-def _are_normal(g: Any, p: Any) -> Any:
-    return z3.And(g >= 2**31, p >= 2**31)
-
-
 def _is_accuracy(after: Any, _: Any, b_hat: Any) -> Any:
     """The header's statements about the members, except the squares."""
     held = after["accuracy"]
@@ -234,81 +230,12 @@ def _is_accuracy(after: Any, _: Any, b_hat: Any) -> Any:
     )
 
 
-# --- The form of alpha, whatever the squares and products are ---------------------------------------------
-
-POWERS = ((0, 28), (12, 31), (30, 30), (28, 31), (11, 30), (31, 32), (30, 32))
-"""Products are known by these powers of two, both below their factors or both above."""
 C_MOST = (1 << 31) - (1 << 19)
 """The largest c that says something."""
 
 
-def product_bounds(product: Any, a: Any, b: Any, i: Any, j: Any) -> Any:
-    """Bounds of a product that follow from bounds of its factors, numbers >= 0."""
-    below = z3.Implies(z3.And(a >= i, b >= j), product >= i * j)
-    return z3.And(below, z3.Implies(z3.And(a < i, b < j), product < i * j))
-
-
-def _bounded_product(machine: Machine, a: Number, b: Number) -> Number:
-    """multiply(), of which no more is known than its size."""
-    product = machine.unknown("product", LONG)
-    whole, left, right = (z3.ZeroExt(72 - each.type.bits, each.term) for each in (product, a, b))
-    for powers in POWERS:
-        bounds = (z3.BitVecVal(2**power, 72) for power in powers)
-        machine.know(product_bounds(whole, left, right, *bounds))
-    return product
-
-
-def _bounded_high(machine: Machine, a: Number, b: Number) -> Number:
-    """multiply_high() likewise; of c, also what follows for g t."""
-    product = _bounded_product(machine, a, b)
-    high = z3.Extract(63, 32, product.term)
-    accuracy = machine.given["accuracy"]
-    if a.term.eq(accuracy["c"]):
-        machine.know(z3.Implies(a.term == 2**32 - 1, high == b.term - 1))
-        machine.know(z3.Implies(z3.ULE(a.term, C_MOST), z3.ULE(high, z3.LShR(b.term, 1))))
-        rest = z3.ZeroExt(32, b.term - 2 * high)
-        for shift in range(12):
-            scaled = rest << shift
-            fits = z3.And(z3.ULE(1 << 30, scaled), z3.ULT(scaled, 1 << 32))
-            is_long = z3.And(accuracy["g_shift"] == shift, z3.ULE(1 << 31, b.term), z3.ULE(a.term, C_MOST))
-            machine.know(z3.Implies(is_long, fits))
-    return Number(high, WORD)
-
-
-def _bounded_quotient(machine: Machine, a: Number, d: Number) -> Number:
-    """divide_24() by its lemma, as far as it says how long a quotient is."""
-    least, most = z3.ULE(1 << 29, d.term), z3.ULE(d.term, 1 << 31)
-    machine.claim(z3.And(z3.ULT(a.term, 2 * d.term), least, most), "what divide_24 requires")
-    found = machine.unknown("quotient", WORD)
-    similar = [z3.And(z3.ULE(1 << 30, each.term), z3.ULT(each.term, 1 << 31)) for each in (a, d)]
-    machine.know(
-        z3.Implies(z3.And(similar), z3.And(z3.ULE(1 << 23, found.term), z3.ULT(found.term, 1 << 25)))
-    )
-    return found
-
-
-def _alpha_word(machine: Machine, mantissa: Number, exponent: Number) -> Number:
-    machine.claim(_is_normal(mantissa.term, exponent.term), "what alpha_word requires")
-    return machine.unknown("alpha", WORD)
-
-
-def _estimate_possible(t: Any, n: Any, accuracy: Any) -> Any:
-    """I2 and I4: at most 2^31 observations; g_shift as g has leading zeros, squares of 29 bits or more."""
-    c, g_shift = accuracy["c"], accuracy["g_shift"]
-    g = z3.ZeroExt(32, -2 * c)
-    says_something = z3.And(
-        *(z3.ULE(1 << 12, c), z3.ULE(c, C_MOST), z3.ULE(g_shift, 11)),
-        z3.LShR(g << z3.ZeroExt(32, g_shift), 31) == 1,
-        *(z3.ULE(1 << 28, accuracy[name]) for name in ("common", "rare")),
-        *(z3.ULE(2, accuracy["rare_shift"]), z3.ULE(accuracy["rare_shift"], 38)),
-    )
-    observed = z3.And(t != 0, z3.ULE(t, 1 << 31), z3.ULE(n, t))
-    return z3.And(observed, z3.Or(c == 2**32 - 1, says_something))
-
-
 def _square(machine: Machine, g: Number, p: Number) -> Number:
-    """square_of_ratio(), of which estimate() takes for known that it is at least 2^28, as it is by its lemma
-    if b_hat is not 1/2."""
+    """square_of_ratio(), which divides g and p of 32 bits, if b_hat is not 1/2: its result is then at least 2^28."""
     is_long = z3.And(z3.ULE(1 << 31, g.term), z3.ULE(1 << 31, p.term))
     machine.claim(z3.Or(is_long, machine.given["b_hat"] == 1 << 31), "what square_of_ratio requires")
     return machine.unknown("square", WORD)
@@ -358,33 +285,18 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
 
     shifts = ("shift_left", "shift_right", "shift_right_64", "upper", "leading_zeros")
     words = stand_in("join", "high_word", "low_word", *shifts)
-    estimate_uses = {
-        **{"multiply": _bounded_product, "multiply_high": _bounded_high},
-        **{"divide_24": _bounded_quotient, "alpha_word": _alpha_word},
-    }
     return {
-        "square_of_ratio": Contract(
-            lambda found, g, p: z3.And(found >= 2**28, found < 2**32),
-            Integers,
-            requires=_are_normal,
-            uses={**stand_in("divide_24"), "multiply_high": _upper_product},
-        ),
         "alpha_word": Contract(_is_on_grid, requires=_is_normal, uses=words),
         "set_b_hat": Contract(
             _is_accuracy,
             requires=_b_hat_in_range,
             uses={**words, "square_of_ratio": _square},
         ),
-        "estimate": Contract(always, requires=_estimate_possible, uses={**words, **estimate_uses}),
     }
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant. estimate() keeps what it owes the functions it calls; of reestimate() it
-    is shown here that it is safe, and in ``accuracy`` what it computes."""
-    return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), "reestimate": Contract(None)}
-
-
-def _upper_product(_: Machine, a: Number, b: Number) -> Number:
-    """multiply_high() in whole numbers, by its lemma."""
-    return Number(a.term * b.term / 2**32, WORD)
+    """All of them, for one variant. Of the last three it is shown here that they are safe, and in ``accuracy``
+    what they compute and that they keep what they owe the functions they call."""
+    safe = dict.fromkeys(("square_of_ratio", "estimate", "reestimate"), Contract(None))
+    return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), **safe}

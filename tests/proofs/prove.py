@@ -202,6 +202,19 @@ def prove_safe(program: Program, name: str, contracts: Mapping[str, Contract]) -
     prove_obligations(machine, name)
 
 
+def prove_lemma(program: Program, name: str, contracts: Mapping[str, Contract], done: set[str]) -> None:
+    """That the function is safe and keeps its contract, unless a text that says the same is among those done."""
+    contract = contracts[name]
+    parts = {"safe": safe_callees(name, contracts), "kept": contract.uses}
+    for part, known in parts.items():
+        text = f"{part}\n{program.text(name, known)}"
+        if text not in done and part == "safe":
+            prove_safe(program, name, contracts)
+        elif text not in done:
+            prove_contract(program, name, contract)
+        done.add(text)
+
+
 def safe_callees(name: str, contracts: Mapping[str, Contract]) -> dict[str, Summary]:
     """Functions that are safe for any arguments by their own lemmas: to this one, any of their results is."""
     return {

