@@ -357,11 +357,10 @@ def of_lengths() -> Iterator[Claim]:
     scale, above, power = z3.Ints("scale above power")
     known = [power >= 1, scale == (total - 2 * least) * power, above == (p - least) * power, 2 * p <= total]
     yield "above is at most half", 2 * above <= scale, known
-    yield (
-        "a half is no longer than twice a half",
-        above < 2 * (scale / 2),
-        [2 * above <= scale, scale >= 2**30],
-    )
+    known = [2 * above <= scale, scale >= 2**30]
+    yield "and below twice half the scale", above < 2 * (scale / 2), known
+    known = [2**32 * least <= (2**32 - 1) * total, (2**32 - 1) * total < 2**32 * (least + 1)]
+    yield "nothing is above c t without information", p <= least, [*known, 2 * p <= total, total >= 2**31]
     yield "a colour that is not at an end is not rare", p >= 2**11, [*common, p > least]
     yield "spread", p * (total - p) >= 2**41, [p >= 2**11, 2 * p <= total, total >= 2**31]
     floors = [2**32 * root <= scale * scale, scale * scale < 2**32 * (root + 1), scale >= 2**30]

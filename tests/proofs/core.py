@@ -235,7 +235,7 @@ C_MOST = (1 << 31) - (1 << 19)
 
 
 def _square(machine: Machine, g: Number, p: Number) -> Number:
-    """square_of_ratio(), which divides g and p of 32 bits, if b_hat is not 1/2: its result is then at least 2^28."""
+    """square_of_ratio(), which takes g and p of 32 bits, if b_hat is not 1/2."""
     is_long = z3.And(z3.ULE(1 << 31, g.term), z3.ULE(1 << 31, p.term))
     machine.claim(z3.Or(is_long, machine.given["b_hat"] == 1 << 31), "what square_of_ratio requires")
     return machine.unknown("square", WORD)
@@ -296,7 +296,7 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant. Of the last three it is shown here that they are safe, and in ``accuracy``
-    what they compute and that they keep what they owe the functions they call."""
+    """All of them, for one variant. The last three are shown to be safe here; what they compute, and that they
+    keep what they owe the functions they call, is shown in ``accuracy``."""
     safe = dict.fromkeys(("square_of_ratio", "estimate", "reestimate"), Contract(None))
     return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), **safe}

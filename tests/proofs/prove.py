@@ -203,7 +203,7 @@ def prove_safe(program: Program, name: str, contracts: Mapping[str, Contract]) -
 
 
 def prove_lemma(program: Program, name: str, contracts: Mapping[str, Contract], done: set[str]) -> None:
-    """That the function is safe and keeps its contract, unless a text that says the same is among those done."""
+    """That the function is safe and keeps its contract, unless the same text is among those done."""
     contract = contracts[name]
     parts = {"safe": safe_callees(name, contracts), "kept": contract.uses}
     for part, known in parts.items():

@@ -56,6 +56,13 @@ def test_each_function_has_a_lemma_and_its_comment_names_it() -> None:
     assert sorted(cited) == LEMMAS == sorted(defined)
 
 
+def test_a_product_is_that_of_its_halves() -> None:
+    """(2^16 a1 + a0) (2^16 b1 + b0), as the lemmas of the split products write it."""
+    a0, a1, b0, b1 = z3.Ints("a0 a1 b0 b1")
+    multiplied = 2**32 * (a1 * b1) + 2**16 * (a1 * b0 + a0 * b1) + a0 * b0
+    prove((2**16 * a1 + a0) * (2**16 * b1 + b0) == multiplied, about="halves")
+
+
 def test_what_a_ratio_loses() -> None:
     """At most 2^-31 + 2^-30 a / d of it, and the quotient is never too large."""
     a, d, upper_a, half_d, scale = z3.Ints("a d upper_a half_d scale")
