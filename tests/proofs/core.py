@@ -296,7 +296,7 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant. The last three are shown to be safe here; what they compute, and that they
-    keep what they owe the functions they call, is shown in ``accuracy``."""
+    """All of them, for one variant. The last three are shown to be safe here; ``accuracy`` shows what
+    they compute, and that they keep what they owe the functions they call."""
     safe = dict.fromkeys(("square_of_ratio", "estimate", "reestimate"), Contract(None))
     return {**_of_sums(), **_of_alpha(arithmetic_contracts(variant)), **safe}
