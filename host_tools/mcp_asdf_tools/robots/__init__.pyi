@@ -7,10 +7,8 @@ from .bus_robot import BusRobot as BusRobot
 from .bus_robot import Event as Event
 from .bus_robot import Reception as Reception
 from .bus_robot import Recorder as Recorder
-from .clock import Clock as Clock
 from .clock import ClockKind as ClockKind
 from .clock import RealTimeClock as RealTimeClock
-from .clock import make_clock as make_clock
 from .firmwares import FIRMWARES as FIRMWARES
 from .firmwares import RobotMaker as RobotMaker
 from .firmwares import firmware_names as firmware_names

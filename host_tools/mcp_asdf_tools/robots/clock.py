@@ -1,4 +1,4 @@
-"""Clocks of a swarm: a tick ends when nothing is missing, or when its time has come."""
+"""Clocks of a swarm: a tick ends when all frames have arrived, or when its time slot ends."""
 
 from __future__ import annotations
 
@@ -6,42 +6,15 @@ import math
 import time
 from collections.abc import Callable
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any
 
 
 class ClockKind(Enum):
     """Kinds of clocks."""
 
     LOCKSTEP = "lockstep"
+    """Ticks end when all is done: runs do not depend on how long anything takes."""
     REAL_TIME = "real-time"
-
-
-class Clock(Protocol):
-    """Clock that decides when ticks begin, and how long robots listen in them."""
-
-    def begin(self, tick: int) -> None:
-        """Return when ``tick``, counted from 0, may begin. Ticks begin one after the other."""
-
-    def patience(self, tick: int) -> float | None:
-        """Seconds left to wait for frames of this tick; None: until all have come."""
-
-    def figures(self) -> dict[str, Any] | None:
-        """Figures of lateness as plain values, for JSON; None without real time."""
-
-
-class LockstepClock:
-    """Clock whose ticks end when all is done: runs do not depend on how long anything takes."""
-
-    def begin(self, tick: int) -> None:
-        """At once."""
-
-    def patience(self, tick: int) -> float | None:
-        """No limit."""
-        return None
-
-    def figures(self) -> dict[str, Any] | None:
-        """None: this clock keeps no time."""
-        return None
 
 
 class RealTimeClock:
@@ -73,8 +46,8 @@ class RealTimeClock:
             self._sleep(left)
         self._late.append(-left)
 
-    def patience(self, tick: int) -> float | None:
-        """Until the middle of the period."""
+    def patience(self, tick: int) -> float:
+        """Seconds left to wait for frames of this tick: until the middle of the period."""
         return max(0.0, self._start + (tick + 0.5) * self._period - self._now())
 
     def figures(self) -> dict[str, Any] | None:
@@ -90,8 +63,3 @@ class RealTimeClock:
             "late_ticks": sum(late > self._period / 2 for late in self._late),
             "drift": self._late[-1],
         }
-
-
-def make_clock(kind: ClockKind, steps_per_second: float) -> Clock:
-    """Clock of a kind; only the one in real time uses the rate."""
-    return LockstepClock() if kind is ClockKind.LOCKSTEP else RealTimeClock(steps_per_second)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus import FrameFormat, decode_any, decode_estimates
-from mcp_asdf_tools.robots import BusRobot, Clock, FrameTaker
+from mcp_asdf_tools.robots import BusRobot, FrameTaker, RealTimeClock
 from mcp_asdf_tools.swarm.delivery import Arrivals, Content, Delivery, SentFrame, content_of
 
 TIMEOUT = 2.0
@@ -171,9 +171,9 @@ class Carrier:
     """
 
     def __init__(
-        self, robots: Sequence[BusRobot], delivery: Delivery, frames: FrameFormat, clock: Clock
+        self, robots: Sequence[BusRobot], delivery: Delivery, frames: FrameFormat, clock: RealTimeClock | None
     ) -> None:
-        """Carry between these robots, which hear ``frames`` as estimates."""
+        """Carry between these robots, which hear ``frames`` as estimates; without a clock all are waited for."""
         self.ends: dict[int, Connection] = {}
         self._robots = robots
         self._delivery = delivery
@@ -232,7 +232,10 @@ class Carrier:
         sent, self._sent = self._sent, []
         for end, frames in groupby(sent, self._end_of):
             expected = list(frames)
-            self._come += end.take(expected, self._clock.patience(tick)) if end is not None else expected
+            self._come += end.take(expected, self._patience(tick)) if end is not None else expected
+
+    def _patience(self, tick: int) -> float | None:
+        return None if self._clock is None else self._clock.patience(tick)
 
     def _end_of(self, sent: SentFrame) -> Connection | None:
         """The connection at which the carrier hears the sender; None where it knows the frame already."""
@@ -266,7 +269,7 @@ class Carrier:
             end.send(frame)
         if radio is None:
             return frames
-        heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._clock.patience(tick))
+        heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._patience(tick))
         if len(frames) == _BATCH:
             end.drain(_BATCH)
         return [each.frame for each in heard]

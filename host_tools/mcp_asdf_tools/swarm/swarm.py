@@ -22,7 +22,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import BIT_RATES, FrameFormat, Message, alpha_bits, bus_load, decode
 from mcp_asdf_tools.common import software_versions
 from mcp_asdf_tools.recording import InputLogWriter
-from mcp_asdf_tools.robots import BusRobot, ClockKind, FrameTaker, LockstepError, RobotRecord, make_clock
+from mcp_asdf_tools.robots import BusRobot, ClockKind, FrameTaker, LockstepError, RealTimeClock, RobotRecord
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.faults import Faults
@@ -46,7 +46,7 @@ class Swarm:
         world: The ground truth.
         nodes: The robots by id.
         faults: The faults between them.
-        clock: The clock that ends ticks.
+        clock: The clock that ends ticks; None in lockstep.
         traffic: Frames on the bus so far.
         ticks: Ticks done.
     """
@@ -68,7 +68,8 @@ class Swarm:
         self.ticks = 0
         self.world = World(settings)
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
-        self.clock = make_clock(settings.clock, settings.steps_per_second)
+        is_lockstep = settings.clock is ClockKind.LOCKSTEP
+        self.clock = None if is_lockstep else RealTimeClock(settings.steps_per_second)
         self._input_log = input_log
         self._remote = wiring.remote
         check_remote(settings, wiring)
@@ -113,7 +114,8 @@ class Swarm:
         answer, can.CanError if the bus takes no frame; the swarm is then halfway through a tick and
         unusable. O(robots**2).
         """
-        self.clock.begin(self.ticks)
+        if self.clock is not None:
+            self.clock.begin(self.ticks)
         seen = self.world.step()
         alive = [node for node in self._here if self.faults.survives(node, self.ticks)]
         frames: list[tuple[BusRobot, can.Message]] = [*self._reports(alive)]
@@ -374,7 +376,7 @@ def _results(swarm: Swarm, history: History) -> dict[str, Any]:
         "frames": swarm.traffic.figures(),
         "faults": swarm.faults.figures(),
         "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
-        "clock": swarm.clock.figures(),
+        "clock": None if swarm.clock is None else swarm.clock.figures(),
         "robots": [_robot_figures(node) for node in swarm.nodes],
     }
 
