@@ -173,7 +173,7 @@ class Carrier:
     def __init__(
         self, robots: Sequence[BusRobot], delivery: Delivery, frames: FrameFormat, clock: RealTimeClock | None
     ) -> None:
-        """Carry between these robots, which hear ``frames`` as estimates; without a clock all are waited for."""
+        """Carry between these robots, which hear ``frames`` as estimates; without a clock wait for all."""
         self.ends: dict[int, Connection] = {}
         self._robots = robots
         self._delivery = delivery
