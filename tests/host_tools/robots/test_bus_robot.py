@@ -256,3 +256,16 @@ def test_events_tell_what_happened_to_a_robot() -> None:
         one.end()
     heard = f"[6,3,{ALPHA_ONE}],[7,3,{ALPHA_ONE}]"
     assert lines == [f"[5,0,{heard},3]\n", f'[5,"restart",0,{heard},3]\n']
+
+
+def test_events_tell_what_became_of_a_broadcast() -> None:
+    lines: list[str] = []
+    recorder = Recorder(5, lines.append)
+    recorder.flush()
+    assert lines == [], "nothing has happened"
+    recorder.observe(None)
+    recorder.falsified(7, 9)
+    recorder.foreign(can.Message(arbitration_id=0x106BB805, data=b"\1\2"))
+    recorder.silent()
+    recorder.flush()
+    assert lines == ['"106BB805#0102"\n', '[5,2,[7,9],"silent"]\n']

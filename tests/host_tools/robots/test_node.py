@@ -133,27 +133,26 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
     """Also in the command that it prints, and while another node sends under its id."""
     log, twin = tmp_path / "run.log", node(5, "mirror", 0.7, comms_period=2)
 
-    def drive() -> None:
-        with join() as bus:
-            lockstep = Lockstep(bus, timeout=PATIENCE)
-            lockstep.wait_until_up({5}, PATIENCE)
-            for tick in range(40):
-                z = (WHITE, BLACK, None)[tick * tick % 3]
-                lockstep.observe({5: z})
-                twin.observe(z)
-                if tick % 2:
-                    said = lockstep.estimates({5})[5]
-                    assert (said.x_hat, said.alpha) == (twin.robot.x_hat_raw, twin.robot.alpha_raw)  # type: ignore[attr-defined]
-                if tick in (7, 8, 9):
-                    stranger = encode(Message(5, tick, 0, tick), FrameFormat())
-                    bus.send(stranger, timeout=1)
-                    twin.hear(stranger)
-                answer = lockstep.settle({5})[5]
-                twin.settle()
-                assert answer.x == twin.robot.x_raw  # type: ignore[attr-defined]
+    def drive(bus: can.BusABC) -> None:
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        lockstep.wait_until_up({5}, PATIENCE)
+        for tick in range(40):
+            z = (WHITE, BLACK, None)[tick * tick % 3]
+            lockstep.observe({5: z})
+            twin.observe(z)
+            if tick % 2:
+                said = lockstep.estimates({5})[5]
+                assert (said.x_hat, said.alpha) == (twin.robot.x_hat_raw, twin.robot.alpha_raw)  # type: ignore[attr-defined]
+            if tick in (7, 8, 9):
+                stranger = encode(Message(5, tick, 0, tick), FrameFormat())
+                bus.send(stranger, timeout=1)
+                twin.hear(stranger)
+            answer = lockstep.settle({5})[5]
+            twin.settle()
+            assert answer.x == twin.robot.x_raw  # type: ignore[attr-defined]
 
     robot = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40"
-    with meanwhile(drive):
+    with join() as bus, meanwhile(lambda: drive(bus)):
         assert main([*robot.split(), "--json", "--log", str(log)]) == 0
     captured = capsys.readouterr()
     report, warning = json.loads(captured.out), "another node sends under this node's own id: 5; give one"
@@ -179,15 +178,14 @@ def test_signals_end_it_with_all_saved(
 ) -> None:
     log, handlers = tmp_path / "run.log", [signal.getsignal(each) for each in ENDING_SIGNALS]
 
-    def end_it() -> None:
-        with join() as bus:
-            lockstep = Lockstep(bus, timeout=PATIENCE)
-            lockstep.wait_until_up({3}, PATIENCE)
-            lockstep.observe({3: BLACK})
-            lockstep.settle({3})
+    def end_it(bus: can.BusABC) -> None:
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        lockstep.wait_until_up({3}, PATIENCE)
+        lockstep.observe({3: BLACK})
+        lockstep.settle({3})
         os.kill(os.getpid(), number)
 
-    with meanwhile(end_it):
+    with join() as bus, meanwhile(lambda: end_it(bus)):
         code = main(["node", *shlex.split(f"--id 3 {ticks} --log"), str(log)])
     assert code == (128 + number) * is_early
     shown = " ".join(capsys.readouterr().out.split())
@@ -204,17 +202,16 @@ def test_it_ends_with_its_standard_input_if_asked_to(
     reading, writing = os.pipe()
     monkeypatch.setattr("sys.stdin", stdin := os.fdopen(reading))
 
-    def end_it() -> None:
+    def end_it(bus: can.BusABC) -> None:
         os.write(writing, b"something to read is no end\n")
-        with join() as bus:
-            lockstep = Lockstep(bus, timeout=PATIENCE)
-            lockstep.wait_until_up({3}, PATIENCE)
-            for _ in range(3):
-                lockstep.observe({3: None})
-                lockstep.settle({3})
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        lockstep.wait_until_up({3}, PATIENCE)
+        for _ in range(3):
+            lockstep.observe({3: None})
+            lockstep.settle({3})
         os.close(writing)
 
-    with meanwhile(end_it):
+    with join() as bus, meanwhile(lambda: end_it(bus)):
         assert main(["node", "--id", "3", "--until-eof", "--json"]) == 0
     assert report_of(capsys)["results"]["steps"] == 3
     stdin.close()
