@@ -19,24 +19,14 @@ TARGETS = (
     Variant("1000", "__riscv"),
 )
 """The choices of each target, and the two targets with code of their own."""
-PRECISION = (
-    "-eva-precision",
-    "3",
-    "-eva-split-return",
-    "auto",
-    "-eva-domains",
-    "equality,symbolic-locations",
-)
+PRECISION = ("-eva-precision", "3", "-eva-split-return", "auto")
+DOMAINS = ("-eva-domains", "equality,symbolic-locations")
 ALARM = re.compile(r"^\[eva:alarm\] .*: Warning: *\n  (.*?)(?:assert.*)?$", re.MULTILINE)
 PART = re.compile(r"^  (\w+): (\d+) stmts out of (\d+) ", re.MULTILINE)
-IN_LANES = "overflow in conversion from floating-point to integer."
-ASSUMED = {LANES: [IN_LANES]}
-"""Alarms by way of division. This one is lemma prepare's: ``every_divisor.c`` converts every word under the
-sanitizer."""
-UNREACHED = {
-    "divide_24": "a constant condition: only where a table has reciprocals is a short divisor doubled"
-}
-"""Functions of which a statement cannot be reached, and why."""
+ASSUMED = {LANES: ["overflow in conversion from floating-point to integer."]}
+"""Alarms by way of division; this one is lemma prepare's: ``every_divisor.c`` converts every word."""
+UNREACHED = {"divide_24"}
+"""A constant condition: only where a table has reciprocals is a short divisor doubled."""
 FRAGILE = ("accuracy->g_shift & SHIFT_MAX", "accuracy->g_shift")
 
 
@@ -47,7 +37,7 @@ def test_any_call_is_safe(variant: Variant) -> None:
     assert alarms(said) == ASSUMED.get(variant.divide, [])
     assert "neither code nor specification" not in said
     parts = PART.findall(said)
-    assert {name for name, reached, of in parts if reached != of} <= set(UNREACHED)
+    assert {name for name, reached, of in parts if reached != of} <= UNREACHED
     called = {name for name, _, _ in parts}
     assert called >= set(re.findall(r"\b(mcp_asdf_\w+)\(&", CALLS.read_text(encoding="utf-8")))
 
@@ -69,9 +59,8 @@ def alarms(said: str) -> list[str]:
 
 def eva(variant: Variant, sources: Path = SOURCES) -> str:
     """Output of the analyser; an int of 16 or 32 bits, and a long of 32, as on the targets."""
-    flags = [f"-I{sources}", *variant.flags(), "-idirafter", str(INCLUDE)]
-    return run(
-        *(require("frama-c", "frama-c-base"), "-no-autoload-plugins"),
-        *("-load-module", "eva,from,inout,scope,metrics", "-machdep", f"gcc_x86_{variant.int_bits}"),
-        *(f"-cpp-extra-args={' '.join(flags)}", "-eva", *PRECISION, "-metrics-eva-cover", CALLS),
-    )
+    flags = " ".join([f"-I{sources}", *variant.flags(), "-idirafter", str(INCLUDE)])
+    machine = ("-machdep", f"gcc_x86_{variant.int_bits}", f"-cpp-extra-args={flags}")
+    plugins = ("-no-autoload-plugins", "-load-module", "eva,from,inout,scope,metrics")
+    eva = ("-eva", *PRECISION, *DOMAINS, "-metrics-eva-cover", CALLS)
+    return run(require("frama-c", "frama-c-base"), *plugins, *machine, *eva)

@@ -50,16 +50,23 @@ Argument = tuple[str, int]
 
 
 class Machine(ABC):
-    """A processor with an image loaded and its variables set up."""
+    """A processor with an image loaded and its variables set up.
+
+    Attributes:
+        stack_end: The address behind the stack's first byte.
+    """
+
+    stack_end: int
 
     def __init__(self, image: Image) -> None:
         self.image = image
 
     def call(self, name: str, *arguments: Argument) -> Cost:
         """Call a function. Raises RuntimeError if it does not return."""
-        self._paint(bytes([_PAINT]) * _PAINTED)
+        self.write(self.stack_end - _PAINTED, bytes([_PAINT]) * _PAINTED)
         value, instructions, cycles = self._run(self.image.address(name), arguments)
-        return Cost(value, instructions, cycles, len(self._painted().lstrip(bytes([_PAINT]))))
+        painted = self.read(self.stack_end - _PAINTED, _PAINTED)
+        return Cost(value, instructions, cycles, len(painted.lstrip(bytes([_PAINT]))))
 
     @abstractmethod
     def read(self, address: int, size: int) -> bytes:
@@ -68,14 +75,6 @@ class Machine(ABC):
     @abstractmethod
     def write(self, address: int, content: bytes) -> None:
         """Set bytes of variables."""
-
-    @abstractmethod
-    def _paint(self, paint: bytes) -> None:
-        """Cover the bytes where the stack will be."""
-
-    @abstractmethod
-    def _painted(self) -> bytes:
-        """The same bytes now, from the lowest address on."""
 
     @abstractmethod
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
@@ -89,7 +88,7 @@ class UnicornMachine(Machine):
     of those each one is counted that runs.
     """
 
-    _TOP, _RETURN, _END = 0x100000, 0x10F000, 0x110000
+    stack_end, _RETURN, _END = 0x100000, 0x10F000, 0x110000
 
     def __init__(self, image: Image) -> None:
         super().__init__(image)
@@ -124,18 +123,12 @@ class UnicornMachine(Machine):
     def write(self, address: int, content: bytes) -> None:
         self._uc.mem_write(address, content)
 
-    def _paint(self, paint: bytes) -> None:
-        self.write(self._TOP - len(paint), paint)
-
-    def _painted(self) -> bytes:
-        return self.read(self._TOP - _PAINTED, _PAINTED)
-
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
         thumb, uc = int(self._arm), self._uc
         first = arm_const.UC_ARM_REG_R0 if self._arm else riscv_const.UC_RISCV_REG_A0
         for register, (_, value) in enumerate(arguments, first):
             uc.reg_write(register, value)
-        uc.reg_write(arm_const.UC_ARM_REG_SP if self._arm else riscv_const.UC_RISCV_REG_SP, self._TOP)
+        uc.reg_write(arm_const.UC_ARM_REG_SP if self._arm else riscv_const.UC_RISCV_REG_SP, self.stack_end)
         back = arm_const.UC_ARM_REG_LR if self._arm else riscv_const.UC_RISCV_REG_RA
         uc.reg_write(back, self._RETURN | thumb)
         self._count = 0
@@ -177,13 +170,13 @@ def simavr() -> ctypes.CDLL:
 class AvrMachine(Machine):
     """An ATmega328P under simavr, which counts true cycles."""
 
-    _TOP, _RETURN, _STACK_POINTER = 0x8FF, 0x7FFE, 0x5D
+    stack_end, _RETURN, _STACK_POINTER = 0x900, 0x7FFE, 0x5D
 
     def __init__(self, image: Image) -> None:
         super().__init__(image)
         self._library = simavr()
         self._avr = self._library.machine_make(b"atmega328p")
-        memory = (ctypes.c_uint8 * (self._TOP + 1)).from_address(self._library.machine_data(self._avr))
+        memory = (ctypes.c_uint8 * self.stack_end).from_address(self._library.machine_data(self._avr))
         self._data = memoryview(memory).cast("B")
         flash = self._library.machine_flash(self._avr)
         for _, address, content in image.segments():
@@ -198,20 +191,14 @@ class AvrMachine(Machine):
         start = address & _AVR_DATA
         self._data[start : start + len(content)] = content
 
-    def _paint(self, paint: bytes) -> None:
-        self.write(self._TOP + 1 - len(paint), paint)
-
-    def _painted(self) -> bytes:
-        return self.read(self._TOP + 1 - _PAINTED, _PAINTED)
-
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
         register = 26
         for kind, value in arguments:
             size = _SIZES[kind]
             register -= size + size % 2
             self._store(register, value, size)
-        self._data[self._TOP - 1 :] = (self._RETURN // 2).to_bytes(2, "big")
-        self._store(self._STACK_POINTER, self._TOP - 2, 2)
+        self._data[self.stack_end - 2 :] = (self._RETURN // 2).to_bytes(2, "big")
+        self._store(self._STACK_POINTER, self.stack_end - 3, 2)
         instructions, cycles = self._go(address, self._RETURN)
         return int.from_bytes(bytes(self._data[22:26]), "little"), instructions, cycles
 

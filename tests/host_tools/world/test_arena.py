@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.motion_statistics import bursts as motion_bursts
-from benchmarks.motion_statistics import motion_statistics, runs
+from host_tools.world.motion_statistics import bursts as motion_bursts
+from host_tools.world.motion_statistics import motion_statistics, runs
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
