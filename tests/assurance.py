@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from benchmarks.cost.report import fill
 from mutation.c_mutants import MUTATED, mutants
 from mutation.equivalents import equivalents
-from proofs import accuracy, arithmetic, core
+from proofs import accuracy, arithmetic, core, sums
 from proofs.source import VARIANTS, program
 from support import ROOT
 
@@ -24,9 +24,9 @@ def _of_proofs() -> Iterator[tuple[str, str]]:
     named = {each for variant in VARIANTS for room in (arithmetic, core) for each in room.contracts(variant)}
     yield "functions with a lemma, and variants of the code", f"{len(named)}, {len(VARIANTS)}"
     code = program(VARIANTS[0], core.CORE)
-    of_code = sum(1 for claims in accuracy.OF_THE_CODE for _ in claims(code))
-    of_numbers = sum(1 for claims in accuracy.OF_THE_NUMBERS for _ in claims())
-    yield "claims of the errors' proof: of the code, of the numbers", f"{of_code}, {of_numbers}"
+    of_code = sum(1 for claims in (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE) for _ in claims(code))
+    of_numbers = sum(1 for claims in (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS) for _ in claims())
+    yield "claims of sums and errors: of the code, of the numbers", f"{of_code}, {of_numbers}"
 
 
 def _of_tests() -> Iterator[tuple[str, str]]:

@@ -11,58 +11,17 @@ Names: T and P are t and the rarer colour's count, shifted until T has 32 bits; 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
 import z3
 
 from proofs.core import C_MOST, ONE
-from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Number, Type, Words
-from proofs.prove import terms
+from proofs.formulas import Claim, call, formed
 from proofs.source import Program
 
-RESULTS = {
-    **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
-    **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
-    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient"), 32),
-}
-"""Called functions, of which nothing is known here, and bits of their results."""
-Claim = tuple[str, Any, list[Any]]
-"""Name of a claim, its formula, and of what it follows."""
-Claims = Callable[[], Iterator[Claim]]
-
 # --- Of the C --------------------------------------------------------------------------------------------
-
-
-def call(name: str, *arguments: Any) -> Any:
-    """The result of a function of the C on these words: anything, but the same for the same arguments."""
-    function = z3.Function(name, *(each.sort() for each in arguments), z3.BitVecSort(RESULTS[name]))
-    return function(*arguments)
-
-
-def _stands_in(name: str) -> Summary:
-    return lambda _, *arguments: Number(call(name, *(each.term for each in arguments)), Type(RESULTS[name]))
-
-
-def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
-    """set_b_hat(), as far as reestimate() is concerned."""
-    machine.store(Place(robot.variable, (*robot.path, "accuracy", "b_hat")), b_hat)
-
-
-def formed(program: Program, name: str) -> tuple[dict[str, Any], Any]:
-    """Terms of a function's unknown arguments, members of structures by their own names; and what it returns,
-    with what its first argument then points to, if it is a pointer that it may write to."""
-    called: dict[str, Summary] = {each: _stands_in(each) for each in RESULTS if each != name}
-    machine = Machine(program, Words, called | ({"set_b_hat": _keep_b_hat} if name != "set_b_hat" else {}))
-    given: dict[str, Any] = {}
-    values = [machine.unknown_of(each.type, each.name) for each in program.parameters(name)]
-    for parameter, value in zip(program.parameters(name), values, strict=True):
-        seen = terms(machine.load(value) if isinstance(value, Place) else value)
-        given |= seen if isinstance(seen, dict) else {parameter.name: seen}
-    found = terms(machine.call(name, *values))
-    return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)
 
 
 def half(word: Any) -> Any:

@@ -86,8 +86,6 @@ def test_there_is_no_other_way_to_loop() -> None:
 
 BROKEN = {
     "units": ("alpha >> 8, alpha)", "alpha >> 7, alpha)"),
-    "mean": ("middle << 9 | low >> 23", "middle << 9 | low >> 24"),
-    "informed_estimate": ("sum - product >= alpha", "sum - product > alpha"),
     "alpha_word": ("(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     "set_b_hat": ("g < INFORMATIVE ? UINT32_MAX", "g < INFORMATIVE / 2 ? UINT32_MAX"),
     "reestimate": ("robot->t", "robot->t >> robot->n"),

@@ -1,0 +1,74 @@
+"""Functions of the C as formulas of the functions that they call, whatever those compute."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import z3
+
+from proofs.machine import Machine, Place, Summary
+from proofs.numbers import Number, Type, Words
+from proofs.prove import terms
+from proofs.source import Program
+
+RESULTS = {
+    **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
+    **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
+    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient"), 32),
+}
+"""Called functions, of which nothing is known here, and bits of their results."""
+Claim = tuple[str, Any, list[Any]]
+"""Name of a claim, its formula, and of what it follows."""
+Claims = Callable[[], Iterator[Claim]]
+
+
+def call(name: str, *arguments: Any) -> Any:
+    """The result of a function of the C on these words: anything, but the same for the same arguments."""
+    function = z3.Function(name, *(each.sort() for each in arguments), z3.BitVecSort(RESULTS[name]))
+    return function(*arguments)
+
+
+def _stands_in(name: str) -> Summary:
+    return lambda _, *arguments: Number(call(name, *(each.term for each in arguments)), Type(RESULTS[name]))
+
+
+def units(alpha: Any) -> Any:
+    """The 64 bits of an alpha word in units of 2^-24."""
+    return z3.ZeroExt(32, z3.LShR(alpha, 8)) << z3.ZeroExt(32, alpha & 31)
+
+
+def _in_words(_: Machine, alpha: Number) -> dict[str, Number]:
+    whole = units(alpha.term)
+    return {
+        "high": Number(z3.Extract(63, 32, whole), Type(32)),
+        "low": Number(z3.Extract(31, 0, whole), Type(32)),
+    }
+
+
+BY_LEMMA: dict[str, Summary] = {
+    "join": lambda _, high, low: Number(z3.Concat(high.term, low.term), Type(64)),
+    "high_word": lambda _, value: Number(z3.Extract(63, 32, value.term), Type(32)),
+    "low_word": lambda _, value: Number(z3.Extract(31, 0, value.term), Type(32)),
+    "units": _in_words,
+}
+"""Functions that are known by their lemmas, where they are not opaque."""
+
+
+def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
+    """set_b_hat(), as far as reestimate() is concerned."""
+    machine.store(Place(robot.variable, (*robot.path, "accuracy", "b_hat")), b_hat)
+
+
+def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tuple[dict[str, Any], Any]:
+    """Terms of a function's unknown arguments, members of structures by their own names; and what it returns,
+    with what its first argument then points to, if it is a pointer that it may write to."""
+    called = BY_LEMMA | {each: _stands_in(each) for each in opaque if each != name}
+    machine = Machine(program, Words, called | ({"set_b_hat": _keep_b_hat} if name != "set_b_hat" else {}))
+    given: dict[str, Any] = {}
+    values = [machine.unknown_of(each.type, each.name) for each in program.parameters(name)]
+    for parameter, value in zip(program.parameters(name), values, strict=True):
+        seen = terms(machine.load(value) if isinstance(value, Place) else value)
+        given |= seen if isinstance(seen, dict) else {parameter.name: seen}
+    found = terms(machine.call(name, *values))
+    return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)
