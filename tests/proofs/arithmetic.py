@@ -13,7 +13,7 @@ import z3
 
 from proofs.machine import Machine, Summary
 from proofs.numbers import Integers, Type, known
-from proofs.prove import By, Contract, Step, prove
+from proofs.prove import Contract, prove
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
 PREPARED = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
@@ -100,10 +100,10 @@ PRODUCTS = {
 }
 SPLIT_PRODUCTS = {
     "multiply": Contract(
-        lambda found, a, b: found == _sum_of_halves(a, b), steps=(Step(_halves_fit),), by=By.SUMS
+        lambda found, a, b: found == _sum_of_halves(a, b), steps=(_halves_fit,), is_opaque=True
     ),
     "multiply_high": Contract(
-        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(Step(_halves_fit),), by=By.SUMS
+        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(_halves_fit,), is_opaque=True
     ),
 }
 
@@ -211,10 +211,10 @@ def _digit(divide: int, least: int) -> Contract:
         ),
         safe=lambda rest, d, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
         steps=(
-            Step(lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits)),
-            Step(lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d),
+            lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits),
+            lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d,
         ),
-        by=By.SUMS,
+        is_opaque=True,
         cases=("bits", (7, 12)),
         uses={"estimate_digit": estimate.stands_in("estimate_digit")},
     )

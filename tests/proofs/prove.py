@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import Flag, auto
 from functools import reduce
 from operator import mul
 from typing import Any, Protocol
@@ -110,24 +109,6 @@ class Invariant(Protocol):
         """Makes known what follows for the function's result."""
 
 
-class By(Flag):
-    """From what a claim follows, if not from all that is known."""
-
-    FACTS = 0
-    STEPS = auto()
-    """The steps before it alone."""
-    SUMS = auto()
-    """Whatever products are: what is known of them was said in steps."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """A formula of the same arguments as ``ensures``, on the way to it."""
-
-    formula: Formula
-    by: By = By.FACTS
-
-
 @dataclass(frozen=True)
 class Contract:
     """The promises of a function; formulas take the terms of its arguments.
@@ -143,7 +124,7 @@ class Contract:
         cases: The values of a parameter that is a constant wherever the function is called.
         uses: What stands for called functions in the proof of ``ensures``.
         steps: What leads to ``ensures``, each proved with what was proved before.
-        by: How ``ensures`` follows.
+        is_opaque: Whether ``ensures`` follows whatever products are, from what steps said of them.
         invariant: Makes what follows the turns of its loops, for one run.
     """
 
@@ -154,8 +135,8 @@ class Contract:
     result_matters: bool = False
     cases: tuple[str, Iterable[int]] = ("", (0,))
     uses: Mapping[str, Summary] = field(default_factory=dict)
-    steps: tuple[Step, ...] = ()
-    by: By = By.FACTS
+    steps: tuple[Formula, ...] = ()
+    is_opaque: bool = False
     invariant: Callable[[], Invariant] | None = None
 
     def stands_in(self, name: str) -> Summary:
@@ -187,10 +168,10 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
         prove_obligations(machine, name)
         require_possible(machine.facts, name)
         shown: list[Any] = []
-        for number, step in enumerate((*contract.steps, Step(contract.ensures, contract.by)), 1):
-            formula = step.formula(*results, *before)
-            known = shown if By.STEPS in step.by else [*machine.facts, *shown]
-            (prove_opaque if By.SUMS in step.by else prove)(formula, *known, about=f"{name}: step {number}")
+        for number, step in enumerate((*contract.steps, contract.ensures), 1):
+            formula, is_last = step(*results, *before), number > len(contract.steps)
+            settle = prove_opaque if is_last and contract.is_opaque else prove
+            settle(formula, *machine.facts, *shown, about=f"{name}: step {number}")
             shown.append(formula)
 
 
