@@ -40,12 +40,13 @@ def sections(cells: Cells, kilobot: tuple[int, int]) -> dict[Path, dict[str, str
     short = {name: short_column(*both) for name, both in columns.items()}
     calls = {f"{name} {level}": call_column(cells[name, level]) for name in columns for level in LEVELS}
     memory = {name: memory_column(*both) for name, both in columns.items()}
+    limits = {name: {what: str(most) for what, most in each.items()} for name, each in BUDGETS.items()}
     return {
         README: {"cost table": f"{table('at -O2', short)}\n\n{_kilobot(cells[AVR.name, '-Os'], kilobot)}"},
         PAGE: {
             "calls": _transposed("worst observed : bound", calls),
             "memory": table("bytes", memory),
-            "budgets": _transposed("limits", {name: _texts(each) for name, each in BUDGETS.items()}),
+            "budgets": _transposed("limits", limits),
         },
     }
 
@@ -85,10 +86,6 @@ def memory_column(small: Figures, fast: Figures) -> Rows:
         "stack of a tick": f"{small.tick_stack()} / {fast.tick_stack()}",
         **{f"stack of {name}": f"{small.stack[name][0]} / {fast.stack[name][0]}" for name in STACK_CALLS[6:]},
     }
-
-
-def _texts(numbers: dict[str, int]) -> Rows:
-    return {name: str(number) for name, number in numbers.items()}
 
 
 def _kilobot(avr: Figures, kilobot: tuple[int, int]) -> str:
