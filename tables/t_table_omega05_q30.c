@@ -14,7 +14,7 @@
  * check with  mcp-asdf table --check t_table_omega05_q30.c
  * use with    extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
  */
-#include "mcp_asdf_arithmetic.h"
+#include "mcp_asdf_rom.h"
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 

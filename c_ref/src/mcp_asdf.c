@@ -10,15 +10,11 @@
 #include "mcp_asdf_arithmetic.h"
 
 #define ONE_HALF (UINT32_C(1) << 31) /* as Q32 */
-#define INFORMATIVE                                                                                          \
-    (UINT32_C(1) << 20) /* |2 p - 1| = 2^-12 as Q32: closer to 1/2, a probability says nothing */
-#define MANTISSA_MAX UINT32_C(0xFFFFFF)
-#define SHIFT_MAX 31U
+/* |2 p - 1| = 2^-12 as Q32: closer to 1/2, a probability says nothing. */
+#define INFORMATIVE (UINT32_C(1) << 20)
 #define TABLE_MAGIC UINT32_C(0x4D435400)     /* its last byte is q */
 #define TABLE_OMEGA_MAX UINT32_C(3865470566) /* 0.9 as Q32 */
 #define K_ONE (UINT32_C(1) << 26)            /* k_m is Q26 in 32 bits: below 64 */
-#define HASH_START UINT32_C(0x811C9DC5)
-#define HASH_FACTOR UINT32_C(0x01000193)
 
 /* Bounds that the comments rely on, as far as the compiler can see them. */
 #define ASSERT(name, condition) typedef char assert_##name[(condition) ? 1 : -1]
@@ -27,8 +23,113 @@ ASSERT(t_is_a_word, MCP_ASDF_MEMORY_MAX <= ONE_HALF);
 ASSERT(halves_mirror, MCP_ASDF_MEMORY_MIN % 4 == 0);
 ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2^32 */
 
-/* ---- Messages: eq. 5 and 6 ------------------------------------------------------------------------------
- */
+/* ---- The local estimate: eq. 3 and 4 ---- */
+
+/* (g / p)^2 as Q30, for g and p in [2^31, 2^32), from a quotient of 24 or 25 bits. */
+static uint32_t square_of_ratio(uint32_t g, uint32_t p)
+{
+    const uint32_t ratio = divide_24(g >> 1, p >> 1) << 7; /* Q31, in (2^30, 2^32) */
+    return multiply_high(ratio, ratio);                    /* [2^28, 2^32) */
+}
+
+static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
+{
+    mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
+    const uint32_t c = b_hat < ONE_HALF ? b_hat : 0U - b_hat;              /* [2^12, 2^31] */
+    const uint32_t g = 0U - 2U * c;                                        /* 2^32 - 2c: [0, 2^32 - 2^13] */
+    const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
+    accuracy->b_hat = b_hat;
+    accuracy->c = g < INFORMATIVE ? UINT32_MAX : c;
+    accuracy->common = square_of_ratio(shift_left(g, g_shift), 0U - c);
+    accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
+    accuracy->g_shift = g_shift;
+    accuracy->rare_shift = 2U * c_shift;
+}
+
+typedef struct {
+    uint32_t x_hat, alpha;
+} message_t;
+
+/* The alpha word of mantissa 2^exponent units, rounded down to whole units; mantissa in [2^23, 2^24),
+ * exponent modulo 2^32. */
+HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
+{
+    if (exponent >> 31 != 0U) { /* negative, by at most 22 */
+        return shift_right(mantissa, (0U - exponent) & 31U) << 8;
+    }
+    return exponent <= ALPHA_SHIFT_MAX ? mantissa << 8 | exponent : ALPHA_MAX;
+}
+
+/* Eq. 3 and 4 for t > 0. White and black are mirror images, and so are b_hat and 1 - b_hat: only the rarer
+ * colour is looked at, under the accuracy above 1/2. With p = part / t, all cases of eq. 4 are
+ * part (g / p')^2 + (t - part) (g / (1 - p'))^2, where p' is p, but at least c. */
+HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
+{
+    const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */
+    const uint32_t white = t - n, part = n < white ? n : white;
+    const uint32_t shift = leading_zeros(t);
+    const uint32_t total = shift_left(t, shift);              /* [2^31, 2^32) */
+    const uint32_t rarer = shift_left(part, shift);           /* <= total / 2 */
+    const uint32_t least = multiply_high(accuracy->c, total); /* c t */
+    uint32_t x = 0, mantissa, exponent;                       /* the exponent modulo 2^32 */
+    if (rarer <= least) {                                     /* p' = c; always so without information */
+        if (accuracy->c == UINT32_MAX) {
+            const message_t nothing = {MCP_ASDF_HALF, 0};
+            return nothing;
+        }
+        uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
+        exponent = 34U - 2U * g_shift; /* 40 bits below the mantissa + 24 of alpha - 30 of the weights */
+        if (part != 0U) {
+            sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
+            exponent += accuracy->rare_shift;
+        }
+        if (high_word(sum) == 0U) {
+            sum = join(low_word(sum), 0);
+            exponent -= 32U;
+        }
+        const uint32_t sum_shift = leading_zeros(high_word(sum));
+        mantissa = upper(sum, sum_shift) >> 8;
+        exponent -= sum_shift;
+    } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) */
+        const uint32_t scale = shift_left(total - 2U * least, g_shift); /* g t: [2^30, 2^32) */
+        const uint32_t above = shift_left(rarer - least, g_shift);      /* <= scale / 2, where x is 1/2 */
+        x = divide_24(above, scale >> 1) >> 2;
+        const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
+        const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
+        const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
+        /* 32 = 64 bits below the products + 24 of alpha - 32 below the divisor - 24 of the quotient */
+        exponent = 32U - 2U * g_shift - shift + spread_shift - square_shift;
+        mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
+        const uint32_t excess = mantissa >> 24 & 1U; /* the quotient is in [2^23, 2^25) */
+        mantissa >>= excess;                         /* a shift by at most 1 */
+        exponent += excess;
+    }
+    const bool mirrored =
+        ((n - white) ^ accuracy->b_hat) >> 31 != 0U; /* either white is rarer or b_hat < 1/2 */
+    const message_t found = {mirrored ? MCP_ASDF_ONE - x : x, alpha_word(mantissa, exponent)};
+    return found;
+}
+
+HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
+{
+    if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {
+        return MCP_ASDF_ERR_OBSERVATION;
+    }
+    uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
+    if (t >= robot->config->memory) {
+        t >>= 1;
+        n = (n + (n >> 1 & 1U)) >> 1; /* to nearest, ties to even */
+    }
+    robot->t = t;
+    robot->n = n;
+    robot->updated = 0;
+    const message_t own = estimate(t, n, &robot->accuracy);
+    robot->x_hat = own.x_hat;
+    robot->alpha = own.alpha;
+    return MCP_ASDF_OK;
+}
+
+/* ---- The social and the informed estimate: eq. 5 to 7 ---- */
 
 /* An alpha in units of 2^-24, below 2^55. */
 ALWAYS_INLINE word_pair_t units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
@@ -74,140 +175,24 @@ uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
     return informed_estimate(&robot->closed, MCP_ASDF_HALF, 0);
 }
 
-/* ---- The local estimate: eq. 3 and 4 --------------------------------------------------------------------
- */
-
-/* (g / p)^2 as Q30, for g and p in [2^31, 2^32), from a quotient of 24 or 25 bits. */
-static uint32_t square_of_ratio(uint32_t g, uint32_t p)
-{
-    const uint32_t ratio = divide_24(g >> 1, p >> 1) << 7; /* Q31, in (2^30, 2^32) */
-    return multiply_high(ratio, ratio);                    /* [2^28, 2^32) */
-}
-
-static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
-{
-    mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
-    const uint32_t c = b_hat < ONE_HALF ? b_hat : 0U - b_hat;              /* [2^12, 2^31] */
-    const uint32_t g = 0U - 2U * c;                                        /* 2^32 - 2c: [0, 2^32 - 2^13] */
-    const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
-    accuracy->b_hat = b_hat;
-    accuracy->c = g < INFORMATIVE ? UINT32_MAX : c;
-    accuracy->common = square_of_ratio(shift_left(g, g_shift), 0U - c);
-    accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
-    accuracy->g_shift = g_shift;
-    accuracy->rare_shift = 2U * c_shift;
-}
-
-typedef struct {
-    uint32_t x_hat, alpha;
-} message_t;
-
-/* The alpha word of mantissa 2^exponent units, rounded down to whole units; mantissa in [2^23, 2^24),
- * exponent modulo 2^32. */
-HOT uint32_t alpha_word(uint32_t mantissa, uint32_t exponent)
-{
-    if (exponent > SHIFT_MAX) {
-        if (exponent < ONE_HALF) {
-            mantissa = MANTISSA_MAX;
-            exponent = SHIFT_MAX;
-        } else { /* negative, by at most 22 */
-            mantissa = shift_right(mantissa, (0U - exponent) & 31U);
-            exponent = 0;
-        }
-    }
-    return mantissa << 8 | exponent;
-}
-
-/* Eq. 3 and 4 for t > 0. White and black are mirror images, and so are b_hat and 1 - b_hat: only the rarer
- * colour is looked at, under the accuracy above 1/2. With p = part / t, all cases of eq. 4 are
- * part (g / p')^2 + (t - part) (g / (1 - p'))^2, where p' is p, but at least c. */
-HOT message_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
-{
-    const uint32_t g_shift = accuracy->g_shift & SHIFT_MAX;
-    const uint32_t white = t - n, part = n < white ? n : white;
-    const uint32_t shift = leading_zeros(t);
-    const uint32_t total = shift_left(t, shift);              /* [2^31, 2^32) */
-    const uint32_t rarer = shift_left(part, shift);           /* <= total / 2 */
-    const uint32_t least = multiply_high(accuracy->c, total); /* c t */
-    uint32_t x = 0, mantissa, exponent;                       /* the exponent modulo 2^32 */
-    if (rarer <= least) {                                     /* p' = c; always so without information */
-        if (accuracy->c == UINT32_MAX) {
-            const message_t nothing = {MCP_ASDF_HALF, 0};
-            return nothing;
-        }
-        uint64_t sum = multiply(t - part, accuracy->common); /* < 2^63 */
-        exponent = 2U * (17U - g_shift);
-        if (part != 0U) {
-            sum = multiply(part, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
-            exponent += accuracy->rare_shift;
-        }
-        if (high_word(sum) == 0U) {
-            sum = join(low_word(sum), 0);
-            exponent -= 32U;
-        }
-        const uint32_t sum_shift = leading_zeros(high_word(sum));
-        mantissa = upper(sum, sum_shift) >> 8;
-        exponent -= sum_shift;
-    } else { /* p' = p: x = (p - c) / g, and alpha = g^2 t / (p (1 - p)) */
-        const uint32_t scale = shift_left(total - 2U * least, g_shift); /* g t: [2^30, 2^32) */
-        const uint32_t above = shift_left(rarer - least, g_shift);      /* <= scale / 2, where x is 1/2 */
-        x = divide_24(above, scale >> 1) >> 2;
-        const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
-        const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
-        const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-        exponent = 2U * (16U - g_shift) - shift + spread_shift - square_shift;
-        mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-        const uint32_t excess = mantissa >> 24 & 1U; /* the quotient is in [2^23, 2^25) */
-        mantissa >>= excess;                         /* a shift by at most 1 */
-        exponent += excess;
-    }
-    const bool mirrored =
-        ((n - white) ^ accuracy->b_hat) >> 31 != 0U; /* either white is rarer or b_hat < 1/2 */
-    const message_t found = {mirrored ? MCP_ASDF_ONE - x : x, alpha_word(mantissa, exponent)};
-    return found;
-}
-
-HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
-{
-    if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {
-        return MCP_ASDF_ERR_OBSERVATION;
-    }
-    uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
-    if (t >= robot->config->memory) {
-        t >>= 1;
-        n = (n + (n >> 1 & 1U)) >> 1; /* to nearest, ties to even */
-    }
-    robot->t = t;
-    robot->n = n;
-    robot->updated = 0;
-    const message_t own = estimate(t, n, &robot->accuracy);
-    robot->x_hat = own.x_hat;
-    robot->alpha = own.alpha;
-    return MCP_ASDF_OK;
-}
-
-/* ---- Receive --------------------------------------------------------------------------------------------
- */
-
-/* Count a message that enters no sum. */
-NOINLINE mcp_asdf_status_t count(uint16_t *counter, mcp_asdf_status_t status)
-{
-    ++*counter;
-    return status;
-}
+/* ---- Receive ---- */
 
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_open_t *const open = &robot->open;
-    /* The own id wraps to the largest number. */
-    const bool is_neighbour = (uint32_t)(sender ^ robot->id) - 1U < MCP_ASDF_MAX_ID;
-    if (!is_neighbour || x_hat > MCP_ASDF_ONE) {
-        return count(&robot->counters.rejected, is_neighbour ? MCP_ASDF_ERR_X_HAT : MCP_ASDF_ERR_SENDER);
+    if (sender > MCP_ASDF_MAX_ID || sender == robot->id) {
+        ++robot->counters.rejected;
+        return MCP_ASDF_ERR_SENDER;
     }
-    uint8_t *const heard = &robot->heard.of[(sender & MCP_ASDF_MAX_ID) >> 3];
+    if (x_hat > MCP_ASDF_ONE) {
+        ++robot->counters.rejected;
+        return MCP_ASDF_ERR_X_HAT;
+    }
+    uint8_t *const heard = &robot->heard.of[sender >> 3];
     const uint32_t before = *heard, after = before | UINT32_C(1) << (sender & 7U);
     if (before == after) {
-        return count(&robot->counters.repeated, MCP_ASDF_REPEATED);
+        ++robot->counters.repeated;
+        return MCP_ASDF_REPEATED;
     }
     ++robot->counters.accepted;
     *heard = (uint8_t)after;
@@ -224,8 +209,7 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     return MCP_ASDF_OK;
 }
 
-/* ---- The filter: eq. 12 and 8 ---------------------------------------------------------------------------
- */
+/* ---- The filter: eq. 12 and 8 ---- */
 
 /* Eq. 12 on m >= 2 messages, multiplied out: (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2). An integer
  * compared with a real, so rounding the right side down decides alike. */
@@ -259,8 +243,7 @@ static bool reestimate(mcp_asdf_t *robot)
     }
     const uint64_t span = multiply(t, g);                         /* t (2a - 1): < 2^63 */
     const uint64_t difference = join(n, 0) - multiply(t, 0U - a); /* n - t (1 - a): within 2^63 of 0 */
-    const int64_t excess = (int64_t)difference;
-    const uint64_t above = excess > 0 ? (uint64_t)excess : 0U;
+    const uint64_t above = difference >> 63 == 0U ? difference : 0U;
     uint32_t b_hat = quotient(above < span ? above : span, span);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
     set_b_hat(robot, b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX);
@@ -275,11 +258,8 @@ NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
     }
     if (mode == MCP_ASDF_ADAPTIVE) {
         ++robot->counters.tests;
-        if (!test_rejects(robot)) {
-            return MCP_ASDF_OK;
-        }
     }
-    if (!reestimate(robot)) {
+    if ((mode == MCP_ASDF_ADAPTIVE && !test_rejects(robot)) || !reestimate(robot)) {
         return MCP_ASDF_OK;
     }
     ++robot->counters.updates;
@@ -287,8 +267,7 @@ NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
     return MCP_ASDF_UPDATED;
 }
 
-/* ---- Rounds ---------------------------------------------------------------------------------------------
- */
+/* ---- Rounds ---- */
 
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
@@ -318,8 +297,7 @@ mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
     return status == MCP_ASDF_OK ? mcp_asdf_settle(robot) : status;
 }
 
-/* ---- Init -----------------------------------------------------------------------------------------------
- */
+/* ---- Init ---- */
 
 /* Words 0 .. q + 1 are magic and q, omega, k_2 .. k_q, and k for m > q; the last is FNV-1a over them, by
  * words. The k fall strictly and stay above 1. */
@@ -337,7 +315,7 @@ static bool table_valid(const uint32_t *table)
             return false;
         }
         previous = word;
-        hash = (hash ^ word) * HASH_FACTOR; /* modulo 2^32 */
+        hash = hash_word(hash, word);
     }
     return previous > K_ONE && hash == MCP_ASDF_READ_WORD(&table[end]) &&
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
@@ -345,9 +323,8 @@ static bool table_valid(const uint32_t *table)
 
 static mcp_asdf_status_t check(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
-    /* Less 1, a memory of 0 or above 2^31 is negative. */
-    if (config->filter_period == 0U || (int32_t)(config->memory - 1U) < (int32_t)MCP_ASDF_MEMORY_MIN - 1 ||
-        config->memory % 4U != 0U || config->filter > MCP_ASDF_OFF) {
+    if (config->filter_period == 0U || config->memory < MCP_ASDF_MEMORY_MIN ||
+        config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U || config->filter > MCP_ASDF_OFF) {
         return MCP_ASDF_ERR_CONFIG;
     }
     if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == NULL || !table_valid(config->table))) {

@@ -16,11 +16,12 @@
  * length. mcp_asdf_x() is the answer, at any time.
  *
  * What holds for every function
- *   - C99, freestanding. No floating point, heap, recursion, mutable static data or libc call. Every function
- *     takes constant time in t and in the number of messages; only init reads the whole table.
+ *   - C99, freestanding. No floating point, heap, recursion, mutable static data or libc call, but for memcpy
+ *     and memset where a compiler inserts them. Every function takes constant time in t and in the number of
+ *     messages; only init reads the whole table.
  *   - The caller owns all memory. A pointer argument must be valid and, for robots, filled by mcp_asdf_init()
  *     or mcp_asdf_restore(); this is not checked. Whatever a fault then does to the robot's memory, apart
- * from its config pointer, every call still returns within its usual time.
+ *     from its config pointer, every call still returns within its usual time.
  *   - Functions touch nothing but their arguments, so different robots may run in different threads or
  *     interrupts. One robot is not reentrant: if receive() runs in an interrupt, mask that interrupt around
  *     every other call with the same robot, or queue its messages.
@@ -105,14 +106,15 @@ typedef struct {
     uint16_t updates;  /* re-estimates of b_hat */
 } mcp_asdf_counters_t;
 
-/* b_hat and what follows from it alone, formed when it changes. With c = min(b_hat, 1 - b_hat): */
+/* b_hat and what follows from it alone, formed when it changes, with c = min(b_hat, 1 - b_hat) and
+ * g = 1 - 2c. */
 typedef struct {
     uint32_t b_hat;      /* unit 2^-32 */
     uint32_t c;          /* unit 2^-32; 2^32 - 1 where b_hat says nothing, |2 b_hat - 1| < 2^-12 */
     uint32_t common;     /* (g / (1 - c))^2, unit 2^(-30 - 2 g_shift): weight of the common colour in eq. 4 */
     uint32_t rare;       /* (g / c)^2, unit 2^(rare_shift - 30 - 2 g_shift): weight of the rare colour */
-    uint32_t g_shift;    /* 0 .. 11, or 31 where b_hat is 1/2 */
-    uint32_t rare_shift; /* 2 .. 38; 0 where b_hat is 1/2 */
+    uint32_t g_shift;    /* 0 .. 31; above 11 only where b_hat says nothing */
+    uint32_t rare_shift; /* even, 0 .. 38 */
 } mcp_asdf_accuracy_t;
 
 /* Sums over the messages of a closed round that have alpha > 0 (eq. 5 and 6). With alpha in units of 2^-24

@@ -1,5 +1,5 @@
-/* Words, shifts, products and quotients of the MCP-ASDF firmware. Private: only its own sources and t-tables
- * include it. Everything that depends on a target is here.
+/* Words, shifts, products and quotients of the MCP-ASDF firmware. Private: only its own sources include
+ * it. Everything that depends on a target is here.
  *
  * Each function has one contract, which all variants meet to the bit: inputs, result, bound. [a, b) is the
  * range of the integer on the left; "Q32" is a value in units of 2^-32. Inputs outside the ranges, which only
@@ -12,16 +12,17 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "mcp_asdf_rom.h"
+
 /* ---- Choices: of speed and size, never of result ------------------------------------------------------ */
 
 /* How quotients are estimated: with the target's divider; with a reciprocal from a table; bit by bit, on
- * cores with registers of eight bits; with a binary32 reciprocal, which host engines turn into vector
- * instructions.
- */
+ * cores with registers of eight bits; by prepare() and leading_zeros() of whoever includes the sources, such
+ * as an engine on a host. */
 #define MCP_ASDF_DIVIDE_BY_HARDWARE 1
 #define MCP_ASDF_DIVIDE_BY_TABLE 2
 #define MCP_ASDF_DIVIDE_BY_BITS 3
-#define MCP_ASDF_DIVIDE_IN_LANES 4
+#define MCP_ASDF_DIVIDE_BY_INCLUDER 4
 
 #ifndef MCP_ASDF_DIVIDE
 #if defined(__AVR__)
@@ -33,7 +34,8 @@
 #endif
 #endif
 #if MCP_ASDF_DIVIDE < 1 || MCP_ASDF_DIVIDE > 4
-#error "MCP_ASDF_DIVIDE is out of range: choose MCP_ASDF_DIVIDE_BY_HARDWARE, _BY_TABLE, _BY_BITS or _IN_LANES"
+#error                                                                                                       \
+    "MCP_ASDF_DIVIDE is out of range: choose MCP_ASDF_DIVIDE_BY_HARDWARE, _BY_TABLE, _BY_BITS or _BY_INCLUDER"
 #endif
 
 /* Whether 32 x 32 -> 64 bits are multiplied in halves: on cores without an instruction for it. */
@@ -62,7 +64,7 @@
 
 /* Whether the compiler has an instruction that counts leading zeros. */
 #ifndef MCP_ASDF_HAS_CLZ
-#if defined(__GNUC__) && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_IN_LANES &&                                      \
+#if defined(__GNUC__) && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_INCLUDER &&                                   \
     (defined(__ARM_FEATURE_CLZ) || defined(__x86_64__) || defined(__i386__))
 #define MCP_ASDF_HAS_CLZ 1
 #else
@@ -73,25 +75,8 @@
 #error "MCP_ASDF_HAS_CLZ is out of range: choose 0 or 1"
 #endif
 
-/* Where constant tables live, and how a word or byte of one is read. On an AVR they stay in flash. Define all
- * three or none. */
-#if !defined(MCP_ASDF_ROM) && !defined(MCP_ASDF_READ_WORD) && !defined(MCP_ASDF_READ_BYTE)
-#ifdef __AVR__
-#include <avr/pgmspace.h>
-#define MCP_ASDF_ROM PROGMEM
-#define MCP_ASDF_READ_WORD(address) pgm_read_dword(address)
-#define MCP_ASDF_READ_BYTE(address) pgm_read_byte(address)
-#else
-#define MCP_ASDF_ROM
-#define MCP_ASDF_READ_WORD(address) (*(address))
-#define MCP_ASDF_READ_BYTE(address) (*(address))
-#endif
-#elif !defined(MCP_ASDF_ROM) || !defined(MCP_ASDF_READ_WORD) || !defined(MCP_ASDF_READ_BYTE)
-#error "define all of MCP_ASDF_ROM, MCP_ASDF_READ_WORD and MCP_ASDF_READ_BYTE, or none"
-#endif
-
 #ifdef __GNUC__
-#define UNUSED __attribute__((unused)) /* a t-table needs nothing of this header but MCP_ASDF_ROM */
+#define UNUSED __attribute__((unused)) /* no source needs all of this header */
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
 #define NOINLINE static UNUSED __attribute__((noinline))
 #else
@@ -119,7 +104,7 @@
 #else
 #define SHARED ALWAYS_INLINE
 #endif
-#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
 #define WARM ALWAYS_INLINE
 #else
 #define WARM static UNUSED
@@ -228,21 +213,9 @@ ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 }
 
 /* Leading zeros of value > 0: [0, 31]; 31 for value = 0. Lemma leading_zeros. */
-#if MCP_ASDF_HAS_CLZ
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER /* has it */
+#elif MCP_ASDF_HAS_CLZ
 ALWAYS_INLINE uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builtin_clz(value | 1U); }
-#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
-/* From the exponent of a binary32, without an instruction that AVX2 lacks. Where bit 31 is not set, clearing
- * each bit that follows another one keeps the number from being rounded up to the next power of two. */
-ALWAYS_INLINE uint32_t leading_zeros(uint32_t value)
-{
-    const uint32_t sparse = (value | 1U) & ~(value >> 1);
-    const union {
-        float number;
-        int32_t bits;
-    } as = {(float)(int32_t)sparse};
-    const int32_t zeros = 158 - (as.bits >> 23 & 0x1FF); /* negative numbers, with bit 31 set: below 0 */
-    return (uint32_t)(zeros > 0 ? zeros : 0) & 31U;      /* which is there for analysers only */
-}
 #elif MCP_ASDF_SHIFT_BYTES
 WARM uint32_t leading_zeros(uint32_t value)
 {
@@ -344,7 +317,7 @@ ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t
 {
     return (rest >> (15U - bits)) / prepared;
 }
-#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_IN_LANES
+#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
 /* 256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1. */
 static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
@@ -361,14 +334,6 @@ ALWAYS_INLINE uint32_t prepare(uint32_t d)
     const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64U ? step : 64U]); /* Q8 */
     const uint32_t y_r = ((d >> 8) + 1U) * r; /* r is in [256, 508], so this is 1 +- 2^-6 as Q31 */
     return (r * ((0U - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
-}
-#else
-/* 2^46 / d, at most 0.252 2^-13 of it too small, never too large: all d were tried. */
-ALWAYS_INLINE uint32_t prepare(uint32_t d)
-{
-    const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
-    const uint32_t above = y + 2U;
-    return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)above);
 }
 #endif
 
@@ -434,24 +399,41 @@ ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 }
 #endif
 
-/* The upper 32 bits of d > 0 and of 0 <= a <= d, in the same places, for divide_24() and divide_31(): the
- * dividend in the upper word, and in the lower word half the divisor, rounded up. The quotient is at most
- * 2^-31 + 2^-30 a / d less than a / d, and never more. Lemma ratio. */
-ALWAYS_INLINE uint64_t ratio(uint64_t a, uint64_t d)
+/* The upper 32 bits of 0 <= a <= d and half of those of d > 0, rounded up, for divide_24() and divide_31():
+ * the dividend and the divisor, in that order. Their quotient is at most 2^-31 + 2^-30 a / d less than a / d,
+ * and never more. Lemma ratio. */
+ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
 {
     if (high_word(d) == 0U) {
         a = join(low_word(a), 0);
         d = join(low_word(d), 0);
     }
     const uint32_t shift = leading_zeros(high_word(d));
-    return join(upper(a, shift), (upper(d, shift) >> 1) + 1U);
+    const word_pair_t found = {upper(a, shift), (upper(d, shift) >> 1) + 1U};
+    return found;
 }
 
 /* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. Lemma quotient. */
 SHARED uint32_t quotient(uint64_t a, uint64_t d)
 {
-    const uint64_t found = ratio(a, d);
-    return divide_31(high_word(found), low_word(found));
+    const word_pair_t found = ratio(a, d);
+    return divide_31(found.high, found.low);
 }
+
+/* ---- Hash --------------------------------------------------------------------------------------------- */
+
+/* FNV-1a taken over words, from HASH_START: (hash xor word) times its prime, modulo 2^32. Lemma hash_word. */
+#define HASH_START UINT32_C(0x811C9DC5)
+ALWAYS_INLINE uint32_t hash_word(uint32_t hash, uint32_t word)
+{
+    return (hash ^ word) * UINT32_C(0x01000193);
+}
+
+/* ---- Alpha -------------------------------------------------------------------------------------------- */
+
+/* The word of the largest alpha: mantissa ALPHA_MANTISSA_MAX, shift ALPHA_SHIFT_MAX. */
+#define ALPHA_MANTISSA_MAX UINT32_C(0xFFFFFF)
+#define ALPHA_SHIFT_MAX 31U
+#define ALPHA_MAX (ALPHA_MANTISSA_MAX << 8 | ALPHA_SHIFT_MAX)
 
 #endif

@@ -1,15 +1,15 @@
 /* The codec of the bus frames. mcp_asdf_frame.h is the manual; docs/frame.md gives the layout. */
 #include "mcp_asdf_frame.h"
 
+#include "mcp_asdf.h"
+#include "mcp_asdf_arithmetic.h"
+
 #define FRAME_BYTES 8U
-#define ONE (UINT32_C(1) << 23) /* 1.0 as x_hat and x */
 /* Of a binary32 number: from here on infinity, then NaN, then all with the sign bit set. */
 #define BINARY32_INFINITE UINT32_C(0x7F800000)
 #define BINARY32_FRACTION UINT32_C(0x007FFFFF)
 #define BINARY32_IMPLICIT UINT32_C(0x00800000)
-#define BINARY32_UNIT 126U /* biased exponent of numbers whose last bit is worth 2^-24 */
-#define ALPHA_SHIFT_MAX 31U
-#define ALPHA_MAX UINT32_C(0xFFFFFF1F)      /* the largest confidence as a word, 2^31 - 2^7 */
+#define BINARY32_UNIT 126U                  /* biased exponent of numbers whose last bit is worth 2^-24 */
 #define IDENTIFIER_ONES (UINT32_C(3) << 21) /* sent as 1, ignored */
 #define SERVICE (UINT32_C(1) << 25)
 #define ANONYMOUS (UINT32_C(1) << 24)
@@ -149,7 +149,7 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
-    if (message->x_hat > ONE) {
+    if (message->x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
     write_24(&frame->data[0], message->x_hat);
@@ -166,7 +166,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
         return status;
     }
     const uint32_t x_hat = read_24(&frame->data[0]), alpha = read_32(&frame->data[3]);
-    if (x_hat > ONE) {
+    if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
     if (alpha >= BINARY32_INFINITE) {
@@ -226,7 +226,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_heartbeat(mcp_asdf_heartbeat_t *message,
 
 static status_t check_telemetry(uint32_t x, uint32_t b_hat)
 {
-    if (x > ONE) {
+    if (x > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X;
     }
     return b_hat >= MCP_ASDF_FRAME_B_HAT_MIN && b_hat <= MCP_ASDF_FRAME_B_HAT_MAX ? MCP_ASDF_FRAME_OK

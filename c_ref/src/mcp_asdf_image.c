@@ -5,13 +5,12 @@
 
 #include <stddef.h>
 
-#define IMAGE_MAGIC (UINT32_C(0x4D435300) | MCP_ASDF_IMAGE_VERSION)
-#define HASH_START UINT32_C(0x811C9DC5)
-#define HASH_FACTOR UINT32_C(0x01000193)
-#define ALPHA_MOST UINT64_C(0xFFFFFF) /* mantissa of the largest alpha, times 2^31 units */
+#include "mcp_asdf_arithmetic.h"
 
-/* ---- Invariants -----------------------------------------------------------------------------------------
- */
+#define IMAGE_MAGIC (UINT32_C(0x4D435300) | MCP_ASDF_IMAGE_VERSION)
+#define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
+
+/* ---- Invariants ---- */
 
 /* A robot like this one that has just formed x_hat and alpha from the same t, n and b_hat. False if there can
  * be none. */
@@ -100,8 +99,7 @@ bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
     return state_possible(robot, &fresh);
 }
 
-/* ---- Save and restore -----------------------------------------------------------------------------------
- */
+/* ---- Save and restore ---- */
 
 /* An image on its way out of a robot, into `target`, or into one, from `source`; the other is null. */
 typedef struct {
@@ -121,7 +119,7 @@ static uint32_t pass(image_t *image, uint32_t value)
             *image->target++ = (uint8_t)(value >> shift);
         }
     }
-    image->hash = (image->hash ^ passed) * HASH_FACTOR; /* modulo 2^32 */
+    image->hash = hash_word(image->hash, passed);
     return passed;
 }
 

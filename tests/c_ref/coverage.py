@@ -10,19 +10,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from c_ref.third import VARIANTS, choices, third_object, third_program
 from support import CORE, ROOT, TABLE, require, run
 
 PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
-CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
-VARIANTS = ("1001", "2100", "1000", "3010", "4000", "2000")
-"""Those of ``CMakeLists.txt``."""
-WHITE_BOX = ("words", "division", "estimate", "rounds", "state", "wide")
-"""Without ``damaged``, whose inputs are random, and ``accuracy``, which finds nothing new in more time."""
+WHITE_BOX = ("arithmetic", "state")
+"""Without ``damaged``, whose inputs are random."""
 PORTS = ROOT / "c_ref/ports"
 SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
 FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}
 """Files whose conditions count."""
-BLACK_BOX = ("api", "frame", "golden_run", "node")
+BLACK_BOX = ("api", "frame", "node")
 FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
 Span = tuple[int, int, int, int]
@@ -93,10 +91,12 @@ def programs(folder: Path) -> Iterator[Path]:
     tests = ROOT / "tests/c_ref"
     for name in BLACK_BOX:
         yield _compiled(folder / name, tests / f"test_{name}.c", *SOURCES, TABLE)
+    third = third_object(folder)
     for variant in VARIANTS:
-        chosen = [f"-DTEST_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=True)]
         for name in WHITE_BOX:
-            yield _compiled(folder / f"{name}_{variant}", tests / f"test_{name}.c", *chosen)
+            own = choices(variant, "TEST")
+            yield _compiled(folder / f"{name}_{variant}", tests / f"test_{name}.c", *own)
+        yield third_program(third, variant, ("clang-19", *FLAGS), folder / f"third_{variant}")
 
 
 def _compiled(program: Path, *arguments: str | Path) -> Path:

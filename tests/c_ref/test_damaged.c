@@ -25,7 +25,7 @@ static void seal_table(void)
 {
     uint32_t hash = HASH_START;
     for (size_t i = 0; i < COUNT(table) - 1; ++i) {
-        hash = (uint32_t)((hash ^ table[i]) * (uint64_t)HASH_FACTOR & UINT32_MAX);
+        hash = (uint32_t)((hash ^ table[i]) * UINT64_C(0x01000193) & UINT32_MAX);
     }
     table[COUNT(table) - 1] = hash;
     CHECK(table_valid(table));

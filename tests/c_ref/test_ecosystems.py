@@ -26,7 +26,10 @@ from support import PATH, PATIENCE, ROOT, TABLE, require, run
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
-SOURCES = {f"src/{name}.{kind}" for name in PARTS for kind in "ch"} | {"src/mcp_asdf_arithmetic.h"}
+SOURCES = {f"src/{name}.{kind}" for name in PARTS for kind in "ch"} | {
+    "src/mcp_asdf_arithmetic.h",
+    "src/mcp_asdf_rom.h",
+}
 WARNINGS = "-Wall -Wextra -Werror"
 
 

@@ -257,7 +257,7 @@ static void set_word(uint8_t *image, uint32_t index, uint32_t value)
         image[4 * index + i] = (uint8_t)(value >> 8 * i);
     }
     for (uint32_t i = 0; i < WORDS - 1; ++i) {
-        hash = (uint32_t)((hash ^ word_at(&image[4 * i])) * (uint64_t)HASH_FACTOR & UINT32_MAX);
+        hash = (uint32_t)((hash ^ word_at(&image[4 * i])) * UINT64_C(0x01000193) & UINT32_MAX);
     }
     for (uint32_t i = 0; i < 4; ++i) {
         image[4 * (WORDS - 1) + i] = (uint8_t)(hash >> 8 * i);

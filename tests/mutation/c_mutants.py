@@ -6,11 +6,19 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from proofs.source import SOURCES
+from proofs.source import LANES_HEADER, SOURCES
 
-MUTATED = ("mcp_asdf.c", "mcp_asdf_arithmetic.h", "mcp_asdf_image.c", "mcp_asdf_frame.c")
-"""The two other headers declare what callers see; tests in both languages compare their numbers."""
+MUTATED = (
+    "mcp_asdf.c",
+    "mcp_asdf_arithmetic.h",
+    "lanes_arithmetic.h",
+    "mcp_asdf_image.c",
+    "mcp_asdf_frame.c",
+)
+"""The firmware, and what the engine divides with. The other headers declare what callers see; tests in both
+languages compare their numbers."""
 
 NOT_CODE = re.compile(
     r'/\*.*?\*/|"[^"\n]*"|^ASSERT\([^\n]*|^[ \t]*#(?:[^\n]*\\\n)*[^\n]*', re.MULTILINE | re.DOTALL
@@ -40,6 +48,11 @@ STATEMENT = re.compile(
     r"(?<=[;{}:])\s*((?:\+\+|--|\*|\(void\))?[a-z][\w>.\[\]\-]*\s*(?:(?:[-+|&<>^]*=|\()[^;{}]*)?;)"
 )
 CONDITION = re.compile(r"\b(?:if|while) \(")
+
+
+def path_of(file: str) -> Path:
+    """A mutated source."""
+    return LANES_HEADER if file == LANES_HEADER.name else SOURCES / file
 
 
 @dataclass(frozen=True)
@@ -74,7 +87,7 @@ class Mutant:
 
 
 def _read(file: str) -> str:
-    return (SOURCES / file).read_text(encoding="utf-8")
+    return path_of(file).read_text(encoding="utf-8")
 
 
 def _blank(match: re.Match[str]) -> str:

@@ -1,7 +1,9 @@
-"""Tests that a mutant of the firmware has to get past: the C tests, under the choices of every target."""
+"""Tests that a mutant of the firmware has to get past: the independent implementation and the C tests, under
+the choices of every target."""
 
 from __future__ import annotations
 
+import atexit
 import re
 import shutil
 import subprocess
@@ -9,10 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 
+from c_ref.third import choices, third_object
 from mutation.c_mutants import Mutant
-from proofs.source import SOURCES, Variant
+from proofs.source import LANES_HEADER, SOURCES, Variant
 from support import CORE, ROOT, TABLE
 
 TESTS = ROOT / "tests/c_ref"
@@ -24,13 +27,14 @@ VARIANTS = (
     Variant("1000", "__riscv"),
 )
 """The choices of each target, and the two targets with code of their own."""
-CORE_TESTS = ("golden_run", "words", "api", "state", "rounds", "accuracy", "estimate", "division", "damaged")
-"""Fast ones first."""
-BLACK_BOX = ("golden_run", "api", "frame", "node")
-WIDE = "wide"
-"""Needs integers of 128 bits, which only slower compilers have."""
-SECONDS = dict.fromkeys(("golden_run", "words", "api", "state", "node"), 1)
-"""Of processor for one test, many times what it needs; a mutant that hangs costs no more. Others get 3."""
+THIRD = "third"
+"""The independent implementation; all else is what it cannot see."""
+CORE_TESTS = (THIRD, "arithmetic", "api", "state", "damaged")
+BLACK_BOX = ("api", "frame", "node")
+CALLS = 1_000_000
+"""Calls of the independent implementation: a tenth of a second."""
+SECONDS = 3
+"""Of processor for one test, many times what it needs; a mutant that hangs costs no more."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +49,38 @@ class Compiler:
 
     def passes(self, folder: Path, test: str, variant: Variant) -> bool:
         """True if the test of this name passes with the sources in the folder."""
+        if test == THIRD:
+            return self._third_passes(folder, variant)
         flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE"]
-        flags += [flag.replace("MCP_ASDF", "TEST") for flag in variant.flags() if "MCP_ASDF" in flag]
+        if test not in BLACK_BOX:
+            flags += choices(variant.digits, "TEST")
         sources = [TESTS / f"test_{test}.c", *_linked(folder, test)]
         if self.name == "tcc":
-            seconds = SECONDS.get(test, 3)
-            return _limited("tcc", *flags, "-include", CLZ, *sources[1:], "-run", sources[0], seconds=seconds)
+            return _limited("tcc", *flags, "-include", CLZ, *sources[1:], "-run", sources[0])
         with TemporaryDirectory() as made:  # the folder may be the firmware's own
             program = Path(made) / "program"
-            return _limited("gcc", "-O1", *flags, *sources, "-o", program) and _limited(program)
+            return _limited("gcc", "-O1", *flags, *sources, "-o", program, seconds=60) and _limited(program)
+
+    def _third_passes(self, folder: Path, variant: Variant) -> bool:
+        own: tuple[str | Path, ...] = ("-include", CLZ) if self.name == "tcc" else ("-O1",)
+        with TemporaryDirectory() as made:
+            objects: list[Path] = []
+            program = Path(made) / "program"
+            for source in (folder / "mcp_asdf.c", folder / "mcp_asdf_image.c", TABLE):
+                objects.append(Path(made) / f"{source.stem}.o")
+                flags = (f"-I{folder}", *_flags(variant), "-w", *own)
+                if not _limited(self.name, *flags, "-c", source, "-o", objects[-1]):
+                    return False
+            is_linked = _limited("gcc", "-no-pie", _third(), *objects, "-lstdc++", "-lm", "-o", program)
+            return is_linked and _limited(program, "1", str(CALLS))
+
+
+@cache
+def _third() -> Path:
+    """The independent implementation, compiled; it is made once a process."""
+    folder = Path(mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return third_object(folder)
 
 
 @cache
@@ -84,7 +111,7 @@ def _linked(folder: Path, test: str) -> list[Path]:
     return sources
 
 
-def _limited(*command: str | Path, seconds: int = 60) -> bool:
+def _limited(*command: str | Path, seconds: int = SECONDS) -> bool:
     """True if the command succeeds before its time is over."""
     done = subprocess.run(
         ("sh", "-c", f'ulimit -c 0; ulimit -t {seconds}; exec "$@"', "sh", *command),
@@ -123,14 +150,8 @@ def variants_of(mutant: Mutant) -> Iterator[Variant]:
 
 
 def tests_of(mutant: Mutant) -> tuple[str, ...]:
-    """Names of the tests that run the mutant's file, fast ones first."""
-    if mutant.file == "mcp_asdf_frame.c":
-        return "node", "frame"
-    if mutant.file == "mcp_asdf_image.c":
-        return "golden_run", "state", "api", "damaged"
-    if mutant.file == "mcp_asdf_arithmetic.h":
-        return "words", *(test for test in CORE_TESTS if test != "words")
-    return CORE_TESTS
+    """Names of the tests that run the mutant's file."""
+    return ("node", "frame") if mutant.file == "mcp_asdf_frame.c" else CORE_TESTS
 
 
 def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
@@ -138,20 +159,16 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
 
     Args:
         folder: For the mutant's sources, which stay there.
-        most: Variants to try; only if it is all, also with the slow test of wide numbers.
+        most: Variants to try.
     """
-    for source in SOURCES.glob("*.[ch]"):
+    for source in (*SOURCES.glob("*.[ch]"), LANES_HEADER):
         shutil.copy(source, folder)
     (folder / mutant.file).write_text(mutant.source(), encoding="utf-8")
     variants = list(variants_of(mutant))[: 1 if mutant.file == "mcp_asdf_frame.c" else most]
-    for variant in variants:
-        for test in tests_of(mutant):
+    for test in tests_of(mutant):
+        for variant in variants:
             if not fastest().passes(folder, test, variant):
                 return f"{test} {variant}"
-    is_wide = most == len(VARIANTS) and mutant.file in ("mcp_asdf.c", "mcp_asdf_arithmetic.h")
-    for variant in variants if is_wide else ():
-        if not Compiler("gcc").passes(folder, WIDE, variant):
-            return f"{WIDE} {variant}"
     return ""
 
 

@@ -38,6 +38,7 @@ WORDS = {
     "high_word": Contract(lambda found, value: found == _word(63, value)),
     "low_word": Contract(lambda found, value: found == _word(31, value)),
     "add": Contract(lambda after, before, term: after == before + term),
+    "hash_word": Contract(lambda found, hash_, word: found == (hash_ ^ word) * 0x01000193),
 }
 
 
@@ -275,7 +276,7 @@ def _upper_bits(found: Any, a: Any, d: Any) -> Any:
     divisor, shift = normalised(d)
     kept = z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
     half = _word(31, z3.LShR(divisor, 33)) + 1
-    return z3.And(kept, found == z3.Concat(_word(63, a << shift), half))
+    return z3.And(kept, found["high"] == _word(63, a << shift), found["low"] == half)
 
 
 RATIO = Contract(
@@ -298,7 +299,7 @@ def is_ratio(upper_a: Any, half_d: Any, a: Any, d: Any, scale: Any) -> Any:
 
 
 def _ratio_in_integers(machine: Machine, a: Any, d: Any) -> Any:
-    """ratio() for quotient(), which only takes its two words apart."""
+    """ratio() for quotient()."""
     machine.claim(z3.And(d.term > 0, a.term <= d.term), "what ratio requires")
     upper_a, half_d, scale = (machine.unknown("ratio", Type(bits)) for bits in (32, 32, 64))
     machine.know(is_ratio(upper_a.term, half_d.term, a.term, d.term, scale.term))
@@ -320,8 +321,6 @@ def contracts(variant: Variant) -> dict[str, Contract]:
     quotients = _by_bits() if variant.divide == BITS else _by_digits(variant.divide)
     uses: dict[str, Summary] = {
         "ratio": _ratio_in_integers,
-        "high_word": lambda _, found: found["high"],
-        "low_word": lambda _, found: found["low"],
         "divide_31": quotients["divide_31"].stands_in("divide_31"),
     }
     quotient = Contract(

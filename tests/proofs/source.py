@@ -16,6 +16,8 @@ from support import ROOT, run
 
 SOURCES = ROOT / "c_ref/src"
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
+LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
+"""What the experiments' engine divides with: it includes the core and brings this."""
 INCLUDE = Path(__file__).parent / "include"
 CHOICES = {"DIVIDE": (1, 2, 3, 4), "SPLIT_MULTIPLY": (0, 1), "SHIFT_BYTES": (0, 1), "HAS_CLZ": (0, 1)}
 """The macros, without their prefix, and their legal values."""
@@ -43,6 +45,8 @@ class Variant:
     def flags(self) -> list[str]:
         chosen = zip(CHOICES, self.digits, strict=True)
         flags = [f"-DMCP_ASDF_{name}={digit}" for name, digit in chosen]
+        if self.divide == LANES:
+            flags += [f"-I{LANES_HEADER.parent}", "-include", LANES_HEADER.name]
         return [*flags, f"-D{self.target}"] if self.target else flags
 
 

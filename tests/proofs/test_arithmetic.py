@@ -11,7 +11,7 @@ import z3
 
 from proofs.arithmetic import PREPARED, contracts, is_ratio, is_tried
 from proofs.prove import UnprovenError, prove, prove_lemma
-from proofs.source import HEADER, VARIANTS, Program, Variant, program
+from proofs.source import HEADER, LANES, LANES_HEADER, VARIANTS, Program, Variant, program
 from support import require, run
 
 LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
@@ -42,6 +42,7 @@ def test_every_divisor_is_prepared(divide: int, tmp_path: Path) -> None:
     }
     flags = ("-std=c99", "-O2", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
     chosen = [f"-D{name}={value}" for name, value in bounds.items()]
+    chosen += ["-include", str(LANES_HEADER)] if divide == LANES else []
     source = Path(__file__).with_name("every_divisor.c")
     run(
         require("gcc", "gcc"), *flags, *chosen, f"-I{HEADER.parent}", source, "-o", tmp_path / "every_divisor"
@@ -86,7 +87,7 @@ BROKEN = {
     "divide_by_bits": ("3000", "if (a >= d)", "if (a > d)"),
     "divide_24": ("1000", "second + (uint32_t)(a >= d)", "second + (uint32_t)(a > d)"),
     "ratio": ("1000", "(upper(d, shift) >> 1) + 1U", "(upper(d, shift) >> 1)"),
-    "quotient": ("1000", "divide_31(high_word(found)", "divide_31(high_word(found) / 2"),
+    "quotient": ("1000", "divide_31(found.high", "divide_31(found.high / 2"),
 }
 """Functions, a variant, and a change of its code that breaks it."""
 

@@ -184,7 +184,7 @@ class Run
         config.filter = static_cast<uint8_t>(random.one_in(3) ? random.below(3) : 0u);
         config.filter_period =
             random.one_in(2) ? 1 : std::max(1u, random.any_length(random.one_in(4) ? 32 : 5));
-        settings.table = random.one_in(4) ? real : falling(2 + random.below(126));
+        settings.table = random.one_in(4) ? real : falling(2 + random.below(random.one_in(2) ? 6 : 126));
         config.table = settings.table.words;
         if (config.filter != MCP_ASDF_ADAPTIVE && random.one_in(2))
             config.table = nullptr;

@@ -95,7 +95,7 @@ _C_FILE = """\
  * check with  mcp-asdf table --check {stem}.c
  * use with    extern const uint32_t {symbol}[{words}];
  */
-#include "mcp_asdf_arithmetic.h"
+#include "mcp_asdf_rom.h"
 
 extern const uint32_t {symbol}[{words}];
 
@@ -107,7 +107,7 @@ const uint32_t {symbol}[{words}] MCP_ASDF_ROM = {{
 
 
 def c_text(omega: Decimal, q: int) -> str:
-    """Return the C99 source: one constant array, which needs ``mcp_asdf_arithmetic.h`` and nothing else."""
+    """Return the C99 source: one constant array, which needs ``mcp_asdf_rom.h`` and nothing else."""
     facts = describe(omega, q)
     error = facts["worst_threshold_error"]
     beyond = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"

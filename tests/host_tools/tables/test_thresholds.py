@@ -658,10 +658,10 @@ def test_a_linked_program_and_its_object_are_verified(
     source = tmp_path / "program.c"
     source.write_text(
         '#include "mcp_asdf.h"\n'
-        "extern const uint32_t mcp_asdf_t_table_omega10_q127[130];\n"
-        f"int main(void) {{ return mcp_asdf_t_table_omega10_q127[0] == {MAGIC | 127:#x}U ? 0 : 1; }}\n"
+        "extern const uint32_t mcp_asdf_t_table_omega05_q127[130];\n"
+        f"int main(void) {{ return mcp_asdf_t_table_omega05_q127[0] == {MAGIC | 127:#x}U ? 0 : 1; }}\n"
     )
-    compile_c(ROOT / "tables" / "t_table_omega10_q127.c", tmp_path / "table.o")
+    compile_c(ROOT / "tables" / "t_table_omega05_q127.c", tmp_path / "table.o")
     compile_c(source, tmp_path / "program.o")
     program = tmp_path / "program"
     objects = [str(tmp_path / "table.o"), str(tmp_path / "program.o")]

@@ -5,9 +5,12 @@
  * as no value in those functions comes from a table, a call or more than four ways; a test asks it. It needs
  * -fno-trapping-math, because it may then compute both ways of an `if` with a division in it.
  */
-#define MCP_ASDF_DIVIDE MCP_ASDF_DIVIDE_IN_LANES
+#define MCP_ASDF_DIVIDE MCP_ASDF_DIVIDE_BY_INCLUDER
 
+#include "lanes_arithmetic.h"
+/* clang-format off: the core divides with what stands above. */
 #include "mcp_asdf.c" /* NOLINT(bugprone-suspicious-include): see above */
+/* clang-format on */
 
 #include "lanes.h"
 

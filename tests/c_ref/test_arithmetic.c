@@ -1,0 +1,89 @@
+/* White box: what the independent implementation (tests/third) cannot see of the arithmetic, since a later
+ * step corrects it or only damaged memory asks for it. Everything else about it is proved for all arguments
+ * (tests/proofs) and compared there. */
+#include "white_box.h"
+
+static void shifts_by_any_count(void)
+{
+    static const uint64_t values[] = {UINT64_C(0x8123456789ABCDEF), 1, UINT64_MAX};
+    for (size_t i = 0; i < COUNT(values); ++i) {
+        for (uint32_t count = 0; count < 256; ++count) { /* of damaged memory the lower 6 bits count */
+            GIVEN(values[i], count, 0);
+            CHECK_EQUAL(shift_right_64(values[i], count), values[i] >> count % 64);
+        }
+    }
+}
+
+static void zeros_lead_in_every_word(void)
+{
+    CHECK_EQUAL(leading_zeros(0), 31);
+    for (uint32_t bit = 0; bit < 32; ++bit) {
+        const uint32_t power = UINT32_C(1) << bit;
+        GIVEN(bit, 0, 0);
+        CHECK_EQUAL(leading_zeros(power), 31 - bit);
+        CHECK_EQUAL(leading_zeros(power | (power - 1)), 31 - bit);
+    }
+}
+
+static void products_are_exact(void)
+{
+    for (uint32_t i = 0; i < 4000; ++i) {
+        const uint32_t a = check_random_word() - (i & 1), b = check_random_word() - (i >> 1 & 1);
+        GIVEN(a, b, 0);
+        CHECK_EQUAL(multiply(a, b), (uint64_t)a * b);
+        CHECK_EQUAL(multiply_high(a, b), (uint64_t)a * b >> 32);
+    }
+}
+
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
+/* Entry i is 1 + 256 (1 / y - 1), rounded, at y = (129 + 2 i) / 256, and at y = 1. */
+static void reciprocals_are_those_of_the_comment(void)
+{
+    for (uint32_t i = 0; i < 64; ++i) {
+        const uint32_t over = 129 + 2 * i, above = 256 * (256 - over);
+        GIVEN(i, 0, 0);
+        CHECK_EQUAL(reciprocals[i], 1 + (2 * above + over) / (2 * over));
+    }
+    CHECK_EQUAL(reciprocals[64], 1);
+    CHECK_EQUAL(prepare(UINT32_MAX), 0); /* damaged memory: the last entry, 2^8 as Q8 */
+    CHECK_EQUAL(prepare(UINT32_C(0x81000000)), 0x7EFF);
+}
+#endif
+
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
+/* 2^46 / d, never too large, and at most 0.71 2^-13 of it too small. */
+static void prepared_divisors_are_reciprocals(void)
+{
+    for (uint64_t step = 64; step <= 128; ++step) {
+        for (uint64_t d = (step << 24) - (step > 64); d <= (step << 24) + (step < 128); ++d) {
+            const uint64_t found = prepare((uint32_t)d), lost = (UINT64_C(1) << 46) - found * d;
+            GIVEN(d, found, 0);
+            CHECK(found * d <= UINT64_C(1) << 46 && lost * 100 <= UINT64_C(71) << 33);
+        }
+    }
+}
+#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
+/* The upper bits of d, rounded up, and more only where they are a whole number already. */
+static void prepared_divisors_are_rounded_up(void)
+{
+    CHECK_EQUAL(prepare(UINT32_C(1) << 30), 32769);
+    CHECK_EQUAL(prepare((UINT32_C(1) << 30) + 32767), 32769);
+    CHECK_EQUAL(prepare(UINT32_C(1) << 31), 65537);
+}
+#endif
+
+int main(void)
+{
+    shifts_by_any_count();
+    zeros_lead_in_every_word();
+    products_are_exact();
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
+    reciprocals_are_those_of_the_comment();
+#endif
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
+    prepared_divisors_are_reciprocals();
+#elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
+    prepared_divisors_are_rounded_up();
+#endif
+    return check_report();
+}
