@@ -258,8 +258,11 @@ NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
     }
     if (mode == MCP_ASDF_ADAPTIVE) {
         ++robot->counters.tests;
+        if (!test_rejects(robot)) {
+            return MCP_ASDF_OK;
+        }
     }
-    if ((mode == MCP_ASDF_ADAPTIVE && !test_rejects(robot)) || !reestimate(robot)) {
+    if (!reestimate(robot)) {
         return MCP_ASDF_OK;
     }
     ++robot->counters.updates;

@@ -200,6 +200,29 @@ static void table_of_127(void)
     }
 }
 
+/* Three messages at distances 1, 2 and 3 from the own estimate have the ratio 6: with q = 3 the entry of 3
+ * decides, not the last one, which is for more. */
+static void each_number_of_messages_has_its_entry(void)
+{
+    for (uint32_t k_3 = 5; k_3 <= 7; k_3 += 2) {
+        const uint32_t words[] = {
+            0x4D435403, 1, UINT32_C(8) << 26, k_3 << 26, k_3 == 7 ? UINT32_C(5) << 26 : UINT32_C(4) << 26, 0};
+        memcpy(table, words, sizeof words);
+        seal(COUNT(words));
+        mcp_asdf_config_t config = with_table;
+        config.filter_period = 1;
+        mcp_asdf_t robot;
+        CHECK_EQUAL(mcp_asdf_init(&robot, &config, ID, B_HAT), MCP_ASDF_OK);
+        CHECK_EQUAL(mcp_asdf_observe(&robot, MCP_ASDF_BLACK), MCP_ASDF_OK);
+        for (uint8_t i = 1; i <= 3; ++i) {
+            CHECK_EQUAL(mcp_asdf_receive(&robot, i, mcp_asdf_x_hat(&robot) - 1000U * i, 0x80000001),
+                        MCP_ASDF_OK);
+        }
+        GIVEN(k_3, 0, 0);
+        CHECK_EQUAL(mcp_asdf_settle(&robot), k_3 == 7 ? MCP_ASDF_OK : MCP_ASDF_UPDATED);
+    }
+}
+
 /* A damaged q is no exception: with words behind the table that fall on as entries do. */
 static void every_flipped_bit_of_a_table_is_refused(void)
 {
@@ -518,6 +541,7 @@ int main(void)
     table_entries_fall();
     table_of_127();
     every_flipped_bit_of_a_table_is_refused();
+    each_number_of_messages_has_its_entry();
     only_an_adaptive_filter_reads_the_table();
     receive_refuses_what_is_no_message();
     one_message_of_a_sender_in_a_round();

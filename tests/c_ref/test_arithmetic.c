@@ -27,7 +27,7 @@ static void zeros_lead_in_every_word(void)
 
 static void products_are_exact(void)
 {
-    for (uint32_t i = 0; i < 4000; ++i) {
+    for (uint32_t i = 0; i < 1000000; ++i) { /* a carry shows in one of 100,000 */
         const uint32_t a = check_random_word() - (i & 1), b = check_random_word() - (i >> 1 & 1);
         GIVEN(a, b, 0);
         CHECK_EQUAL(multiply(a, b), (uint64_t)a * b);
@@ -62,6 +62,16 @@ static void prepared_divisors_are_reciprocals(void)
         }
     }
 }
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
+/* At divisors where one unit more or less of the sum makes another reciprocal, and in damaged memory. */
+static void float_reciprocals_are_pinned(void)
+{
+    CHECK_EQUAL(prepare(UINT32_C(0x400C8100)), 65485);
+    CHECK_EQUAL(prepare(UINT32_C(0x401C0A00)), 65424);
+    CHECK_EQUAL(prepare(0), prepare(UINT32_C(1) << 29));
+    CHECK_EQUAL(prepare(UINT32_C(0x18000000)), prepare(UINT32_C(1) << 29));
+}
+#endif
 #elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
 /* The upper bits of d, rounded up, and more only where they are a whole number already. */
 static void prepared_divisors_are_rounded_up(void)
@@ -82,6 +92,9 @@ int main(void)
 #endif
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
     prepared_divisors_are_reciprocals();
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
+    float_reciprocals_are_pinned();
+#endif
 #elif MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
     prepared_divisors_are_rounded_up();
 #endif

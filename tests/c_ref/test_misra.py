@@ -21,7 +21,6 @@ TARGETS = {
     "2100": (),
     "1000": ("-D__riscv", "--platform=unix32"),
     "3010": (*ON_AN_AVR, "-DMCP_ASDF_READ_WORD(at)=(*(at))"),
-    "4000": (),
     "2000": ("-D__OPTIMIZE_SIZE__", "--platform=unix32"),
 }
 """Choices of the targets that tests/c_ref/CMakeLists.txt names, and what else tells them apart."""

@@ -109,7 +109,7 @@ def test_the_root_builds_tests_unless_told_not_to(tmp_path: Path) -> None:
 # --- Copied ----------------------------------------------------------------------------------------------
 
 
-ARITHMETIC = CORE.with_name("mcp_asdf_arithmetic.h")
+PRIVATE = CORE.with_name("mcp_asdf_arithmetic.h"), CORE.with_name("mcp_asdf_rom.h")
 IMAGE, FRAME = CORE.with_name("mcp_asdf_image.c"), CORE.with_name("mcp_asdf_frame.c")
 FOLDER = sorted(CORE.parent.iterdir())
 CODEC = """
@@ -158,7 +158,7 @@ ALONE = {
 def test_one_source_and_a_table_are_all_it_takes(
     standard: str, compiler: str, project: Path, expected: str
 ) -> None:
-    for path in (CORE, HEADER, ARITHMETIC):
+    for path in (CORE, HEADER, *PRIVATE):
         shutil.copy(path, project)
     names = {path.name for path in project.iterdir()}
     assert names == ALONE
@@ -193,10 +193,10 @@ def test_the_folder_and_a_table_are_all_it_takes(
 
 @every_compiler
 @every_standard
-def test_two_files_are_all_that_frames_take(standard: str, compiler: str, tmp_path: Path) -> None:
-    """The codec stands on its own, too."""
+def test_the_codec_needs_no_other_source(standard: str, compiler: str, tmp_path: Path) -> None:
+    """It takes the firmware's headers, but none of its code."""
     (tmp_path / "main.c").write_text(CODEC)
-    for path in (FRAME, FRAME.with_suffix(".h")):
+    for path in (FRAME, FRAME.with_suffix(".h"), HEADER, *PRIVATE):
         shutil.copy(path, tmp_path)
     sent = Message(42, 2796202, 0x80000006, 5)
     identifier = encode(sent, FrameFormat()).arbitration_id
@@ -308,7 +308,7 @@ def test_a_project_s_own_names_for_folders_do_not_matter(tmp_path: Path) -> None
 def test_what_is_installed(prefix: Path) -> None:
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
     config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
-    headers = {path.name for path in FOLDER if path.suffix == ".h"}
+    headers = {path.name for path in FOLDER if path.suffix == ".h"} - {"mcp_asdf_arithmetic.h"}
     assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | headers | config
 
 

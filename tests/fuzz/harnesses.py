@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from c_ref.third import choices
 from support import CORE, ROOT, TABLE, require
 
 HERE = Path(__file__).parent
@@ -23,7 +24,6 @@ PORTS = ROOT / "c_ref/ports"
 VARIANTS = ("1001", "2100", "3010", "4000")
 """Builds of the firmware that run side by side: the digits are those of ``tests/c_ref``. Together they have
 every way to divide, multiply and shift."""
-CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 
 COVERAGE = "-fsanitize-coverage=inline-8bit-counters,pc-table"
 """Options that libFuzzer needs; comparisons are not traced, which would take most of the time."""
@@ -106,7 +106,7 @@ def _link(program: Path, sources: list[Path], flags: tuple[str, ...], compiler: 
     objects = []
     for source in sources:
         for variant in VARIANTS if source.name == "variant.c" else ("",):
-            chosen = [f"-DMCP_ASDF_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=False)]
+            chosen = choices(variant) if variant else []
             made = program.with_name(f"{program.name}-{source.stem}{variant}-{os.getpid()}.o")
             words = ("-std=c++17", f"{compiler}++") if source.suffix == ".cpp" else ("-std=c99", compiler)
             includes = (f"-I{CORE.parent}", f"-I{PORTS}")
