@@ -1,4 +1,4 @@
-"""What the pages say of the firmware's cost is what is measured, budgets hold, and nothing grows."""
+"""The pages say of the cost what is measured, budgets hold, and nothing grows."""
 
 from __future__ import annotations
 

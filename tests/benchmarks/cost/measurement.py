@@ -21,7 +21,7 @@ _OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
 @dataclass
 class Figures:
-    """What was measured.
+    """Cost of a target at a level.
 
     Attributes:
         mean: Instructions of calls in a usual life.

@@ -15,7 +15,7 @@ PAGES = (README, PAGE)
 FLASH, RAM = 32 * 1024, 2 * 1024
 """Bytes of an ATmega328P."""
 Cells = dict[tuple[str, str], Figures]
-"""What was measured, by target and level."""
+"""Measurements by target and level."""
 Rows = dict[str, str]
 """A target's column by title."""
 
@@ -131,7 +131,7 @@ def read(path: Path, section: str) -> Numbers:
 
 
 def numbers(text: str) -> Numbers:
-    """What a table says, without its words."""
+    """Numbers of a table, without its words."""
     head, _, *rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines())
     return {
         (row[0], title): [float(each) for each in re.findall(r"[\d.]+", cell)]
