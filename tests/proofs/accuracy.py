@@ -303,7 +303,7 @@ def _kept(value: Any, least: int, most: int, parts: int = 1) -> Any:
 
 
 def of_lengths() -> Iterator[Claim]:
-    """Duties of estimate() to the functions that it calls: numbers that are divided lie in [2^30, 2^31), so that
+    """Duties of estimate() to what it calls: numbers that are divided lie in [2^30, 2^31), so that
     the quotient has 24 or 25 bits; alpha_word() gets 24 bits and an exponent of at least -31.
     """
     p, total, least, c, g, root, square = z3.Ints("P T L c G root square")

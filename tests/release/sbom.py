@@ -41,7 +41,7 @@ def needed() -> set[str]:
 
 
 def bill() -> dict[str, Any]:
-    """Bill of all that is installed here and needed, and of uPlot by the version that its first line states."""
+    """Bill of all that is installed here and needed, and of uPlot by the version it states."""
     with TemporaryDirectory(prefix="mcp-asdf-") as folder:
         written = Path(folder, "environment.json")
         tool = (Path(sys.executable).with_name("cyclonedx-py"), "environment", "--output-reproducible")
