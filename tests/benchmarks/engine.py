@@ -25,13 +25,12 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.world.arena import Arena
-from mcp_asdf_tools.world.settings import Topology
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[2]
 ARENA = ROOT / "host_tools/mcp_asdf_tools/world/arena"
 MOTION = ROOT / "tests/data/motion_statistics.json"
 FULL = Experiment(robots=10, flawed=3, steps=40_000, trials=1)
-MOVING = Experiment(topology=Topology.DYNAMIC, latency=1, steps=40_000, trials=1)
+MOVING = Experiment(topology="dynamic", latency=1, steps=40_000, trials=1)
 TRIALS, FEW_TRIALS = 96, 4
 REPEATS = 10
 COMPILER = os.environ.get("CC", "cc")

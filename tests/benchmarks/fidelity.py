@@ -40,7 +40,6 @@ from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.sweep import default_workers
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.world.settings import Topology
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
 REFERENCE, PHYSICS = FOLDER / "fully_connected_trials.csv", FOLDER / "dynamic_trials.csv"
@@ -80,7 +79,10 @@ def read_cells(seed: int = 1, path: Path = REFERENCE) -> list[Cell]:
 
 def physics(seed: int) -> Experiment:
     """The setup of the authors' batch scripts, natively."""
-    return Experiment(topology=Topology.DYNAMIC, robots=20, steps=40_000, latency=1, seed=seed)
+    return Experiment(topology="dynamic", robots=20, steps=40_000, latency=1, seed=seed)
+
+
+MODES: dict[str, Filtering] = {"none": "none", "asdf_minus": "asdf-minus", "asdf_plus": "asdf-plus"}
 
 
 def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
@@ -91,12 +93,12 @@ def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
         true_accuracy=float(true_accuracy),
         flawed_accuracy=float(flawed_accuracy),
         flawed=int(flawed),
-        filter=Filtering(mode.replace("_", "-")),
+        filter=MODES[mode],
         filter_period=int(tau) or 1000,  # 0 without a filter
     )
 
 
-def by_reference(experiment: Experiment, conventions: Convention = Convention.PAPER) -> Experiment:
+def by_reference(experiment: Experiment, conventions: Convention = "paper") -> Experiment:
     """The same by the reference firmware."""
     return replace(experiment, firmware="reference", conventions=conventions)
 
@@ -140,7 +142,7 @@ def pairs_of(part: str, seed: int, trials: int, workers: int) -> list[tuple[Expe
     }[part]
     ours = [cell.experiment for cell in cells]
     if part == "dynamic":
-        ours = [by_reference(each, Convention.AUTHORS) for each in ours]
+        ours = [by_reference(each, "authors") for each in ours]
     with ProcessPoolExecutor(workers) as pool:
         others = [cell.scores for cell in cells]
         if part == "native":

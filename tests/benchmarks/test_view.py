@@ -9,7 +9,6 @@ import pytest
 
 from browser import browser_page, until
 from mcp_asdf_tools.experiments import Experiment, experiments_in, run_trials, table_of
-from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.view import film_of_trial, page
 
 RECORD = """new Promise((resolve) => {
@@ -33,7 +32,7 @@ CHARTS = (
 def test_a_long_film_stays_smooth_and_small(tmp_path: Path) -> None:
     """A picture has 16.7 ms; the limits, in ms, leave room for a machine that is busy with other tests."""
     experiment = Experiment(
-        robots=20, steps=40_000, topology="dynamic", filter=Filtering.ASDF_MINUS, flawed="50%", trials=1
+        robots=20, steps=40_000, topology="dynamic", filter="asdf-minus", flawed="50%", trials=1
     )
     (trials,) = experiments_in(table_of(run_trials(experiment, 0, 1)))
     content = page(film_of_trial(trials, 0)).encode()

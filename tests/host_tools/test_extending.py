@@ -19,7 +19,6 @@ from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.population import Activation
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -126,7 +125,7 @@ def test_the_posterior_finds_the_true_accuracy() -> None:
         fill_ratio=0.9,
         steps=1500,
         firmware="beta",
-        activation=Activation.ALWAYS,
+        activation="always",
         trials=1,
     )
     b_hat = run_trials(experiment, 0, 1).b_hat[0, -1, :4]

@@ -44,7 +44,7 @@ def test_an_experiment_gives_the_table_of_its_trials() -> None:
 
 def test_a_grid_has_every_combination_in_order() -> None:
     given = m.grid(flawed=("10%", "50%"), filter=["none", "asdf-plus"], robots=10, omega=0.1)
-    assert [(each.flawed, each.filter.value, each.robots) for each in given] == [
+    assert [(each.flawed, each.filter, each.robots) for each in given] == [
         (1, "none", 10),
         (1, "asdf-plus", 10),
         (5, "none", 10),

@@ -19,7 +19,7 @@ import can
 
 from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 
 ONE = 1 << 23
 """x_hat = 1."""
@@ -111,7 +111,6 @@ class FrameFormat:
     priority: int = 4
 
     def __post_init__(self) -> None:
-        check_types(self)
         _check("subject", self.subject, MAX_SUBJECT)
         _check("priority", self.priority, MAX_PRIORITY)
 

@@ -7,6 +7,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
@@ -45,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seeds = "how many, from the first on (default: 2 where robots move, else 3)"
     add("--seeds", type=int, metavar="N", help=seeds)
     add("--firmware", choices=FIRMWARES, help=f"of the robots (default {full.firmware})")
-    conventions = f"of the reference firmware (default {full.conventions.value})"
-    add("--conventions", choices=[each.value for each in Convention], help=conventions)
+    conventions = f"of the reference firmware (default {full.conventions})"
+    add("--conventions", choices=get_args(Convention), help=conventions)
     options.add_workers(parser)
     add_scheduler(parser)
 
@@ -90,7 +91,7 @@ def scale_of(args: argparse.Namespace) -> Scale:
     names = ("trials", "steps", "seed", "seeds", "firmware")
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
     if args.conventions is not None:
-        given["conventions"] = Convention(args.conventions)
+        given["conventions"] = args.conventions
     scale = replace(QUICK if args.quick else PAPER if args.paper else Scale(), **given)
     least = {"trials": (2, "one says nothing of how sure it is"), "seeds": (1, "the first one")}
     least["steps"] = (PERIODS[-1], "the longest tau")

@@ -22,7 +22,7 @@ from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
 from mcp_asdf_tools.recording import InputLogHeader, LogOutputs
-from mcp_asdf_tools.robots import Filtering, LockstepError, NodeProcesses, Subjects, node_processes
+from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, node_processes
 from mcp_asdf_tools.swarm import (
     MAX_ROBOTS_AND_TOOLS,
     Companion,
@@ -174,7 +174,7 @@ def _emulate(
 
 
 def _check_comparison(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> None:
-    if args.compare and (wiring.remote or settings.filter is Filtering.NONE):
+    if args.compare and (wiring.remote or settings.filter == "none"):
         reason = "robots elsewhere run once" if wiring.remote else "filter is none"
         raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
 

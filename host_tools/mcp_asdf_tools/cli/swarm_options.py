@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import can
 
@@ -46,8 +46,8 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--clock",
-        choices=[kind.value for kind in ClockKind],
-        default=_DEFAULTS.clock.value,
+        choices=get_args(ClockKind),
+        default=_DEFAULTS.clock,
         help="a tick is over when all is done, or when its time has come (default %(default)s)",
     )
 

@@ -6,11 +6,11 @@ Words and letters are the paper's; ``trials`` runs experiments, ``experiment_fil
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from enum import Enum
+from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
 
-from mcp_asdf_tools.common import Given, ParameterError, parameter, parameters
+from mcp_asdf_tools.common.parameters import ParameterError, parameter
 from mcp_asdf_tools.robots import Population
 
 MAX_TRIALS = 10**6
@@ -18,14 +18,11 @@ MAX_EXPERIMENTS = 100_000
 """Most experiments of one file."""
 
 
-class Convention(Enum):
-    """Reading of the equations that the reference firmware follows; see ``mcp_asdf.reference``."""
-
-    PAPER = "paper"
-    AUTHORS = "authors"
+Convention = Literal["paper", "authors"]
+"""Reading of the equations that the reference firmware follows; see ``mcp_asdf.reference``."""
 
 
-@parameters
+@dataclass(frozen=True, kw_only=True)
 class Experiment(Population):
     """A definition; equal ones give equal results. Raises ParameterError, naming the field.
 
@@ -33,13 +30,11 @@ class Experiment(Population):
     """
 
     trials: int = parameter("number of trials", 1, MAX_TRIALS, default=30)
-    conventions: Given[Convention, Literal["paper", "authors"]] = parameter(
-        "reading of the equations, for firmware reference", default=Convention.PAPER
-    )
+    conventions: Convention = parameter("reading of the equations, for firmware reference", default="paper")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.conventions is Convention.AUTHORS and self.firmware != "reference":
+        if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
 

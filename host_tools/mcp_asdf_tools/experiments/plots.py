@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,9 +33,9 @@ from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
 from mcp_asdf_tools.robots import Filtering
 
 FILTER_NAMES = {
-    Filtering.NONE: "no filter",
-    Filtering.ASDF_MINUS: "ASDF\N{MINUS SIGN}",
-    Filtering.ASDF_PLUS: "ASDF+",
+    "none": "no filter",
+    "asdf-minus": "ASDF\N{MINUS SIGN}",
+    "asdf-plus": "ASDF+",
 }
 LETTERS = {
     "f": "fill_ratio",
@@ -94,7 +94,7 @@ def handle(label: str, colour: str, marker: str = "o", line: Literal["", "-", "-
 
 def share_of(experiment: Experiment) -> float:
     """P, the share of flawed robots."""
-    return experiment.flawed / experiment.robots
+    return float(experiment.flawed / experiment.robots)
 
 
 def _values(experiments: Sequence[Trials], name: str) -> list[float]:
@@ -110,7 +110,7 @@ def by_series(experiments: Sequence[Trials], name: Name | None = None) -> dict[s
     """Swarms without filter first, then those that filter less; named by all that varies unless given."""
     name = name or _name_of(experiments)
     series: dict[str, list[Trials]] = {}
-    for trials in sorted(experiments, key=lambda trials: list(Filtering).index(trials.experiment.filter)):
+    for trials in sorted(experiments, key=lambda trials: get_args(Filtering).index(trials.experiment.filter)):
         series.setdefault(name(trials.experiment), []).append(trials)
     return series
 
@@ -124,7 +124,7 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
     def name(experiment: Experiment) -> str:
         words = [FILTER_NAMES[experiment.filter]]
         for key in varying:
-            if experiment.filter is not Filtering.NONE or key not in _FILTER_PARAMETERS:
+            if experiment.filter != "none" or key not in _FILTER_PARAMETERS:
                 words.append(f"{key.replace('_', ' ')} {number_in_words(experiment.parameters()[key])}")
         return ", ".join(words)
 
@@ -134,7 +134,7 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
 def _varying(experiments: Sequence[Trials], *others: str) -> list[str]:
     """The parameters in which experiments differ, but for ``others``; of filters those that run."""
     every = [trials.experiment.parameters() for trials in experiments]
-    filtering = [each for each in every if each["filter"] != Filtering.NONE.value]
+    filtering = [each for each in every if each["filter"] != "none"]
     return [
         name
         for name in every[0]
@@ -146,7 +146,7 @@ def _varying(experiments: Sequence[Trials], *others: str) -> list[str]:
 def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
     """Grey without a filter, otherwise one after the other."""
     free = iter(COLOURS)
-    are_none = [all(each.experiment.filter is Filtering.NONE for each in own) for own in series.values()]
+    are_none = [all(each.experiment.filter == "none" for each in own) for own in series.values()]
     return [WITHOUT if is_none else next(free) for is_none in are_none]
 
 

@@ -24,7 +24,7 @@ from mcp_asdf.reference import (
     social_estimate,
 )
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.world import Scene, World
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ class _Said(NamedTuple):
 
 def conventions_of(experiment: Experiment) -> Conventions:
     """The reading of the equations that an experiment asks for."""
-    return AUTHORS if experiment.conventions is Convention.AUTHORS else PAPER
+    return AUTHORS if experiment.conventions == "authors" else PAPER
 
 
 def can_run(experiment: Experiment) -> bool:

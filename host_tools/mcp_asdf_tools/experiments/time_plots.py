@@ -24,7 +24,7 @@ from mcp_asdf_tools.common import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import FILTER_NAMES, caption_of, finish, handle, panels_of, share_of
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.robots import Filtering, TimeSeries, draw_time_series
+from mcp_asdf_tools.robots import TimeSeries, draw_time_series
 from mcp_asdf_tools.world import Arena
 
 BANDS = (
@@ -61,7 +61,7 @@ def _series_of(trials: Trials, number: int) -> TimeSeries:
 def _title(experiment: Experiment, trial: int) -> str:
     """Parameters of a trial in words."""
     words = FILTER_NAMES[experiment.filter]
-    if experiment.filter is not Filtering.NONE:
+    if experiment.filter != "none":
         words += rf", $\tau$ = {experiment.filter_period}"
     return (
         f"{words}: {experiment.robots} robots, {experiment.flawed} flawed,\n"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID, Observation
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots import BusRobot, RobotRecord, Subjects
 from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Delivery, Fault, Faults, SentFrame, SwarmSettings
 from mcp_asdf_tools.world import World
@@ -55,7 +55,6 @@ class RadioSettings:
     faults: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
-        check_types(self)
         ids = [self.controller.id, *(each.id for each in self.neighbours)]
         if len(set(ids)) < len(ids):
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")

@@ -31,7 +31,6 @@ from mcp_asdf_tools.reproduction.study import (
     cells_of,
 )
 from mcp_asdf_tools.reproduction.verdicts import Comparison, Expectation, Place, Scope
-from mcp_asdf_tools.robots import Filtering
 
 _FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 
@@ -120,7 +119,7 @@ class Contrast:
         panels = [panel for name in _listed(self.panels) for panel in _FILE["panels"][name]]
         axes = (self.filters, panels, self.b_hats, self.percents, self.periods)
         return [
-            Cell(part, f, b, b_hat, percent, Filtering(name), period)
+            Cell(part, f, b, b_hat, percent, name, period)
             for name, (f, b), b_hat, percent, period in product(*map(_listed, axes))
             if b_hat != b
         ]
@@ -202,7 +201,7 @@ def _listed(names: Names) -> list[Any]:
 def _changes(than: str | Mapping[str, Any]) -> list[dict[str, Any]]:
     """How the second cells differ: every combination of the values of its keys."""
     given = _FILE["than"][than] if isinstance(than, str) else than
-    kinds: dict[str, Callable[[Any], Any]] = {"filter": Filtering, "part": Part}
+    kinds: dict[str, Callable[[Any], Any]] = {"part": Part}
     values = [[kinds.get(key, lambda value: value)(each) for each in _listed(v)] for key, v in given.items()]
     return [dict(zip(given, each, strict=True)) for each in product(*values)]
 
@@ -216,7 +215,7 @@ def _largest_difference(part: Part, name: str) -> Estimating:
 
 # --- Words -----------------------------------------------------------------------------------------------
 
-_FILTER_NAMES = {Filtering.NONE: "no filter", Filtering.ASDF_MINUS: "ASDF-", Filtering.ASDF_PLUS: "ASDF+"}
+_FILTER_NAMES = {"none": "no filter", "asdf-minus": "ASDF-", "asdf-plus": "ASDF+"}
 
 
 def _place(cells: Sequence[Cell], words: str) -> Place:
@@ -244,7 +243,7 @@ def _words_of(cell: Cell) -> dict[str, str]:
         "filter": _FILTER_NAMES[cell.filter],
         "period": f"tau {cell.period}",
     }
-    meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.filter is Filtering.NONE}
+    meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.filter == "none"}
     return {name: word for name, word in words.items() if not meaningless.get(name)}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from matplotlib.figure import Figure
 
@@ -22,7 +22,9 @@ from mcp_asdf_tools.reproduction.study import PART_NAMES, Cell, Part, Scale, Stu
 from mcp_asdf_tools.robots import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
-NONE, MINUS, PLUS = Filtering
+NONE: Filtering = "none"
+MINUS: Filtering = "asdf-minus"
+PLUS: Filtering = "asdf-plus"
 
 _MOMENT = 1000
 """Step up to which the paths of robots are drawn."""
@@ -98,17 +100,17 @@ def _scored(
 def _boxes(study: Study, part: Part, own: Filtering, paper: str) -> Picture:
     """H without and with a filter; where all are flawed, ASDF- is ASDF+ and not shown twice."""
     shown = _of(study, part, NONE, own)
-    if own is MINUS:
+    if own == MINUS:
         shown = [each for each in shown if each.experiment.flawed < each.experiment.robots]
     title = f"H of {PART_NAMES[part]} swarms without filter and with {FILTER_NAMES[own]}"
-    return _scored(f"{part.value}_{own.value}", _titled(title, paper), shown, plots.boxes, plots.BOXES)
+    return _scored(f"{part.value}_{own}", _titled(title, paper), shown, plots.boxes, plots.BOXES)
 
 
 def _scatter(study: Study, part: Part, paper: str) -> Picture:
     title = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {Cell.period}"
     marks = plots.SCATTER
     marks += ". Without flawed robots ASDF- is no filter, where all are flawed it is ASDF+"
-    shown = _of(study, part, *Filtering, shortest=True)
+    shown = _of(study, part, *get_args(Filtering), shortest=True)
     return _scored(f"{part.value}_scatter", _titled(title, paper), shown, plots.scatter, marks)
 
 
@@ -131,7 +133,7 @@ def _topologies(study: Study, own: Filtering, paper: str) -> Picture:
     title = f"H in both topologies without filter and with {FILTER_NAMES[own]}, tau = {Cell.period}"
     parts = (DYNAMIC, FULLY_CONNECTED)
     shown = [each for part in parts for each in _of(study, part, NONE, own, shortest=True)]
-    return _scored(f"topologies_{own.value}", _titled(title, paper), shown, draw, plots.BOXES)
+    return _scored(f"topologies_{own}", _titled(title, paper), shown, draw, plots.BOXES)
 
 
 def _series(scale: Scale) -> Picture:

@@ -52,7 +52,7 @@ class Cell:
     true_accuracy: float
     flawed_accuracy: float
     percent: int
-    filter: Filtering = Filtering.NONE
+    filter: Filtering = "none"
     period: int = PERIODS[0]
 
     def but(self, **changes: Any) -> Cell:
@@ -66,10 +66,10 @@ class Cell:
         chosen = self.filter
         if self.percent == 0:
             changes["flawed_accuracy"] = self.true_accuracy
-            chosen = Filtering.NONE if chosen is Filtering.ASDF_MINUS else chosen
-        elif self.percent == 100 and chosen is Filtering.ASDF_MINUS:
-            chosen = Filtering.ASDF_PLUS
-        if chosen is Filtering.NONE:
+            chosen = "none" if chosen == "asdf-minus" else chosen
+        elif self.percent == 100 and chosen == "asdf-minus":
+            chosen = "asdf-plus"
+        if chosen == "none":
             changes["period"] = PERIODS[0]
         return replace(self, filter=chosen, **changes)
 
@@ -142,7 +142,7 @@ class Scale:
     seed: int = 1
     seeds: int | None = None
     firmware: str = "native"
-    conventions: Convention = Convention.PAPER
+    conventions: Convention = "paper"
 
     def effort(self, part: Part) -> Effort:
         """How much is run of a part."""

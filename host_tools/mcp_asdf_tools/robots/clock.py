@@ -5,16 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
-
-class ClockKind(Enum):
-    """Kinds of clocks."""
-
-    LOCKSTEP = "lockstep"
-    """Ticks end when all is done: runs do not depend on how long anything takes."""
-    REAL_TIME = "real-time"
+ClockKind = Literal["lockstep", "real-time"]
+"""Kinds of clocks."""
 
 
 class RealTimeClock:

@@ -32,7 +32,7 @@ from mcp_asdf_tools.bus import (
     decode,
     decode_command,
 )
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.rounds import TickedRobot
 
@@ -73,7 +73,6 @@ class Subjects:
     commands: FrameFormat = COMMANDS
 
     def __post_init__(self) -> None:
-        check_types(self)
         chosen = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
         if len(set(chosen)) < len(chosen):
             raise UsageError(
@@ -118,7 +117,6 @@ class NodeSettings:
     steps_per_second: int = 10
 
     def __post_init__(self) -> None:
-        check_types(self)
         for name, low, high in (("id", 0, MAX_NODE_ID), ("steps_per_second", 1, 10**6)):
             value = getattr(self, name)
             if not low <= value <= high:

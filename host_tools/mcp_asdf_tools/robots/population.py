@@ -3,50 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import dataclass
 from decimal import Decimal
-from enum import Enum
 from numbers import Integral, Real
 from typing import Any, Literal, Self
 
 from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
-from mcp_asdf_tools.common import (
-    Given,
-    ParameterError,
-    UsageError,
-    meaning_of,
-    parameter,
-    parameters,
-    plain_value,
-    special_parameter,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.tables import generate, parse_omega
 from mcp_asdf_tools.world import MAX_PERIOD, WorldSettings
 
+Filtering = Literal["none", "asdf-minus", "asdf-plus"]
+"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+)."""
 
-class Filtering(Enum):
-    """The robots that re-estimate their assumed accuracy."""
-
-    NONE = "none"
-    ASDF_MINUS = "asdf-minus"
-    """Only the flawed ones: the paper's ASDF-."""
-    ASDF_PLUS = "asdf-plus"
-    """All of them: ASDF+."""
+Activation = Literal["adaptive", "always"]
+"""When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 
 
-class Activation(Enum):
-    """When a robot re-estimates, every ``filter_period`` steps."""
-
-    ADAPTIVE = "adaptive"
-    """If the hypothesis test rejects (eq. 12)."""
-    ALWAYS = "always"
-    """Without a test."""
-
-
-@parameters
+@dataclass(frozen=True, kw_only=True)
 class Population(WorldSettings):
     """N robots, of which the first ``flawed`` assume a wrong accuracy, and the world around them.
 
@@ -54,19 +32,13 @@ class Population(WorldSettings):
     with a point or a percent sign (``0.3``, ``30%``); a share becomes the nearest count, halves up.
     """
 
-    flawed: Given[int, float | str] = special_parameter(
-        "flawed robots: a count (6) or a share (30%, 0.3)", default="30%"
-    )
+    flawed: Any = parameter("flawed robots: a count (6) or a share (30%, 0.3)", default="30%")
     flawed_accuracy: float = parameter("b_hat that flawed robots assume at the start", 0, 1, default=0.55)
     unflawed_accuracy: float = parameter(
         "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
     )
-    filter: Given[Filtering, Literal["none", "asdf-minus", "asdf-plus"]] = parameter(
-        "robots that recalibrate", default=Filtering.ASDF_PLUS
-    )
-    activation: Given[Activation, Literal["adaptive", "always"]] = parameter(
-        "recalibrate if the test rejects, or always", default=Activation.ADAPTIVE
-    )
+    filter: Filtering = parameter("which robots recalibrate", default="asdf-plus")
+    activation: Activation = parameter("recalibrate if the test rejects, or always", default="adaptive")
     comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
     filter_period: int = parameter(
         "nominal filtering period tau in steps, a multiple of comms_period",
@@ -74,9 +46,7 @@ class Population(WorldSettings):
         MAX_PERIOD,
         default=DEFAULT_FILTER_PERIOD,
     )
-    omega: Given[Decimal, float | str] = special_parameter(
-        "type II error probability of the test, up to 0.9", default=Decimal("0.05")
-    )
+    omega: Any = parameter("type II error probability of the test, up to 0.9", default=Decimal("0.05"))
     memory: int = parameter(
         "forgetting: halve t and n at this many observations, a multiple of 4",
         MIN_MEMORY,
@@ -111,21 +81,19 @@ class Population(WorldSettings):
 
     def unused_parameters(self) -> dict[str, str]:
         """Parameters without effect here, with the reason."""
-        if self.filter is Filtering.NONE:
+        if self.filter == "none":
             return dict.fromkeys(("omega", "activation"), "filter is none")
-        if self.activation is Activation.ALWAYS:
+        if self.activation == "always":
             return {"omega": "activation is always, without a test"}
         return {}
 
     def is_flawed(self, robot: int) -> bool:
         """True if a robot is among the flawed."""
-        return robot < self.flawed
+        return bool(robot < self.flawed)
 
     def filters(self, robot: int) -> bool:
         """True if a robot re-estimates its accuracy."""
-        return self.filter is Filtering.ASDF_PLUS or (
-            self.filter is Filtering.ASDF_MINUS and self.is_flawed(robot)
-        )
+        return self.filter == "asdf-plus" or (self.filter == "asdf-minus" and self.is_flawed(robot))
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
@@ -164,16 +132,18 @@ def filter_of(filters: bool, activation: Activation) -> Filter:
     """The firmware's filter of a robot that re-estimates its accuracy, or does not."""
     if not filters:
         return Filter.OFF
-    return Filter.ADAPTIVE if activation is Activation.ADAPTIVE else Filter.ALWAYS
+    return Filter.ADAPTIVE if activation == "adaptive" else Filter.ALWAYS
 
 
-def parameter_names(kind: type[WorldSettings]) -> list[str]:
+def parameter_names(kind: Any) -> list[str]:
     """Names of the parameters of a class, in order."""
-    return [field.name for field in fields(kind) if meaning_of(field) is not None]
+    return list(parameters_of(kind))
 
 
 def _plain(value: Any) -> Any:
-    return plain_value(value) if isinstance(value, int | float | Decimal | Enum) else str(value)
+    if isinstance(value, Decimal):
+        return float(value)
+    return value if isinstance(value, int | float) else str(value)
 
 
 def flawed_count(given: Any, robots: int) -> int:

@@ -15,7 +15,6 @@ from mcp_asdf_tools.bus import BusChoice
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.population import Activation, Filtering
 from mcp_asdf_tools.robots.record import RobotRecord
 
 _PATIENCE = 10.0
@@ -114,9 +113,9 @@ def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
     if filters is Filter.ADAPTIVE and table is not None:
         plain |= {"omega": table["omega"], "neighbours": table["q"]}
     if filters is Filter.ALWAYS:
-        plain["activation"] = Activation.ALWAYS.value
+        plain["activation"] = "always"
     plain |= {
-        "filter": (Filtering.NONE if filters is Filter.OFF else Filtering.ASDF_PLUS).value,
+        "filter": "none" if filters is Filter.OFF else "asdf-plus",
         "subject": subjects.estimates.subject,
         "priority": subjects.estimates.priority,
         "telemetry_subject": subjects.telemetry.subject,

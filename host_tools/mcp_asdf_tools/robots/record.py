@@ -7,12 +7,20 @@ from decimal import Decimal
 from typing import Any
 
 from mcp_asdf.robot import Filter, check_settings
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickConfig, TickedRobot
 from mcp_asdf_tools.tables import generate, omega_from_word
 
 _FILTERS = {each.name.lower(): each for each in Filter}
+
+
+_TYPES: dict[str, type[Any]] = {
+    **dict.fromkeys(("id", "comms_period", "filter_period", "memory"), int),
+    "firmware": str,
+    "b_hat": float,
+}
+_KINDS = {int: "a whole number", str: "a text", float: "a number with a point"}
 
 
 @dataclass(frozen=True)
@@ -82,11 +90,12 @@ class RobotRecord:
                 )
         if plain["filter"] not in _FILTERS:
             raise UsageError(f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS)}")
+        for name, kind in _TYPES.items():
+            if type(plain[name]) is not kind:
+                raise UsageError(f"{name} is {plain[name]!r}; give {_KINDS[kind]}")
         periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
         config = TickConfig(table, _FILTERS[plain["filter"]], **periods)
         record = cls(plain["id"], plain["firmware"], plain["b_hat"], config)
-        check_types(config)
-        check_types(record)
         comms, tau = config.comms_period, config.filter_period
         if not 1 <= comms <= MAX_PERIOD:
             raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any
 
 from mcp_asdf_tools.bus import MAX_NODE_ID, float_of
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 
 _MAX_TICK = 2**32 - 1
 _MAX_ALPHA = float_of(0x7F7FFFFF)
@@ -92,7 +92,6 @@ class Fault:
     id: int | None = None
 
     def __post_init__(self) -> None:
-        check_types(self)
         self._check_options()
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)

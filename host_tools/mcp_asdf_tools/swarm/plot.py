@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.common import plain_value
-from mcp_asdf_tools.robots import Filtering, TimeSeries, draw_time_series
+from mcp_asdf_tools.robots import TimeSeries, draw_time_series
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
 from mcp_asdf_tools.world import Graph
@@ -35,12 +34,12 @@ def draw(run: SwarmRun) -> Figure:
 
 def _title(settings: SwarmSettings) -> str:
     """Parameters and faults in words."""
-    deployment = {Filtering.ASDF_PLUS: "ASDF+", Filtering.ASDF_MINUS: "ASDF-", Filtering.NONE: "no filter"}
+    deployment = {"asdf-plus": "ASDF+", "asdf-minus": "ASDF-", "none": "no filter"}
     flawed = f"{settings.flawed} flawed"
     if settings.flawed:
         flawed += rf" with $\hat{{b}}$ = {settings.flawed_accuracy:g}"
     words = f"{settings.robots} robots, {flawed}, {deployment[settings.filter]}"
-    if settings.filter is not Filtering.NONE:
+    if settings.filter != "none":
         words += rf", $\tau$ = {settings.filter_period}"
     words += f", {_topology(settings)}, seed {settings.seed}"
     if settings.faults:
@@ -53,4 +52,4 @@ def _topology(settings: SwarmSettings) -> str:
         return Path(settings.graph.source).name
     if settings.is_dynamic:
         return f"moving, D = {settings.density:g}"
-    return str(plain_value(settings.topology)).replace("-", " ")
+    return str(settings.topology).replace("-", " ")

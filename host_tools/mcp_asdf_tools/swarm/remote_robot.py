@@ -36,7 +36,6 @@ from mcp_asdf_tools.robots import (
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.world import Topology
 
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""
@@ -64,7 +63,7 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
         return
     if set(remote) != set(range(settings.robots)):
         raise UsageError(f"robots here and elsewhere need a bus each: {EACH_A_BUS}")
-    is_plain = settings.topology is Topology.FULLY_CONNECTED and settings.latency == 0
+    is_plain = settings.topology == "fully-connected" and settings.latency == 0
     if settings.faults or not is_plain:
         raise UsageError(
             f"robots elsewhere on one bus all hear each other; for faults, latency or a topology {EACH_A_BUS}"

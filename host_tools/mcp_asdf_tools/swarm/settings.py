@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, get_args
 
 from mcp_asdf_tools.bus import TELEMETRY, FrameFormat
-from mcp_asdf_tools.common import Given, ParameterError, as_type, member_of, parameter, parameters
-from mcp_asdf_tools.robots import ClockKind, Filtering, Population, RobotRecord
-from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
+from mcp_asdf_tools.common.parameters import ParameterError, parameter
+from mcp_asdf_tools.robots import ClockKind, Population, RobotRecord
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.world import MAX_PERIOD, default_of
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""
 
 
-@parameters
+@dataclass(frozen=True, kw_only=True)
 class SwarmSettings(Population):
     """Parameters of a run; equal settings give equal runs. Raises ParameterError, naming the field.
 
@@ -31,18 +30,17 @@ class SwarmSettings(Population):
         "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD, default=0
     )
     frames: FrameFormat = field(default_factory=FrameFormat)
-    faults: Given[tuple[Fault, ...], Sequence[Fault | str]] = field(default=())  # type: ignore[arg-type]
-    clock: Given[ClockKind, Literal["lockstep", "real-time"]] = field(
-        default=ClockKind.LOCKSTEP  # type: ignore[arg-type]
-    )
+    faults: Any = ()
+    clock: ClockKind = "lockstep"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "clock", member_of(ClockKind, "clock", self.clock))
-        given = as_type("faults", tuple[str | Fault, ...], self.faults)
-        faults = tuple(parse_fault(each) if isinstance(each, str) else each for each in given)
+        if self.clock not in get_args(ClockKind):
+            raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
+        if isinstance(self.faults, str):
+            raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
+        faults = tuple(parse_fault(each) if isinstance(each, str) else each for each in self.faults)
         object.__setattr__(self, "faults", faults)
-        as_type("frames", FrameFormat, self.frames)
         if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
             raise ParameterError(
                 "frames", f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"
@@ -62,7 +60,7 @@ class SwarmSettings(Population):
     def without_filter(self) -> SwarmSettings:
         """The same swarm, of which no robot recalibrates."""
         usual = {name: default_of(self, name) for name in ("omega", "activation")}
-        return replace(self, filter=Filtering.NONE, **usual)
+        return replace(self, filter="none", **usual)
 
     def records(self) -> list[RobotRecord]:
         """Initial state of each robot, by id."""
@@ -73,5 +71,5 @@ class SwarmSettings(Population):
         return self.parameters() | {
             "frames": {"subject": self.frames.subject, "priority": self.frames.priority},
             "faults": [str(fault) for fault in self.faults],
-            "clock": self.clock.value,
+            "clock": self.clock,
         }

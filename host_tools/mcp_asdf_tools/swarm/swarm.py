@@ -22,7 +22,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus import BIT_RATES, FrameFormat, Message, alpha_bits, bus_load, decode
 from mcp_asdf_tools.common import software_versions
 from mcp_asdf_tools.recording import InputLogWriter
-from mcp_asdf_tools.robots import BusRobot, ClockKind, FrameTaker, LockstepError, RealTimeClock, RobotRecord
+from mcp_asdf_tools.robots import BusRobot, FrameTaker, LockstepError, RealTimeClock, RobotRecord
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.faults import Faults
@@ -68,7 +68,7 @@ class Swarm:
         self.ticks = 0
         self.world = World(settings)
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
-        is_lockstep = settings.clock is ClockKind.LOCKSTEP
+        is_lockstep = settings.clock == "lockstep"
         self.clock = None if is_lockstep else RealTimeClock(settings.steps_per_second)
         self._input_log = input_log
         self._remote = wiring.remote
@@ -336,7 +336,7 @@ class Companion:
 
     def __init__(self, settings: SwarmSettings) -> None:
         """Make the other swarm. Raises as ``Swarm``."""
-        self.swarm = Swarm(replace(settings.without_filter(), clock=ClockKind.LOCKSTEP), Wiring())
+        self.swarm = Swarm(replace(settings.without_filter(), clock="lockstep"), Wiring())
         self.seconds = 0.0
         self._history = History(settings.steps)
         self._history.add(self.swarm)

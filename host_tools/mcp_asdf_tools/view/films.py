@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus import ONE, FrameFormat, Message, Telemetry, decode_any
-from mcp_asdf_tools.common import UsageError, plain_value
+from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Trials, run_trials
 from mcp_asdf_tools.recording import InputLogHeader, InputLogReader, input_log_path, rerun
-from mcp_asdf_tools.robots import Filtering, Population, parameter_names
+from mcp_asdf_tools.robots import Population, parameter_names
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings
 from mcp_asdf_tools.view.film import MAX_SAMPLES, QUANTITIES, Film, LiveFilm, Sample, Samples, Stage
-from mcp_asdf_tools.world import Arena, Floor, Graph, World, WorldSettings, code
+from mcp_asdf_tools.world import Arena, Graph, World, WorldSettings, code
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
 _MODES = {
-    Filtering.ASDF_PLUS: "ASDF+",
-    Filtering.ASDF_MINUS: "ASDF\N{MINUS SIGN}",
-    Filtering.NONE: "no filter",
+    "asdf-plus": "ASDF+",
+    "asdf-minus": "ASDF\N{MINUS SIGN}",
+    "none": "no filter",
 }
 
 
@@ -55,7 +55,7 @@ def stage_of(population: Population, trial: int = 0) -> Stage:
 def floor_of(arena: Arena) -> NDArray[np.bool_]:
     """The floor, a pixel for each tile, or as many as a page shows. O(pixels)."""
     settings = arena.settings
-    if settings.floor is Floor.CODE:
+    if settings.floor == "code":
         return code(settings.fill_ratio)
     return arena.pixels(*(min(math.ceil(side / settings.tile), _MOST_PIXELS) for side in settings.sides))
 
@@ -69,7 +69,7 @@ def _title(settings: Population, trial: int) -> str:
         _topology(settings),
         f"seed {settings.seed}" + (f", trial {trial}" if trial else ""),
     ]
-    if settings.filter is Filtering.NONE:
+    if settings.filter == "none":
         del words[3]
     return ", ".join(words)
 
@@ -79,7 +79,7 @@ def _topology(settings: Population) -> str:
         return Path(settings.graph.source).name
     if settings.is_dynamic:
         return "moving"
-    return str(plain_value(settings.topology)).replace("-", " ")
+    return str(settings.topology).replace("-", " ")
 
 
 # --- Runs that are over -------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from .sensors import SensorModel as SensorModel
 from .sensors import black_probabilities as black_probabilities
 from .sensors import sensor_model as sensor_model
 from .settings import MAX_PERIOD as MAX_PERIOD
+from .settings import TOPOLOGIES as TOPOLOGIES
 from .settings import Floor as Floor
-from .settings import Topology as Topology
 from .settings import WorldSettings as WorldSettings
 from .settings import default_of as default_of
 from .topology import Graph as Graph

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import UsageError, extensions
 from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
-from mcp_asdf_tools.world.settings import Drift, WorldSettings
+from mcp_asdf_tools.world.settings import WorldSettings
 
 Accuracies = tuple[NDArray[np.float64], NDArray[np.float64]]
 """True accuracies on black and on white tiles, each of shape (steps or 1, robots or 1): an axis of length 1
@@ -42,13 +42,13 @@ class DriftingSensors:
 
     def _black(self, steps: int) -> NDArray[np.float64]:
         settings = self._settings
-        if settings.drift is Drift.NONE:
+        if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
         step = np.arange(self._step, self._step + steps, dtype=np.float64)[:, np.newaxis]
-        if settings.drift is Drift.STEPPED:
+        if settings.drift == "stepped":
             step -= step % settings.drift_period
         path = settings.true_accuracy + settings.drift_rate * step
-        if settings.drift is Drift.WIENER:
+        if settings.drift == "wiener":
             path = path + settings.drift_diffusion * self._wiener_paths(steps)
         return np.clip(path, settings.lowest_accuracy, 1.0)
 

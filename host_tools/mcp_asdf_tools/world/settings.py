@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from enum import Enum
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from mcp_asdf_tools.common import (
-    Given,
-    ParameterError,
-    UsageError,
-    check_parameters,
-    extensions,
-    parameter,
-    parameters,
-    special_parameter,
-)
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import ParameterError, check_parameters, parameter, parameters_of
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.topology import Graph, graph_of
 
@@ -39,44 +32,26 @@ _MOST_TILES = 100_000
 """Most tiles along a side."""
 
 
-class Topology(Enum):
-    """Who hears whom. An installed extension adds others, by its name."""
+TOPOLOGIES = ("fully-connected", "dynamic", "graph")
+"""Who hears whom: all; those nearby, while robots move through an arena; along the edges of a graph."""
 
-    FULLY_CONNECTED = "fully-connected"
-    """Every robot hears every other."""
-    DYNAMIC = "dynamic"
-    """Robots move through an arena and hear those nearby; see docs/arena.md."""
-    GRAPH = "graph"
-    """The edges of ``graph``."""
+Floor = Literal["tiles", "code"]
+"""The floor that moving robots observe.
 
+tiles: square tiles, each black with probability f; every trial has its own.
+code: a pattern like a QR code's of which exactly the share f is black, the same in all trials.
+"""
 
-class Floor(Enum):
-    """The floor that moving robots observe."""
+Drift = Literal["none", "linear", "stepped", "wiener"]
+"""How the true accuracy changes, from b at the first step; ``k`` counts steps from 0.
 
-    TILES = "tiles"
-    """Square tiles, each black with probability f; every trial has its own."""
-    CODE = "code"
-    """A pattern like a QR code's of which exactly the share f is black, the same in all trials."""
-
-
-class Drift(Enum):
-    """How the true accuracy changes, from b at the first step; ``k`` counts steps from 0."""
-
-    NONE = "none"
-    LINEAR = "linear"
-    """b + drift_rate k."""
-    STEPPED = "stepped"
-    """b + drift_rate k, with k rounded down to a multiple of drift_period."""
-    WIENER = "wiener"
-    """b + drift_rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot."""
-
-    @property
-    def is_random(self) -> bool:
-        """True if trials differ in it."""
-        return self is Drift.WIENER
+linear: b + drift_rate k.
+stepped: b + drift_rate k, with k rounded down to a multiple of drift_period.
+wiener: b + drift_rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot.
+"""
 
 
-@parameters
+@dataclass(frozen=True, kw_only=True)
 class WorldSettings:
     """Ground truth around N robots; equal settings give equal worlds.
 
@@ -86,19 +61,15 @@ class WorldSettings:
     """
 
     robots: int = parameter("number of robots N", 1, MAX_ROBOTS, default=20)
-    topology: Topology | str = special_parameter("who hears whom", default=Topology.FULLY_CONNECTED)
-    graph: Given[Graph | str, Path] = special_parameter(
-        "edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default=""
-    )
+    topology: str = parameter("who hears whom", default="fully-connected")
+    graph: Any = parameter("edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default="")
     fill_ratio: float = parameter("f, share of black tiles", 0, 1, default=0.55)
     true_accuracy: float = parameter("b of every sensor", 0, 1, default=0.95)
     white_offset: float = parameter(
         "true accuracy on white tiles less that on black ones", -1, 1, default=0.0
     )
     sensor: str = parameter("installed sensor model, in place of the built-in one", default="")
-    drift: Given[Drift, Literal["none", "linear", "stepped", "wiener"]] = parameter(
-        "how the true accuracy changes", default=Drift.NONE
-    )
+    drift: Drift = parameter("how the true accuracy changes", default="none")
     drift_rate: float = parameter("change of the true accuracy per step", -1, 1, default=0.0)
     drift_period: int = parameter("steps between the changes of a stepped drift", 1, MAX_PERIOD, default=1000)
     drift_diffusion: float = parameter("standard deviation of a Wiener drift per step", 0, 1, default=0.0)
@@ -112,9 +83,7 @@ class WorldSettings:
     radio_range: float = parameter(
         "distance below which robots hear each other, metres", 1e-3, MAX_SIDE, default=0.7
     )
-    floor: Given[Floor, Literal["tiles", "code"]] = parameter(
-        "floor that moving robots observe", default=Floor.TILES
-    )
+    floor: Floor = parameter("floor that moving robots observe", default="tiles")
     tile: float = parameter("side of a tile, metres", 1e-6, MAX_SIDE, default=0.01)
     steps_per_second: int = parameter("steps per second of simulated time", 1, 1_000_000, default=10)
     observation_period: int = parameter("steps between observations", 1, MAX_PERIOD, default=1)
@@ -122,9 +91,9 @@ class WorldSettings:
     seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
 
     def __post_init__(self) -> None:
-        _set(self, "topology", _topology(self.topology))
-        _set(self, "graph", _graph(self.graph))
         check_parameters(self)
+        _check_name(self, "topology", TOPOLOGIES, extensions.TOPOLOGIES)
+        _set(self, "graph", _graph(self.graph))
         self._check_topology()
         self._check_sensor()
         if self.is_dynamic:
@@ -135,7 +104,7 @@ class WorldSettings:
     @property
     def is_dynamic(self) -> bool:
         """True if the robots move."""
-        return self.topology is Topology.DYNAMIC
+        return self.topology == "dynamic"
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -149,12 +118,10 @@ class WorldSettings:
         for name in () if self.is_dynamic else _OF_ARENA:
             value = getattr(self, name)
             if value != default_of(self, name):
-                said = value.value if isinstance(value, Enum) else value
-                raise ParameterError(
-                    name, f"{name} is {said} but robots do not move; choose topology dynamic"
-                )
-        if (self.topology is Topology.GRAPH) != isinstance(self.graph, Graph):
-            fix = "give its edges" if self.topology is Topology.GRAPH else "choose topology graph"
+                message = f"{name} is {value} but robots do not move; choose topology dynamic"
+                raise ParameterError(name, message)
+        if (self.topology == "graph") != isinstance(self.graph, Graph):
+            fix = "give its edges" if self.topology == "graph" else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
         if isinstance(self.graph, Graph):
             try:
@@ -163,10 +130,8 @@ class WorldSettings:
                 raise ParameterError("graph", str(error)) from error
 
     def _check_sensor(self) -> None:
-        if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
-            installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
-            raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
-        if self.drift is Drift.NONE:
+        _check_name(self, "sensor", ("",), extensions.SENSORS)
+        if self.drift == "none":
             for name in ("drift_rate", "drift_diffusion"):
                 if getattr(self, name):
                     raise ParameterError(
@@ -181,24 +146,21 @@ class WorldSettings:
 _OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "tile")
 
 
-def default_of(settings: object, name: str) -> Any:
-    """The default of a field of a dataclass."""
-    return next(field.default for field in fields(settings) if field.name == name)  # type: ignore[arg-type]
+def default_of(settings: Any, name: str) -> Any:
+    """The default of a parameter."""
+    return parameters_of(type(settings))[name].default
 
 
 def _set(settings: WorldSettings, name: str, value: Any) -> None:
     object.__setattr__(settings, name, value)
 
 
-def _topology(value: Any) -> Topology | str:
-    try:
-        return Topology(value)
-    except ValueError:
-        installed = extensions.names(extensions.TOPOLOGIES)
-        if value in installed:
-            return str(value)
-        choices = ", ".join([*(member.value for member in Topology), *installed])
-        raise ParameterError("topology", f"topology is {value!r}; choose one of {choices}") from None
+def _check_name(settings: WorldSettings, key: str, own: Sequence[str], group: str) -> None:
+    """Raise ParameterError unless a parameter names one of ``own`` or an installed extension."""
+    name = getattr(settings, key)
+    if name not in own and name not in extensions.names(group):
+        known = ", ".join(filter(None, (*own, *extensions.names(group)))) or "an extension: none is installed"
+        raise ParameterError(key, f"{key} is {name!r}; choose one of {known}")
 
 
 def _graph(value: Any) -> Graph | str:
@@ -244,7 +206,7 @@ def _check_arena(settings: WorldSettings) -> None:
 
 
 def _check_floor(settings: WorldSettings) -> None:
-    if settings.floor is Floor.CODE:
+    if settings.floor == "code":
         if settings.tile != default_of(settings, "tile"):
             raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
         code(settings.fill_ratio)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID
-from mcp_asdf_tools.common import UsageError, check_types
+from mcp_asdf_tools.common.errors import UsageError
 
 _EDGES = re.compile(r"[0-9>;\s]*")
 
@@ -73,7 +73,6 @@ class Graph:
 
     def __post_init__(self) -> None:
         """Raises UsageError unless links are pairs of different ids."""
-        check_types(self)
         for link in self.links:
             if len(link) != 2 or link[0] == link[1] or not all(0 <= robot <= MAX_ID for robot in link):
                 raise UsageError(f"links has {link}; give pairs of different ids, 0 to {MAX_ID}")

@@ -19,7 +19,7 @@ from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.world import topology
 from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
-from mcp_asdf_tools.world.settings import Topology, WorldSettings
+from mcp_asdf_tools.world.settings import WorldSettings
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.world.arena import Arena
@@ -118,7 +118,7 @@ class World:
 
 
 def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
-    if settings.topology is Topology.FULLY_CONNECTED:
+    if settings.topology == "fully-connected":
         return topology.fully_connected(settings.robots)
     if isinstance(settings.graph, topology.Graph):
         return settings.graph.topology(settings.robots)

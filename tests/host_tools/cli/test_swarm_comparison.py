@@ -12,7 +12,6 @@ import pytest
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments import Experiment
 from mcp_asdf_tools.experiments.engine import native
-from mcp_asdf_tools.robots.population import Filtering
 from support import ROOT
 
 SMALL = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
@@ -56,9 +55,9 @@ def test_what_cannot_be_compared_is_refused(
 
 def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
     """Computed by the engine, since a swarm is trial 0 of the experiment with the same parameters."""
-    common = Experiment(topology="dynamic", filter=Filtering.ASDF_MINUS, flawed="50%", trials=1)
+    common = Experiment(topology="dynamic", filter="asdf-minus", flawed="50%", trials=1)
     errors = []
-    for experiment in (common, replace(common, filter=Filtering.NONE)):
+    for experiment in (common, replace(common, filter="none")):
         x = native.run(experiment, 0, 1).x[0, :, -1] / 2**23
         errors.append(float(np.abs(x - experiment.fill_ratio).mean()))
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())

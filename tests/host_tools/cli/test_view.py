@@ -12,7 +12,6 @@ import pytest
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments import Experiment, run_trials, table_of
 from mcp_asdf_tools.experiments.results import write_table
-from mcp_asdf_tools.robots import Filtering
 
 SWARM = ["swarm", "--robots", "5", "--steps", "60", "--filter-period", "20", "--quiet"]
 
@@ -21,7 +20,7 @@ SWARM = ["swarm", "--robots", "5", "--steps", "60", "--filter-period", "20", "--
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two experiments of two trials."""
     common = Experiment(robots=5, steps=60, filter_period=20, trials=2)
-    experiments = [common, replace(common, filter=Filtering.NONE)]
+    experiments = [common, replace(common, filter="none")]
     tables = [table_of(run_trials(each, 0, 2)) for each in experiments]
     path = tmp_path_factory.mktemp("results") / "grid.parquet"
     write_table(path, pa.concat_tables(tables))

@@ -32,19 +32,18 @@ from mcp_asdf_tools.experiments.time_plots import BODY_RADIUS, bands, series_bes
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.arena import Arena
-from mcp_asdf_tools.world.settings import Topology
 
 LIMITS = Limits(300, 0.45)
-BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, filter=Filtering.NONE)
+BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, filter="none")
 CELLS = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
-MODES = ((Filtering.NONE, 100), (Filtering.ASDF_PLUS, 100), (Filtering.ASDF_PLUS, 150))
+MODES: tuple[tuple[Filtering, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
 GRID = [
     replace(BASE, flawed=flawed, fill_ratio=f, flawed_accuracy=b_hat, filter=mode, filter_period=period)
     for f in (0.55, 0.95)
     for flawed, b_hat in CELLS
     for mode, period in MODES
 ]
-MOVING = Experiment(topology=Topology.DYNAMIC, robots=12, flawed=5, steps=400, filter_period=100, trials=2)
+MOVING = Experiment(topology="dynamic", robots=12, flawed=5, steps=400, filter_period=100, trials=2)
 SWEPT = grid(
     robots=6, steps=200, trials=7, filter_period=50, topology="dynamic", fill_ratio=[0.55, 0.95],
     density=[2.0, 0.5], omega=[0.05, 0.9, 0.02],
@@ -126,7 +125,7 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
     over = results_of(replace(BASE, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
     figure = scatter([*results, over], lambda _: LIMITS)
     found = panels(figure)
-    own = [t for t in results if t.experiment.fill_ratio == 0.95 and t.experiment.filter is Filtering.NONE]
+    own = [t for t in results if t.experiment.fill_ratio == 0.95 and t.experiment.filter == "none"]
     for share, count in ((0, 1), (2, 2), (4, 1)):
         axes = found[f"no filter\n$f = 0.95$, $P$ = {share / 4:.0%}"]
         expected = [t for t in own if t.experiment.flawed == share]
@@ -221,10 +220,7 @@ def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
 
 
 def test_series_beside_each_other_show_their_records() -> None:
-    runs = [
-        results_of(replace(BASE, flawed=1, trials=1, filter=mode), 10)
-        for mode in (Filtering.NONE, Filtering.ASDF_PLUS)
-    ]
+    runs = [results_of(replace(BASE, flawed=1, trials=1, filter=mode), 10) for mode in ("none", "asdf-plus")]
     panels = np.array(series_beside(runs, 0).axes).reshape(3, 2)
     for column, trials in zip(panels.T, runs, strict=True):
         for axes, quantity in zip(column, ("b_hat", "x_hat", "x"), strict=True):

@@ -6,6 +6,7 @@ import random
 from collections.abc import Iterator
 from dataclasses import replace
 from decimal import Decimal
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,21 +15,20 @@ from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.population import Activation, Filtering
-from mcp_asdf_tools.world.settings import Drift, Floor, Topology
+from mcp_asdf_tools.robots.population import Activation
 
 FULL = Experiment(
     firmware="reference", robots=6, flawed=2, fill_ratio=0.7, steps=420, filter_period=60, seed=5
 )
-MOVING = replace(FULL, topology=Topology.DYNAMIC, robots=7, density=3.0)
-AUTHORS = Convention.AUTHORS
+MOVING = replace(FULL, topology="dynamic", robots=7, density=3.0)
+AUTHORS: Convention = "authors"
 
 CASES = {
     "fully connected": FULL,
     "authors": replace(FULL, conventions=AUTHORS),
-    "without a test": replace(FULL, activation=Activation.ALWAYS),
-    "authors without a test": replace(FULL, conventions=AUTHORS, activation=Activation.ALWAYS),
-    "only flawed": replace(FULL, filter=Filtering.ASDF_MINUS),
+    "without a test": replace(FULL, activation="always"),
+    "authors without a test": replace(FULL, conventions=AUTHORS, activation="always"),
+    "only flawed": replace(FULL, filter="asdf-minus"),
     "one robot": replace(FULL, robots=1, flawed=1),
     "uninformative": replace(FULL, flawed_accuracy=0.5),
     "uninformative to the authors": replace(FULL, flawed_accuracy=0.5, conventions=AUTHORS),
@@ -42,8 +42,8 @@ CASES = {
     "moving, late, authors": replace(MOVING, latency=1, conventions=AUTHORS),
     "moving, rare observations": replace(MOVING, latency=1, observation_period=7),
     "moving, no observation": replace(MOVING, observation_period=500),
-    "moving on a code": replace(MOVING, floor=Floor.CODE, fill_ratio=0.448, observation_period=5),
-    "moving, drift": replace(MOVING, drift=Drift.WIENER, drift_diffusion=0.01),
+    "moving on a code": replace(MOVING, floor="code", fill_ratio=0.448, observation_period=5),
+    "moving, drift": replace(MOVING, drift="wiener", drift_diffusion=0.01),
 }
 
 
@@ -55,8 +55,8 @@ def random_cases(seed: int, count: int) -> Iterator[Experiment]:
             fill_ratio=source.choice([0.05, 0.5, 0.55, 0.95]),
             true_accuracy=source.choice([0.55, 0.75, 0.95]),
             flawed_accuracy=source.choice([0.5, 0.55, 0.95, source.random()]),
-            conventions=source.choice(list(Convention)),
-            activation=source.choice(list(Activation)),
+            conventions=source.choice(list(get_args(Convention))),
+            activation=source.choice(list(get_args(Activation))),
             omega=Decimal(source.choice(["0.05", "0.5"])),
             filter_period=source.choice([7, 20, 100]),
             steps=source.randint(1, 250),

@@ -145,7 +145,7 @@ def test_the_comparison_notices_another_experiment(change: dict[str, float | str
         each
         for each in fidelity.read_cells()
         if (
-            each.experiment.filter.value,
+            each.experiment.filter,
             each.experiment.flawed,
             each.experiment.fill_ratio,
             each.experiment.filter_period,

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -28,7 +29,7 @@ from support import PATIENCE, ROOT, interruptible, slow
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=mode, steps=300, filter_period=100, trials=40)
     for flawed in (1, 2)
-    for mode in Filtering
+    for mode in get_args(Filtering)
 ]
 FILE = """\
 robots = 4

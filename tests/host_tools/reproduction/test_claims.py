@@ -20,7 +20,9 @@ from mcp_asdf_tools.reproduction.verdicts import Verdict
 from mcp_asdf_tools.robots.population import Filtering
 
 FULL, DYNAMIC, PHYSICAL = Part
-NONE, MINUS, PLUS = Filtering
+NONE: Filtering = "none"
+MINUS: Filtering = "asdf-minus"
+PLUS: Filtering = "asdf-plus"
 TRIALS = 30
 CELLS = {cell for part in Part for cell in cells_of(part)}
 
@@ -52,7 +54,7 @@ class MadeUp(Study):
         assert cell.part in self._run
         assert measure in MEASURES
         names: dict[str, Any] = {"f": cell.fill_ratio, "b": cell.true_accuracy, "b_hat": cell.flawed_accuracy}
-        names |= {"P": cell.percent, "filter": cell.filter.value, "tau": cell.period}
+        names |= {"P": cell.percent, "filter": cell.filter, "tau": cell.period}
         level = eval(self._level, {**names, "part": cell.part.value, "measure": measure})
         median, spread = level if isinstance(level, tuple) else (level, 0.01)
         noise = np.random.default_rng(cell.percent).permutation(TRIALS) / (TRIALS - 1) - 0.5

@@ -13,7 +13,7 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.experiments.trials import Job, run_trials
 from mcp_asdf_tools.reproduction import report, resampling, study
@@ -190,7 +190,7 @@ def test_options_are_the_scale() -> None:
     assert reproduce.scale_of(parser.parse_args(["--paper", "--seed", "7"])) == Scale(30, seed=7, seeds=1)
     words = ["--quick", "--trials", "2", "--steps", "4000", "--seeds", "3", "--firmware", "reference"]
     found = reproduce.scale_of(parser.parse_args([*words, "--conventions", "authors"]))
-    assert found == Scale(2, 4000, 1, 3, "reference", Convention.AUTHORS)
+    assert found == Scale(2, 4000, 1, 3, "reference", "authors")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Companion, LiveView, Swarm, SwarmRun, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.swarm.live_view import SwarmPicture, Watch
 from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES
@@ -26,7 +25,7 @@ from support import slow
 
 MOVING = SwarmSettings(
     topology="dynamic",
-    filter=Filtering.ASDF_MINUS,
+    filter="asdf-minus",
     flawed="50%",
     robots=8,
     steps=400,
@@ -99,7 +98,7 @@ def test_every_robot_is_on_the_map_where_it_is() -> None:
 def test_its_figures_are_those_of_the_run() -> None:
     text, run, watch = shown(MOVING, width=120, height=40, force_terminal=True, color_system=None)
     picture = text[text.rindex("step 400 of 400") :]
-    without = SwarmSettings(**{**vars(MOVING), "filter": Filtering.NONE})
+    without = SwarmSettings(**{**vars(MOVING), "filter": "none"})
     with Swarm(without, Wiring()) as swarm:
         other = run_swarm(swarm)
     assert f"with filter {run.results['mean_error']:.4f}" in picture

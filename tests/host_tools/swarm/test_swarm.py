@@ -192,7 +192,7 @@ def test_what_a_robot_uses_for_itself_is_what_its_neighbours_hear(
         used.append([(x, alpha) if alpha else (ONE // 2, 0) for x, alpha in own])
         heard.append([(robot.x_bar_raw, robot.beta_raw) for robot in reversed(robots)])
 
-    changes = {"true_accuracy": accuracy, "flawed_accuracy": other, "flawed": 0.5, "filter": Filtering.NONE}
+    changes = {"true_accuracy": accuracy, "flawed_accuracy": other, "flawed": 0.5, "filter": "none"}
     record(small(robots=2, steps=200, firmware=firmware, **changes), [note])
     assert heard == used
     confidences = [alpha for pair in used for _, alpha in pair]
@@ -206,7 +206,7 @@ def test_native_and_mirror_say_the_same_on_the_bus() -> None:
 
 @pytest.mark.parametrize(
     ("deployment", "filtering"),
-    [(Filtering.ASDF_PLUS, [0, 1, 2, 3, 4]), (Filtering.ASDF_MINUS, [0, 1]), (Filtering.NONE, [])],
+    [("asdf-plus", [0, 1, 2, 3, 4]), ("asdf-minus", [0, 1]), ("none", [])],
 )
 def test_who_filters(deployment: Filtering, filtering: list[int]) -> None:
     outcome, _ = record(small(filter=deployment))
@@ -218,7 +218,7 @@ def test_flawed_robots_recalibrate() -> None:
     """The point of it all: three of ten start at 0.55 and end near the true 0.95; unfiltered they stay."""
     changes = {"robots": 10, "flawed": 0.3, "fill_ratio": 0.95, "steps": 500, "filter_period": 125}
     filtered, _ = record(small(**changes))
-    plain, _ = record(small(**changes, filter=Filtering.NONE))
+    plain, _ = record(small(**changes, filter="none"))
     assert filtered.results["b_hat"]["flawed"]["robots"] == 3
     assert abs(filtered.results["b_hat"]["flawed"]["after"] - 0.95) < 0.03
     assert plain.results["b_hat"]["flawed"]["after"] == pytest.approx(0.55, abs=1e-6)
@@ -251,7 +251,7 @@ def test_robots_are_made_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) ->
         return load_firmware("mirror")(config, robot_id, b_hat)
 
     monkeypatch.setattr(robot_record, "load_firmware", lambda name: make)
-    changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": Filtering.ASDF_MINUS}
+    changes = {"omega": Decimal("0.2"), "memory": 64, "comms_period": 2, "filter": "asdf-minus"}
     record(small(**changes, flawed=0.2, robots=9))
     adaptive = Config(generate(Decimal("0.2"), 8), Filter.ADAPTIVE, filter_period=20 // 2, memory=64)
     off = replace(adaptive, table=None, filter=Filter.OFF)

@@ -29,7 +29,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.robots.bus_robot import SETTLE
-from mcp_asdf_tools.robots.clock import ClockKind, RealTimeClock
+from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -455,7 +455,7 @@ def test_a_graph_and_robots_that_move_exclude_each_other(tmp_path: Path) -> None
 
 def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
     """No bound on lateness is tested: that would test the machine."""
-    run, _ = record(make("loss=0.1", clock=ClockKind.REAL_TIME, steps_per_second=500))
+    run, _ = record(make("loss=0.1", clock="real-time", steps_per_second=500))
     assert run.results["steps"] == 60
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
@@ -474,7 +474,7 @@ class Late(virtual.VirtualBus):
 
 
 def test_what_comes_too_late_is_heard_in_the_next_tick_and_counted() -> None:
-    settings = make(robots=3, clock=ClockKind.REAL_TIME, steps_per_second=1000)
+    settings = make(robots=3, clock="real-time", steps_per_second=1000)
     with Swarm(settings, Wiring(lambda robot: Late("late"))) as swarm:
         for tick in range(10):
             Late.is_deaf = tick == 5

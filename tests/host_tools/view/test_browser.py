@@ -20,7 +20,6 @@ import pytest
 
 from browser import browser_page, developed, until
 from mcp_asdf_tools.bus import FrameFormat
-from mcp_asdf_tools.robots import Filtering
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, page, serving
 from mcp_asdf_tools.view.film import rows_of
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 SETTINGS = SwarmSettings(
     robots=8,
     topology="dynamic",
-    filter=Filtering.ASDF_MINUS,
+    filter="asdf-minus",
     flawed="50%",
     steps=300,
     filter_period=50,

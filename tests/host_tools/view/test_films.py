@@ -20,7 +20,7 @@ from mcp_asdf_tools.bus import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.experiments import Experiment, Trials, experiments_in, run_trials, table_of
-from mcp_asdf_tools.robots import Filtering, Lockstep
+from mcp_asdf_tools.robots import Lockstep
 from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
 from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, film_of_log, film_of_trial
 from mcp_asdf_tools.view import film as films
@@ -36,7 +36,7 @@ PARAMETERS: dict[str, Any] = {
     "steps": 250,
     "filter_period": 50,
     "flawed": "50%",
-    "filter": Filtering.ASDF_MINUS,
+    "filter": "asdf-minus",
     "seed": 3,
 }
 WORLDS: list[dict[str, Any]] = [

@@ -16,7 +16,6 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots import TickConfig
 from mcp_asdf_tools.world import (
     Arena,
-    Topology,
     black_probabilities,
     config_values,
     sensor_model,
@@ -75,10 +74,10 @@ def can_run(experiment: Experiment) -> bool:
     """True if the engine has all that an experiment asks for; other trials run message by message."""
     if experiment.firmware != "native":
         return False
-    if experiment.topology is Topology.DYNAMIC:
+    if experiment.topology == "dynamic":
         return not experiment.sensor and experiment.white_offset == 0
     is_plain = experiment.latency == 0 and experiment.observation_period == 1
-    return experiment.topology is Topology.FULLY_CONNECTED and is_plain
+    return experiment.topology == "fully-connected" and is_plain
 
 
 def run(
@@ -166,7 +165,7 @@ class _Call:
     @staticmethod
     def _worlds(experiment: Experiment, trials: int) -> int:
         """How many different probabilities trials have: one, unless sensors move at random."""
-        return trials if experiment.drift.is_random or experiment.sensor else 1
+        return trials if experiment.drift == "wiener" or experiment.sensor else 1
 
 
 def _config(ticked: TickConfig) -> tuple[Any, Any]:

@@ -17,7 +17,7 @@ from mcp_asdf_tools.common import UsageError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.philox import world_seed
-from mcp_asdf_tools.world.settings import Floor, WorldSettings
+from mcp_asdf_tools.world.settings import WorldSettings
 
 MAX_TICKS = 2**32 - 1
 """Most ticks of one call."""
@@ -153,7 +153,7 @@ def config_values(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[s
         "range": settings.radio_range,
         "tick": 1 / settings.steps_per_second,
     }
-    if settings.floor is Floor.TILES:
+    if settings.floor == "tiles":
         return values | {"tile": settings.tile, "fill_ratio": settings.fill_ratio}, None
     image = code(settings.fill_ratio).astype(np.uint8)
     rows, columns = image.shape
