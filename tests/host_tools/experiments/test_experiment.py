@@ -33,7 +33,7 @@ from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
         ("robots", 2.5, "whole number"),
         ("robots", True, "give a number"),
         ("robots", "ten", "give a number"),
-        ("robots", float("inf"), "whole number"),
+        ("robots", float("inf"), "give a number"),
         ("flawed", 21, "flawed is 21; give a count, 0 to 20, or a share"),
         ("flawed", -1, "a count, 0 to 20"),
         ("flawed", 1.5, "flawed is 1.5; give a count"),
