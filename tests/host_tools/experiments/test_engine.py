@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import random
+import sys
+import sysconfig
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.engine import build_engine
 from mcp_asdf.robot import B_HAT_MARGIN, FirmwareError
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
@@ -19,6 +21,7 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.world import philox
+from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
 SHORT = Experiment(robots=10, flawed=3, steps=700, filter_period=100, trials=3, seed=77)
@@ -188,6 +191,26 @@ def test_lanes_are_used_only_where_trials_are_alike(
     assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
 
 
+def engine_for(architecture: str, folder: Path) -> Any:
+    """The extension module of the engine, built with vectors of one architecture."""
+    tools = ROOT / "host_tools/mcp_asdf_tools"
+    arena, engine, core = tools / "world/arena", tools / "experiments/engine", CORE.parent
+    glue, module = folder / "_engine.c", folder / "_engine.so"
+    headers = (core / "mcp_asdf.h", core / "mcp_asdf_image.h", arena / "arena.h", engine / "engine.h")
+    run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
+    includes = [f"-I{path}" for path in (core, arena, engine, sysconfig.get_path("include"))]
+    sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), core / "mcp_asdf_image.c")
+    options = ("-std=gnu99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", "-fno-trapping-math")
+    target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
+    run(require("gcc", "gcc"), *options, *target, *includes, *sources, "-o", module, "-lm")
+    spec = importlib.util.spec_from_file_location(_engine.__name__, module)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", ["x86-64", "x86-64-v3", "x86-64-v4"])
 def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
@@ -196,7 +219,7 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
     flag = {"x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}.get(architecture, "fpu")
     if f" {flag} " not in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " "):
         pytest.skip(f"this processor has no vectors of {architecture}")
-    monkeypatch.setattr(native, "_engine", build_engine(tmp_path, architecture))
+    monkeypatch.setattr(native, "_engine", engine_for(architecture, tmp_path))
     for changes in EDGES.values():
         assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=17)
         assert_equal_to_the_bit(replace(LATE, **changes), first=4, trials=2)
