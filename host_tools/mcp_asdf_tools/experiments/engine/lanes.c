@@ -2,8 +2,8 @@
  *
  * The core is compiled here, once for the whole engine, so that the loops below can call its static
  * functions: the engine has no arithmetic of its own. gcc turns these loops into vector instructions as long
- * as no value in those functions comes from a table, a call or more than four ways; engine.py --check sees it. It needs
- * -fno-trapping-math, because it may then compute both ways of an `if` with a division in it.
+ * as no value in those functions comes from a table, a call or more than four ways; the benchmark shows it.
+ * It needs -fno-trapping-math, because it may then compute both ways of an `if` with a division in it.
  */
 #define MCP_ASDF_DIVIDE MCP_ASDF_DIVIDE_BY_INCLUDER
 
