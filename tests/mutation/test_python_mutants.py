@@ -17,14 +17,19 @@ EXACT = [f"host_tools/mcp_asdf_tools/crosscheck/{name}.py" for name in ("exact",
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("paths", "sample", "most"),
-    [(FIRMWARE, 60, 0), (EXACT, 20, 2), (["host_tools/mcp_asdf_tools"], 40, 8)],
+    ("paths", "tests", "sample", "most"),
+    [
+        (FIRMWARE, ["tests/firmware_py", "tests/host_tools/crosscheck"], 60, 0),
+        (EXACT, ["tests/host_tools/crosscheck"], 20, 2),
+        (["host_tools/mcp_asdf_tools"], None, 40, 8),
+    ],
     ids=["firmware", "exact", "tools"],
 )
-def test_some_mistakes_are_noticed(paths: list[str], sample: int, most: int) -> None:
+def test_some_mistakes_are_noticed(paths: list[str], tests: list[str] | None, sample: int, most: int) -> None:
     seed = random.randrange(1 << 32)
     print(f"python -m mutation {' '.join(paths)} --sample {sample} --seed {seed}")
-    assert len(survivors(chosen(paths, sample, seed))) <= most
+    folders = None if tests is None else [Path(each) for each in tests]
+    assert len(survivors(chosen(paths, sample, seed), folders)) <= most
 
 
 @pytest.mark.slow
