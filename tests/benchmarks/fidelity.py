@@ -42,7 +42,7 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import Filtering
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
-REFERENCE, PHYSICS = FOLDER / "fully_connected_trials.csv", FOLDER / "dynamic_trials.csv"
+REFERENCE, PHYSICS = FOLDER / "fully_connected.csv", FOLDER / "dynamic.csv"
 LIMITS = Limits(k_max=40_000, e_max=0.45)
 LEVEL = 0.01
 SCORES = ("h_K", "h_e", "H")
@@ -66,15 +66,14 @@ class Cell:
 
 def read_cells(seed: int = 1, path: Path = REFERENCE) -> list[Cell]:
     """The cells of a reference in its order."""
-    rows: dict[tuple[str, ...], list[list[float]]] = {}
+    base = Experiment(robots=10, flawed=0, steps=40_000, seed=seed) if path == REFERENCE else physics(seed)
+    cells = []
     with path.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            key = tuple(
-                row[name] for name in ("fill_ratio", "true_b", "flawed_b", "flawed_count", "mode", "tau")
-            )
-            rows.setdefault(key, []).append([float(row[name]) for name in SCORES])
-    base = Experiment(robots=10, flawed=0, steps=40_000, seed=seed) if path == REFERENCE else physics(seed)
-    return [Cell(_experiment(key, base), np.array(scores)) for key, scores in rows.items()]
+            key = [row[name] for name in ("fill_ratio", "true_b", "flawed_b", "flawed_count", "mode", "tau")]
+            h_k, h_e = (np.array(row[name].split(), float) for name in ("h_K", "h_e"))
+            cells.append(Cell(_experiment(key, base), np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1)))
+    return cells
 
 
 def physics(seed: int) -> Experiment:
@@ -85,7 +84,7 @@ def physics(seed: int) -> Experiment:
 MODES: dict[str, Filtering] = {"none": "none", "asdf_minus": "asdf-minus", "asdf_plus": "asdf-plus"}
 
 
-def _experiment(key: tuple[str, ...], base: Experiment) -> Experiment:
+def _experiment(key: Sequence[str], base: Experiment) -> Experiment:
     fill_ratio, true_accuracy, flawed_accuracy, flawed, mode, tau = key
     return replace(
         base,

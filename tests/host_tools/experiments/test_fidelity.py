@@ -41,8 +41,6 @@ def cell_of(mode: Filtering, true_accuracy: float, fill_ratio: float) -> fidelit
 def test_the_reference_is_whole() -> None:
     assert sorted(len(cell.scores) for cell in CELLS) == [12] * 3 + [30] * 8
     for cell in CELLS:
-        h_k, h_e, h = cell.scores.T
-        assert np.allclose(h, (h_k + h_e) / 2)
         assert cell.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
@@ -83,7 +81,7 @@ def test_native_has_the_scores_of_float64(moving: bool) -> None:
 def test_degrees_of_trials_are_those_of_the_simulation() -> None:
     """The mean degree of each trial is in the reference, too."""
     with fidelity.PHYSICS.open(encoding="utf-8", newline="") as file:
-        theirs = [float(row["mean_degree"]) for row in csv.DictReader(file)]
+        theirs = [float(degree) for row in csv.DictReader(file) for degree in row["mean_degree"].split()]
     experiment = CELLS[0].experiment
     ours = [mean_degree(experiment, trial) for trial in range(8)]
     error = np.hypot(np.std(ours) / len(ours) ** 0.5, np.std(theirs) / len(theirs) ** 0.5)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import replace
 
@@ -111,16 +110,14 @@ def test_limits_that_are_none_are_refused(wrong: float) -> None:
 
 def test_the_reference_has_the_conventions_used_here() -> None:
     """Its h_K is 100 (1 - K / 40000) with whole K, as all robots have one estimate, and H is the mean."""
-    with fidelity.REFERENCE.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 46 * 30
-    for row in rows:
-        h_k, h_e, h = (float(row[name]) for name in fidelity.SCORES)
-        convergence_steps = round(40_000 * (1 - h_k / 100))
-        assert h == pytest.approx((h_k + h_e) / 2, abs=1e-6)
-        own = score([[convergence_steps] * 10], [[0.45 * (1 - h_e / 100)] * 10], fidelity.LIMITS)
-        assert own.h_k[0] == pytest.approx(h_k, abs=1e-6)
-        assert own.h[0] == pytest.approx(h, abs=1e-6)
+    cells = fidelity.read_cells()
+    assert [len(cell.scores) for cell in cells] == [30] * 46
+    for cell in cells:
+        h_k, h_e, h = cell.scores.T
+        steps, errors = np.rint(40_000 * (1 - h_k / 100)), 0.45 * (1 - h_e / 100)
+        own = score(np.repeat(steps[:, None], 10, 1), np.repeat(errors[:, None], 10, 1), fidelity.LIMITS)
+        assert own.h_k == pytest.approx(h_k, abs=1e-5)
+        assert own.h == pytest.approx(h, abs=1e-5)
 
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
