@@ -7,6 +7,7 @@ import os
 import random
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ import can
 import pytest
 from can.interfaces import virtual
 
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
+from mcp_asdf.robot import Filter, Observation, Status
 from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
@@ -31,7 +33,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
 from mcp_asdf_tools.radio.phases import PHASES, Phase
-from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
+from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES, Update, update_of
 from mcp_asdf_tools.radio.test_bench import BenchOptions
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, markdown
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -107,14 +109,59 @@ def obedient(firmware: str = "native", **config: Any) -> RobotNode:
 # Right controllers
 
 
-def test_a_right_controller_passes_every_phase() -> None:
-    controller = obedient()
-    done = verification(controller)
-    verdict = done.verdict
+class WatchedMirror(MirrorRobot):
+    """The model's firmware, which counts what a verification takes it through."""
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.halvings = Counter[int]()
+        self.tests_of, self.rejections = Counter[int](), Counter[int]()
+        self.updates_of = Counter[Update]()
+        self.senders, self.quiet_rounds, self.most_messages = set[int](), 0, 0
+
+    def observe(self, z: Observation) -> Status:
+        n, t = self.s.n + z, self.s.t
+        status = super().observe(z)
+        self.halvings[n % 4] += self.s.t < t
+        return status
+
+    def settle(self) -> Status:
+        self.most_messages = max(self.most_messages, sum(word.bit_count() for word in self.s.heard))
+        self.quiet_rounds += self.s.filter_left > 1 and self.would_reject()
+        return super().settle()
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        status = super()._receive(sender, x_hat, alpha)
+        if status == Status.OK:
+            self.senders.add(sender)
+        return status
+
+    def _filter(self) -> bool:
+        s, tests, has_rejected = self.s, self.s.tests, self.would_reject()
+        if has_rejected:
+            self.updates_of[update_of(reestimate(s.t, s.n, s.closed))] += 1
+        is_updated = super()._filter()
+        self.tests_of[s.open.count] += s.tests != tests
+        self.rejections[s.open.count] += has_rejected
+        return is_updated
+
+    def would_reject(self) -> bool:
+        """True if a test now would lead to a re-estimate of b_hat, unless x_bar is 1/2."""
+        s, table = self.s, self.config.table
+        return table is not None and s.t > 0 and s.open.count > 1 and rejects(table, s.open, s.x_hat)
+
+
+@pytest.mark.parametrize("memory", [2**31, 64])
+def test_a_right_controller_passes_every_phase(memory: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And is taken through all that the verdict claims."""
+    monkeypatch.setattr("mcp_asdf_tools.radio.test_bench.MirrorRobot", WatchedMirror)
+    controller = obedient(memory=memory)
+    done = verification(controller, settings(right(memory=memory)))
+    verdict, run = done.verdict, done.bench.firmware
     assert verdict.has_passed, verdict.headline
-    assert [phase.name for phase in verdict.phases] == [
-        phase.name for phase in PHASES if phase.name not in ("no filter", "halvings")
-    ]
+    left_out = ("no filter", "halvings" if memory > 64 else "long run")
+    names = [phase.name for phase in PHASES if phase.name not in left_out]
+    assert [phase.name for phase in verdict.phases] == names
     assert all(phase.broadcasts == phase.ticks >= phase.answers > 0 for phase in verdict.phases)
     assert all(phase.injected > 0 for phase in verdict.phases if phase.fault)
     assert (verdict.repeated, verdict.other_nodes, verdict.cause) == (0, [], None)
@@ -122,12 +169,14 @@ def test_a_right_controller_passes_every_phase() -> None:
     ticks = sum(phase.ticks for phase in verdict.phases)
     equal = done.bench.comparison.equal
     assert (equal["estimate"], equal["heartbeat"]) == (ticks, (ticks - 1) // 10)
-    s, counters = done.bench.firmware.s, controller.robot.counters
-    assert s.t == controller.robot.t > 10_000
-    assert counters == done.bench.firmware.counters
-    # Two tests at each threshold, one of which rejects, and a re-estimate of every kind.
-    assert counters.tests >= 2 * len(CRAFTED_SIZES) + 8
-    assert len(CRAFTED_SIZES) + 5 <= counters.updates < counters.tests
+    assert isinstance(run, WatchedMirror)
+    assert controller.robot.counters == run.counters
+    assert run.s.t > 10_000 or all(run.halvings[n] > 0 for n in range(4))
+    assert all(0 < run.rejections[m] < run.tests_of[m] for m in CRAFTED_SIZES)
+    assert run.tests_of[1] == run.tests_of[0] == 0
+    assert all(run.updates_of[update] > 0 for update in Update)
+    assert run.senders == set(range(128)) - {ID}
+    assert (run.most_messages, run.quiet_rounds > 0) == (126, True)
 
 
 CONFIGS: list[dict[str, Any]] = [
