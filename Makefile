@@ -12,7 +12,7 @@ C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan soak reproducible sbom lowest docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan reproducible sbom lowest docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -55,9 +55,6 @@ loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bi
 
 socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
 	@$(BIN)/pytest tests/socketcan
-
-soak: .venv/ready-to-test ## run everything that goes wrong for HOURS=1 and list what was survived
-	@$(BIN)/python tests/soak.py --hours $(or $(HOURS),1)
 
 reproducible: .venv/ready-to-test ## build library, tables and wheel twice, in two folders, and compare every byte
 	@PYTHONPATH=tests $(BIN)/python -m release.reproducible

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import resource
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,11 +18,8 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     Command,
     FrameFormat,
-    Health,
-    Heartbeat,
     Message,
     decode_command,
-    decode_heartbeat,
     encode,
 )
 from mcp_asdf_tools.cli.main import main
@@ -112,17 +108,6 @@ def is_needed(frame: can.Message) -> bool:
 def is_command_to(robot: int, frame: can.Message) -> bool:
     command = decode_command(frame)
     return isinstance(command, Command) and command.target == robot
-
-
-def test_eight_processes_agree_to_the_bit(start: Start, vcan: Vcan) -> None:
-    robots, ticks = range(8), 15
-    with vcan.bus() as bus:
-        nodes = [start(robot, "--lockstep", "--steps", ticks, "--filter-period", 5) for robot in robots]
-        drive(bus, robots, ticks, seed=6)
-        summaries = [node.summary() for node in nodes]
-    assert {each["heard"] for each in summaries} == {7 * ticks}
-    assert len({each["x"] for each in summaries}) == 1
-    assert len({each["x_hat"] for each in summaries}) > 1
 
 
 def test_127_firmwares_of_two_processes_keep_time(
@@ -248,48 +233,3 @@ def check_interruption(
     assert figures["unsent"] > 0
     assert figures["heard"] == 1
     assert figures["t"] == figures["ticks"] >= 20
-
-
-def test_error_frames_of_the_controller_are_heard(start: Start, vcan: Vcan) -> None:
-    node = start(0, "--lockstep", "--steps-per-second", 1)
-    told: list[Health] = []
-    with vcan.bus() as bus, vcan.socket() as own:
-        lockstep = Lockstep(bus, timeout=PATIENCE, watch=lambda frame: told.extend(health_in(frame)))
-        lockstep.wait_until_up([0], PATIENCE)
-        for kind in (0x40, 0x40, 0x100):  # bus-off, restarted
-            own.send(FRAME.pack(0x2000_0000 | kind, 8, bytes(8)))
-            lockstep.observe({0: Observation.BLACK})
-            lockstep.settle([0])
-    figures = node.stop()
-    assert told == [Health.NOMINAL, Health.WARNING, Health.NOMINAL]
-    assert (figures["error_frames"], figures["bus_off"]) == (3, 2)
-
-
-def health_in(frame: can.Message) -> list[Health]:
-    heartbeat = decode_heartbeat(frame)
-    return [heartbeat.health] if isinstance(heartbeat, Heartbeat) else []
-
-
-def test_a_full_send_queue_costs_frames_but_no_tick(start: Start, vcan: Vcan, tmp_path: Path) -> None:
-    text = tmp_path / "observations"
-    text.write_text("1" * 60, encoding="ascii")
-    done = subprocess.run(
-        ["tc", "qdisc", "add", "dev", vcan.name, "root", "netem", "delay", "300ms", "limit", "2"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        pytest.skip(f"the kernel has no queue that delays: {done.stderr.strip()}")
-    with vcan.socket(1) as own:
-        figures = start(0, "--observations", text, "--steps-per-second", 100).summary()
-        arrived = 0
-        while True:
-            try:
-                own.recv(FRAME.size)
-                arrived += 1
-            except TimeoutError:
-                break
-    assert figures["t"] == 60
-    assert figures["queue_full"] > 0 < figures["unsent"]
-    assert arrived == figures["estimates"] + figures["heartbeats"] - figures["unsent"]

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import os
-import random
-import socket
-import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 import can
 import pytest
 
-from mcp_asdf.fixed_point import alpha_units
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import Config, Filter, Observation, Status
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode, word_of
 from mcp_asdf_tools.cli.main import main
 from socketcan.candump import Candump, listeners
-from socketcan.vcan import FRAME, Vcan, interfaces
+from socketcan.vcan import Vcan, interfaces
 from support import PATIENCE
 from targets.c_node import PLAIN, CNode, built
-
-ESTIMATE = struct.Struct("<I4xHBIx")
-"""The parts of a frame that a robot needs: identifier, x_hat in two parts, alpha as binary32."""
 
 pytestmark = pytest.mark.socketcan
 
@@ -55,14 +44,6 @@ def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_h
         told = candump.lines()
     assert told == real == simulated
     assert len(told) == 20 * (5 + 1 + 2)
-
-
-def test_twenty_robots_with_an_interface_each_leave_the_same_log(
-    tmp_path: Path, simulated: list[str]
-) -> None:
-    name = f"v{os.getpid()}r"
-    with interfaces(*(f"{name}{robot}" for robot in range(20))):
-        assert logged(tmp_path, "--interface", "socketcan", "--channel", f"{name}{{robot}}") == simulated
 
 
 def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, tmp_path: Path) -> None:
@@ -110,37 +91,3 @@ def lines(log: Path) -> list[str]:
     """Frames of a log as candump writes them, without time and interface."""
     with can.LogReader(log) as reader:
         return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in reader]
-
-
-def test_127_robots_with_sockets_of_their_own_agree_with_the_exact_quotient(vcan: Vcan) -> None:
-    rounds, draw = 20, random.Random(9)
-    robots = [NativeRobot(Config(filter=Filter.OFF), robot, draw.uniform(0.6, 0.99)) for robot in range(127)]
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(vcan.socket()) for _ in robots]
-        for transfer in range(rounds):
-            for robot in robots:
-                robot.observe(Observation(draw.random() < 0.6))
-            exchange(robots, sockets, transfer)
-            settled = {(robot.settle(), robot.x_raw) for robot in robots}
-            assert settled == {(Status.OK, informed(robots))}
-    assert {robot.counters.accepted for robot in robots} == {126 * rounds}
-
-
-def exchange(robots: list[NativeRobot], sockets: list[socket.socket], transfer: int) -> None:
-    """Each robot broadcasts; each hears all others."""
-    for number, (robot, own) in enumerate(zip(robots, sockets, strict=True)):
-        message = Message(number, robot.x_hat_raw, robot.alpha_raw, transfer % 32)
-        frame = encode(message, FrameFormat())
-        own.send(FRAME.pack(frame.arbitration_id | 0x8000_0000, 8, bytes(frame.data)))
-    for robot, own in zip(robots, sockets, strict=True):
-        receive = own.recv
-        for _ in range(len(robots) - 1):
-            sender, low, high, bits = ESTIMATE.unpack(receive(FRAME.size))
-            robot.receive_raw(sender & 0x7F, high << 16 | low, word_of(bits))
-
-
-def informed(robots: list[NativeRobot]) -> int:
-    """Eq. 7 over the whole swarm, the exact quotient; the same for every robot."""
-    weights = [alpha_units(robot.alpha_raw) for robot in robots]
-    total = sum(weight * robot.x_hat_raw for weight, robot in zip(weights, robots, strict=True))
-    return total // sum(weights)

@@ -7,7 +7,6 @@ import re
 import shutil
 import socket
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +14,6 @@ from pathlib import Path
 import can
 import pytest
 
-from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     Action,
@@ -28,17 +26,14 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_command,
 )
-from mcp_asdf_tools.bus.slcan_server import SlcanServer, line_of
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.bus.slcan_server import line_of
 from support import PATIENCE, ROOT, made_once, require, run, slow
-from targets import firmware_loop, matrix
+from targets import matrix
 from targets.firmware_loop import (
     BOARDS,
     IMAGE_ID,
-    DifferenceError,
     Loop,
     build,
-    main,
     mirror_node,
     open_bus,
     over,
@@ -159,108 +154,6 @@ def test_in_lockstep_every_frame_is_the_mirror_s(target: str, ticks: int, board:
     assert loop.compared == 1 + 2 * ticks + (ticks - 1) // 10
     assert loop.mirror.robot.counters.updates > 0, "nothing was tried that the filter does"
     assert loop.mirror.robot.counters.accepted == 9 * ticks
-
-
-def test_a_difference_is_found(image_of: Builder) -> None:
-    require_target("cortex-m3")
-    with Board(BOARDS["cortex-m3"], image_of("cortex-m3")) as board, open_bus(board) as bus:
-        loop = Loop(*over(bus), FILTER_PERIOD)
-        loop.start()
-        loop.tick()
-        loop.mirror.robot.observe(Observation.BLACK)
-        with pytest.raises(DifferenceError, match=r"tick 1: expected .*106bb803"):
-            loop.tick()
-
-
-class Clock:
-    """Time that passes only in ticks and when somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        self.now += seconds
-
-
-SlowTick = Callable[[Callable[[int], float]], Clock]
-
-
-@pytest.fixture
-def slow_tick(image_of: Builder, monkeypatch: pytest.MonkeyPatch) -> SlowTick:
-    """Lets each tick of the demonstration, by its number, take so many seconds."""
-    require_target("cortex-m3")
-    image = image_of("cortex-m3")
-    monkeypatch.setattr(firmware_loop, "build", lambda *_: image)
-
-    def install(seconds: Callable[[int], float]) -> Clock:
-        clock, tick = Clock(), Loop.tick
-
-        def timed(loop: Loop) -> None:
-            clock.now += seconds(loop.mirror.ticks)
-            tick(loop)
-
-        monkeypatch.setattr(firmware_loop, "time", clock)
-        monkeypatch.setattr(Loop, "tick", timed)
-        return clock
-
-    return install
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("late", "code"), [(0, 0), (2, 0), (3, 1), (20, 1)], ids=["none", "two in 20", "three in 20", "all"]
-)
-def test_the_demonstration_tells_what_it_compared(
-    late: int, code: int, slow_tick: SlowTick, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """And fails who does not keep up, but for one tick in ten."""
-    clock = slow_tick(lambda tick: 0.125 if 20 <= tick < 20 + late else 0.0625)
-    assert main(["--steps", "20", "--seconds", "2", "--filter-period", str(FILTER_PERIOD)]) == code
-    told = capsys.readouterr().out
-    assert "\n84 frames in 40 ticks are its mirror's, bit for bit\n" in told
-    slowest = 125 if late else 62
-    assert (
-        f"highest rate 16 ticks/s\nat 10 ticks/s {late} of 20 were late; the slowest took {slowest} ms"
-        in told
-    )
-    assert told.endswith(": it does not keep up\n") == bool(code)
-    assert clock.now == pytest.approx(20 * 0.0625 + 20 * 0.1 + late * 0.025)
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ("--steps -5 --seconds 0", "steps is -5; it must be 1 or more"),
-        ("--steps 0", "steps is 0;"),
-        ("--seconds 0", "seconds is 0.0; it must be 0.1, one tick, to 86400, a day"),
-        ("--seconds=-3", "seconds is -3.0;"),
-        ("--seconds nan", "seconds is nan;"),
-        ("--seconds inf", "seconds is inf;"),
-        ("--filter-period 0", "filter_period is 0; choose a multiple"),
-        ("--filter-period 4294967296", "filter_period is 4294967296; choose a multiple"),
-    ],
-)
-def test_runs_that_cannot_be_are_refused_before_anything_is_built(
-    options: str, complaint: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(firmware_loop, "build", None)
-    assert main(options.split()) == 2
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert complaint in told.err
-
-
-def test_tools_that_are_missing_are_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", "/nonexistent")
-    assert main(["--steps", "1"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err == "cmake is not installed; apt-get install cmake ninja-build\n"
 
 
 # ---- What hosts and noise say: a swarm's talk with everything that can go wrong on the line ----
@@ -401,14 +294,6 @@ def test_who_starts_with_an_adapter_answers_nobody(program: Path) -> None:
     assert (told.is_adapter, told.dropped, told.refused) == (False, 5, 1)
 
 
-def test_a_host_that_comes_after_an_adapter_has_to_open_the_bus(program: Path) -> None:
-    talk, told = Talk(SEED), model()
-    said = b"\rV\r" + talk.tick(0) + b"O\r" + talk.tick(0)
-    done = subprocess.run([program], input=said, capture_output=True, check=True)
-    assert done.stdout == OPENING + told.take(said)
-    assert done.stdout.count(b"\a") == 11
-
-
 @one_of_each
 def test_a_lost_command_costs_its_tick_and_no_other(target: str, board: Board) -> None:
     """A settle that never comes, an observe, or both: the robot answers in every whole tick after it."""
@@ -474,77 +359,6 @@ def test_who_does_not_listen_loses_whole_lines_and_stops_nobody(image_of: Builde
         line.send(text)
         expected = told.take(text)
         assert line.receive(len(expected)) == expected
-
-
-@pytest.mark.slow
-@one_of_each
-def test_a_host_that_breaks_off_can_come_again(target: str, board: Board) -> None:
-    talk = Talk(SEED)
-    for _ in range(3):
-        with Line(board) as line:
-            line.send(b"\rO\r" + talk.tick(noise=3) + b"T106BB8")
-            line.until(b"\r")
-    told = model()
-    with Line(board) as line:
-        line.send(b"\rC\rS8\rN\r")
-        line.until(b"NASDF\r")
-        told.take(b"S8\r")
-        text = b"O\r" + talk.tick(noise=0)
-        line.send(text)
-        expected = told.take(text)
-        assert line.receive(len(expected)) == expected
-
-
-# ---- With an adapter at the other end ----
-
-
-@one_of_each
-def test_an_adapter_opens_the_bus_for_the_robot(target: str, board: Board) -> None:
-    """The adapter is bus.slcan_server, which other tests hold against python-can and Cyphal's tools."""
-
-    def join() -> can.BusABC:
-        return can.Bus(interface="virtual", channel=f"adapter of {target}", ignore_config=True)
-
-    with join() as bus, SlcanServer(join()) as adapter, Wires(board, adapter):
-        send, receive = over(bus)
-        loop = Loop(send, receive, FILTER_PERIOD)
-        loop.start()
-        for _ in range(30):
-            loop.tick()
-    assert loop.compared == 1 + 2 * 30 + 2
-
-
-class Wires:
-    """Two serial lines bound together; a context manager."""
-
-    def __init__(self, board: Board, adapter: SlcanServer) -> None:
-        ports = (int(board.channel.rpartition(":")[2]), adapter.port)
-        self._ends = [socket.create_connection(("127.0.0.1", port), PATIENCE) for port in ports]
-        for end in self._ends:
-            end.settimeout(None)
-            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._threads = [
-            threading.Thread(target=self._carry, args=pair) for pair in (self._ends, self._ends[::-1])
-        ]
-
-    def __enter__(self) -> Wires:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for end in self._ends:
-            end.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads:
-            thread.join()
-        for end in self._ends:
-            end.close()
-
-    @staticmethod
-    def _carry(source: socket.socket, target: socket.socket) -> None:
-        with suppress(OSError):  # the other end was closed
-            while text := source.recv(4096):
-                target.sendall(text)
 
 
 # ---- On a line that does not wait ----
@@ -625,24 +439,12 @@ def test_the_image_holds_the_firmware_and_its_port(target: str, image_of: Builde
     assert sum(matrix.ram_sections(image).values()) < 1024
 
 
-def test_a_program_that_ends_is_reported(tmp_path: Path) -> None:
-    require_target("cortex-m3")
-    require("ninja", "ninja-build")
-    edges = Path(__file__).with_name("golden_edges.bin")
-    image = matrix.build("cortex-m3", tmp_path, f"GOLDEN_VECTORS={edges}").with_name("crash")
-    failed = pytest.raises(UsageError, match=r"crash on mps2-an385 ended with status 1; the program failed$")
-    gone = pytest.raises(AssertionError, match="the image has gone")
-    with failed, Board("mps2-an385", image) as board, Line(board) as line, gone:
-        line.until(b"never")
-
-
 PAGE = ROOT / "docs/firmware_in_the_loop.md"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verdict", [False, True])
-def test_the_commands_of_the_page_work(verdict: bool, tmp_path: Path) -> None:
-    """The verdict takes minutes on a busy machine."""
+def test_the_commands_of_the_page_work(tmp_path: Path) -> None:
+    """The verdict takes minutes; it is left out."""
     require_target("cortex-m3")
     require("ninja", "ninja-build")
     for name in ("c_ref", "tables"):
@@ -650,14 +452,6 @@ def test_the_commands_of_the_page_work(verdict: bool, tmp_path: Path) -> None:
     (block,) = re.findall(
         r"^```sh\n(cmake .*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    commands = [command for command in block.splitlines() if verdict or "--verify" not in command]
+    commands = [command for command in block.splitlines() if "--verify" not in command]
     shown = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
-    assert verdict == ("PASSED: 40 of 40 phases passed" in shown[3])
     assert re.search(r"\b500 +broadcasts reproduced bit for bit", shown[-2])
-
-
-def test_boards_that_do_not_exist_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="board is 'z80'; choose one of mps2-an385"):
-        Board("z80", tmp_path)
-    with pytest.raises(UsageError, match=r"image is .*none; there is no such file"):
-        Board("virt", tmp_path / "none")

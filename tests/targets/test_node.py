@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import os
 import random
-import re
 import resource
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 
-from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     MAX_NODE_ID,
@@ -37,20 +34,13 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
 )
 from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
-from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
-from mcp_asdf_tools.radio.test_bench import BenchOptions
-from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.swarm.settings import SwarmSettings
 from support import PATIENCE, ROOT, interruptible, require, run, slow
 from targets.c_node import (
     CORTEX_A8,
     HOST,
     SOURCES,
-    TABLE,
     CNode,
     Kind,
     assert_same_robot,
@@ -132,20 +122,6 @@ def drive(bus: UnixBus, robots: range, ticks: int, seed: int) -> None:
         lockstep.observe({robot: draw.choice(BOTH) for robot in robots})
         lockstep.estimates(robots)
         lockstep.settle(robots)
-
-
-@pytest.mark.parametrize(("memory", "comms_period"), [(64, 1), *slow([(64, 5), (2**31, 1)])])
-def test_a_verdict_on_it_passes(start: Start, bus: UnixBus, memory: int, comms_period: int) -> None:
-    config: dict[str, Any] = {"filter_period": 20, "comms_period": comms_period, "memory": memory}
-    own = RobotRecord(5, "mirror", 0.55, TickConfig(table=TABLE, **config))
-    neighbours = tuple(configured_like(own, robot, 0.95) for robot in choose_ids(5, 4))
-    options = [word for name, value in config.items() for word in (f"--{name.replace('_', '-')}", value)]
-    start(5, "--lockstep", "--b-hat", 0.55, *options)
-    bus.accept()
-    settings = RadioSettings(own, neighbours, SwarmSettings(robots=5), Subjects(), ())
-    verdict = Verification(settings, BenchOptions(bus, 5, PATIENCE)).run()
-    assert verdict.has_passed, verdict.headline
-    assert verdict.repeated == 0
 
 
 @pytest.mark.parametrize("comms_period", [1, 3])
@@ -346,28 +322,6 @@ def arriving_messages(draw: random.Random) -> list[Message]:
     return [message for _, message in sorted(arrivals, key=lambda each: each[0])]
 
 
-@pytest.mark.parametrize(("ticks", "rounds"), [(2, 0), (3, 1), (5, 1), (6, 2)])
-def test_a_tick_that_is_not_due_leaves_the_round_open(
-    start: Start, bus: UnixBus, ticks: int, rounds: int
-) -> None:
-    """The command to settle ends each tick, and every third one is the end of a round."""
-    node = start(5, "--lockstep", "--comms-period", 3, "--filter-period", 6, "--steps", ticks)
-    peer = bus.accept()
-    lockstep = Lockstep(bus, timeout=PATIENCE)
-    lockstep.wait_until_up([5], PATIENCE)
-    for tick in range(ticks):
-        lockstep.observe({5: Observation.BLACK})
-        if tick % 3 == 0:
-            bus.send(encode(Message(1, 2**21, 0x80000001, 0), FrameFormat()))
-        lockstep.settle([5])
-    figures = node.summary()
-    assert (figures["estimates"], figures["telemetry"]) == (rounds, ticks)
-    assert (figures["accepted"], figures["repeated"]) == (-(-ticks // 3), 0)
-    assert figures["beta"] == (2**24 if rounds else 0)
-    assert figures["x_bar"] == (2**21 if rounds else 2**22)
-    assert len(peer.said) == 1 + rounds + ticks
-
-
 # ---- Real time ----
 
 
@@ -509,15 +463,6 @@ def health_in(frame: can.Message) -> list[Health]:
     return [heartbeat.health] if isinstance(heartbeat, Heartbeat) else []
 
 
-def test_packets_that_are_no_frames_are_counted(start: Start, bus: UnixBus) -> None:
-    node = start(5, "--lockstep", "--steps", 1)
-    peer = bus.accept()
-    for packet in (b"x", bytes(15), bytes(17), bytes(71)):
-        peer.connection.send(packet)
-    drive(bus, range(5, 6), 1, seed=1)
-    assert node.summary()["odd_packets"] == 4
-
-
 def test_a_bus_that_closes_ends_the_run_with_a_failure(start: Start, bus: UnixBus) -> None:
     node = start(5, "--lockstep")
     bus.accept().connection.close()
@@ -571,21 +516,6 @@ def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path)
     assert not state.with_name("state.new").exists()
 
 
-def test_a_restart_begins_a_period_of_broadcasts_anew(start: Start, bus: UnixBus, tmp_path: Path) -> None:
-    """The firmware's rounds go on: with three ticks a run, of which the second is due, one round a run."""
-    text, state = tmp_path / "observations", tmp_path / "state"
-    text.write_text("101", encoding="ascii")
-    options = ("--comms-period", 2, "--filter-period", 20, "--state", state, "--steps-per-second", 1000)
-    for run_number in range(1, 4):
-        node = start(5, *options, "--observations", text)
-        peer = bus.accept()
-        figures = node.summary()
-        hear_out(bus, peer)
-        assert (figures["t"], figures["estimates"]) == (3 * run_number, 1)
-        left = int.from_bytes(state.read_bytes()[24:28], "little")
-        assert left == 10 - run_number, "rounds until the filter runs"
-
-
 def test_state_is_saved_in_between(start: Start, bus: UnixBus, tmp_path: Path) -> None:
     state = tmp_path / "state"
     node = start(5, "--lockstep", "--state", state, "--save-period", 4)
@@ -613,16 +543,6 @@ def test_a_state_that_does_not_fit_is_refused(start: Start, bus: UnixBus, tmp_pa
         assert why in complaint(start(5, "--lockstep", "--state", state, *options))
         assert state.read_bytes() == content_now
     assert "state" in complaint(start(5, "--lockstep", "--state", tmp_path))
-
-
-def test_a_state_that_cannot_be_saved_is_a_failure(start: Start, bus: UnixBus, tmp_path: Path) -> None:
-    node = start(5, "--lockstep", "--state", tmp_path / "missing" / "state")
-    bus.accept()
-    bus.recv(PATIENCE)
-    node.process.terminate()
-    _, complaints = node.process.communicate(timeout=PATIENCE)
-    assert node.process.returncode == 1
-    assert "cannot save the state" in complaints
 
 
 def test_a_full_disk_does_not_stop_the_robot(start: Start, bus: UnixBus, tmp_path: Path) -> None:
@@ -719,26 +639,6 @@ def test_a_bus_that_cannot_be_joined_is_named(command: list[str], tmp_path: Path
         assert f"cannot join unix:{path}: " in refusal(command, *node, "--interface", f"unix:{path}")
 
 
-def test_help_and_version(command: list[str]) -> None:
-    told = run(*command, "--help")
-    assert told.startswith("A robot on a CAN bus: mcp_asdf_node ")
-    assert run(*command, "--version") == f"mcp_asdf_node {metadata.version('mcp-asdf')}\n"
-    source = (SOURCES / "options.c").read_text(encoding="utf-8")
-    names = set(re.findall(r'\[[A-Z_0-9]+\] = \{(?:\.name = )?"([a-z-]+)"', source))
-    assert names - {"help", "version"} == set(re.findall(r"--([a-z-]+)", told))
-
-
-def test_accuracies_are_read_as_python_reads_them(start: Start, bus: UnixBus) -> None:
-    draw = random.Random(11)
-    texts = ["0.95", "0.55", "9.5367431640625e-07", "0.99999904632568359375", "0.5000000001164153"]
-    texts += [repr(draw.uniform(0.001, 0.999)) for _ in range(5)]
-    for robot, text in enumerate(texts):
-        node = start(robot, "--lockstep", "--b-hat", text)
-        bus.accept()
-        assert bus.recv(PATIENCE) is not None
-        assert node.stop()["b_hat"] == b_hat_to_raw(float(text))
-
-
 # ---- The sources ----
 
 
@@ -758,8 +658,3 @@ def test_cppcheck_finds_nothing() -> None:
 def test_gcc_s_analyser_finds_nothing(tmp_path: Path) -> None:
     options = ("-std=c99", "-fanalyzer", "-O2", "-Werror", *DEFINITIONS)
     run(require("gcc", "gcc"), *options, "-c", *C_FILES, cwd=tmp_path)
-
-
-def test_no_file_is_long() -> None:
-    lengths = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES.iterdir()}
-    assert max(lengths.values()) <= 300

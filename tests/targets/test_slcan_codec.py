@@ -140,11 +140,6 @@ def test_python_can_and_the_codec_understand_each_other(
     assert essence(looped.recv(1)) == essence(frame)
 
 
-def test_small_letters_are_digits_too(codec: Codec) -> None:
-    assert essence(codec.read(b"t7fF2abCd")) == essence(codec.read(b"t7FF2ABCD"))
-    assert codec.read(b"t7FF2ABCD") is not None
-
-
 @pytest.mark.parametrize(
     ("identifier", "flags", "length"),
     [
