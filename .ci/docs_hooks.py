@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import html
-import inspect
 import re
 import subprocess
 import sys
@@ -29,7 +28,6 @@ HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_image")
 
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
-_FACE = re.compile(r"^from \.(\S+) import (\w+) as \2$", re.MULTILINE)
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
@@ -114,20 +112,17 @@ def headers() -> str:
 
 
 def rooms() -> str:
-    """Classes and functions that each room of the tools offers to others: those named in its face."""
-    return "\n".join(_room(face) for face in sorted(ROOMS.glob("*/__init__.pyi")))
+    """The public classes and functions of each room of the tools, module by module."""
+    return "\n".join(
+        _room(path.parent) for path in sorted(ROOMS.glob("*/__init__.py")) if path.parent.name != "cli"
+    )
 
 
-def _room(face: Path) -> str:
-    text, room = face.read_text(encoding="utf-8"), face.parent.name
-    title = text.partition('"""')[2].partition('"""')[0].strip()
-    offered = import_module(f"mcp_asdf_tools.{room}")
-    names = [
-        f"::: mcp_asdf_tools.{room}.{module}.{name}\n"
-        for module, name in _FACE.findall(text)
-        if inspect.isclass(getattr(offered, name)) or inspect.isfunction(getattr(offered, name))
-    ]
-    return f"## {room}\n\n{title}\n\n" + "\n".join(names)
+def _room(folder: Path) -> str:
+    title = (import_module(f"mcp_asdf_tools.{folder.name}").__doc__ or "").strip()
+    modules = sorted(path.stem for path in folder.glob("[!_]*.py"))
+    names = [f"::: mcp_asdf_tools.{folder.name}.{module}\n" for module in modules]
+    return f"## {folder.name}\n\n{title}\n\n" + "\n".join(names)
 
 
 class Docstrings(griffe.Extension):

@@ -11,7 +11,7 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf_tools.bus import Heartbeat, encode_heartbeat
+from mcp_asdf_tools.bus.frames import Heartbeat, encode_heartbeat
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord

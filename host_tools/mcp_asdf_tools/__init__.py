@@ -1,9 +1,46 @@
 """Tools around the firmware ``mcp_asdf``: experiments, swarms on a CAN bus, scores and plots.
 
-``__init__.pyi`` names what the library offers; it is loaded when first used.
-docs/library.md has an example of each.
+docs/library.md has an example of each name. A name is imported when it is first used, so that the command
+line, whose modules stand in this package, too, loads only what a command needs.
 """
 
-import lazy_loader
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+if TYPE_CHECKING:
+    from mcp_asdf_tools.common.errors import UsageError
+    from mcp_asdf_tools.experiments.experiment import Experiment, grid
+    from mcp_asdf_tools.experiments.experiment_files import read_experiments
+    from mcp_asdf_tools.experiments.results import experiments_in, read_table
+    from mcp_asdf_tools.library import emulate, plot, score, simulate, start_swarm
+    from mcp_asdf_tools.swarm.settings import SwarmSettings
+
+_HOMES = {
+    "common.errors": ["UsageError"],
+    "experiments.experiment": ["Experiment", "grid"],
+    "experiments.experiment_files": ["read_experiments"],
+    "experiments.results": ["experiments_in", "read_table"],
+    "library": ["emulate", "plot", "score", "simulate", "start_swarm"],
+    "swarm.settings": ["SwarmSettings"],
+}
+__all__ = [
+    "Experiment",
+    "SwarmSettings",
+    "UsageError",
+    "emulate",
+    "experiments_in",
+    "grid",
+    "plot",
+    "read_experiments",
+    "read_table",
+    "score",
+    "simulate",
+    "start_swarm",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__} has no attribute {name}")

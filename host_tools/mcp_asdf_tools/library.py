@@ -9,19 +9,15 @@ from typing import TYPE_CHECKING
 
 import can
 
-from mcp_asdf_tools.common import UsageError, progress
-from mcp_asdf_tools.experiments import (
-    Experiment,
-    LimitsOf,
-    Store,
-    Trials,
-    chosen_limits,
-    experiments_in,
-    paper_limits,
-    rescored,
-    run_sweep,
-)
-from mcp_asdf_tools.swarm import Swarm, SwarmRun, SwarmSettings, Wiring, run_swarm
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.progress_bar import progress
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, rescored
+from mcp_asdf_tools.experiments.scores import LimitsOf, chosen_limits, paper_limits
+from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -98,7 +94,7 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     shows.
     """
     if isinstance(results, SwarmRun):
-        from mcp_asdf_tools.swarm import draw  # noqa: PLC0415 (matplotlib loads slowly)
+        from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
 
         return draw(results)
     from mcp_asdf_tools.experiments import plots, time_plots  # noqa: PLC0415 (matplotlib loads slowly)

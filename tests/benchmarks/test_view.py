@@ -8,8 +8,11 @@ from statistics import median
 import pytest
 
 from browser import browser_page, until
-from mcp_asdf_tools.experiments import Experiment, experiments_in, run_trials, table_of
-from mcp_asdf_tools.view import film_of_trial, page
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import experiments_in, table_of
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.view.films import film_of_trial
+from mcp_asdf_tools.view.page import page
 
 RECORD = """new Promise((resolve) => {
     const [intervals, draws] = [[], []];

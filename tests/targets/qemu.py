@@ -12,7 +12,7 @@ import socket
 import subprocess
 from pathlib import Path
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 HOST = "127.0.0.1"
 

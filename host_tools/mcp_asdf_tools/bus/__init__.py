@@ -1,8 +1,1 @@
-"""Frames on CAN: codec, DBC, bus load, python-can interfaces, an slcan adapter.
-
-``__init__.pyi`` names what other rooms may use; it is loaded when first used.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Frames on CAN: codec, DBC, bus load, python-can interfaces, an slcan adapter."""

@@ -16,7 +16,7 @@ from can.cli import add_bus_arguments, create_bus_from_namespace
 from can.typechecking import CanFilters
 from can.util import load_environment_config, load_file_config
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 DEFAULT_INTERFACE = "virtual"
 

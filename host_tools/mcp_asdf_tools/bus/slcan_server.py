@@ -14,7 +14,7 @@ from contextlib import suppress
 
 import can
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 HOST = "127.0.0.1"
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli.parsing import offer
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments import Trials
+    from mcp_asdf_tools.experiments.results import Trials
 
 
 def add_where(parser: argparse._ActionsContainer) -> None:

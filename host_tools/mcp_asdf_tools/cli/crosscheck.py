@@ -14,25 +14,22 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.cli.again import print_again
-from mcp_asdf_tools.common import INTERRUPTED, UsageError
-from mcp_asdf_tools.crosscheck import (
-    Audit,
-    CallCount,
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import INTERRUPTED
+from mcp_asdf_tools.crosscheck.compare import (
     Check,
     Disagreement,
-    Failure,
     Firmware,
-    Result,
-    Scenario,
     Subject,
     compare_firmwares,
-    count_operations,
     crosscheck,
-    measure_storage,
-    parse_scenario,
     shrink,
 )
-from mcp_asdf_tools.robots import load_firmware
+from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations, measure_storage
+from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.report import Failure, Result
+from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
+from mcp_asdf_tools.robots.firmwares import load_firmware
 
 EPILOG = """\
 examples:
@@ -151,8 +148,8 @@ def _plotter(path: Path | None) -> Callable[[dict[str, CallCount]], None]:
     if path is None:
         return lambda counts: None
     # matplotlib takes a second to load, and is needed for a picture only.
-    from mcp_asdf_tools.common import check_plot_path, save_figure  # noqa: PLC0415
-    from mcp_asdf_tools.crosscheck import draw  # noqa: PLC0415
+    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
+    from mcp_asdf_tools.crosscheck.operation_plot import draw  # noqa: PLC0415
 
     checked = check_plot_path(path)
     return lambda counts: save_figure(draw(counts), checked)

@@ -8,8 +8,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from mcp_asdf_tools.bus import ANY_NODE_MASK, MAX_NODE_ID, FrameFormat, dbc_entries, dbc_text
-from mcp_asdf_tools.common import UsageError, write_atomically
+from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_entries, dbc_text
+from mcp_asdf_tools.bus.frames import MAX_NODE_ID, FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import write_atomically
 
 EPILOG = f"""\
 examples:

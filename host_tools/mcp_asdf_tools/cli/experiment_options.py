@@ -11,15 +11,11 @@ from rich.console import Console
 from rich.table import Table
 
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import (
-    E_MAX,
-    Experiment,
-    LimitsOf,
-    Trials,
-    chosen_limits,
-    default_workers,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import E_MAX, LimitsOf, chosen_limits
+from mcp_asdf_tools.experiments.sweep import default_workers
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:

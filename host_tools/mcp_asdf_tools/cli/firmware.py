@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli.table import add_table_options, table_of
-from mcp_asdf_tools.tables import describe, write_firmware
+from mcp_asdf_tools.tables.firmware_folder import write_firmware
+from mcp_asdf_tools.tables.table_files import describe
 
 EPILOG = """\
 examples:

@@ -13,15 +13,10 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from mcp_asdf_tools.cli.parsing import Parser, offer
-from mcp_asdf_tools.common import (
-    INTERRUPTED,
-    ReaderLeft,
-    UsageError,
-    interruptible,
-    missing_extra,
-    screen,
-    stopping,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extras import missing_extra
+from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
+from mcp_asdf_tools.common.terminal import ReaderLeft, screen
 
 PROGRAM = "mcp-asdf"
 GROUPS = {
@@ -138,7 +133,7 @@ def _parser_for(name: str, command: Command) -> argparse.ArgumentParser:
 
 
 def _overview_parser() -> argparse.ArgumentParser:
-    from mcp_asdf_tools.common import own_version  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415
 
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")

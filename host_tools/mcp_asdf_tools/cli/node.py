@@ -17,28 +17,23 @@ from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
-from mcp_asdf_tools.common import (
-    INTERRUPTED,
-    UsageError,
-    has_ended,
-    results_beside,
-    software_versions,
-    standard_input,
-    stopping,
-    write_atomically,
-)
-from mcp_asdf_tools.recording import InputLogHeader, add_log_option
-from mcp_asdf_tools.robots import (
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import results_beside, write_atomically
+from mcp_asdf_tools.common.signals import INTERRUPTED, has_ended, standard_input, stopping
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.recording.frame_logs import add_log_option
+from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.robots.node import (
     BusLink,
     FrameTaker,
     NodeSettings,
     RobotNode,
-    RobotRecord,
     RunOutcome,
     filters_for,
     run_node,
     state_of,
 )
+from mcp_asdf_tools.robots.record import RobotRecord
 
 EPILOG = """\
 examples:

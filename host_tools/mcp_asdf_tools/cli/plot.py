@@ -8,8 +8,8 @@ from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import experiments_in, read_table
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.library import PLOTS, plot
 
 EPILOG = """\
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw."""
-    from mcp_asdf_tools.common import check_plot_path, save_figure  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
     found = chosen(experiments_in(read_table(args.file)), args.where, args.file)

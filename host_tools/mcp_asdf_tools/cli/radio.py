@@ -15,39 +15,32 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf.robot import B_HAT_MARGIN
-from mcp_asdf_tools.bus import ONE, interfaces
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.frames import ONE
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
-from mcp_asdf_tools.common import (
-    INTERRUPTED,
-    UsageError,
-    results_beside,
-    software_versions,
-    stopping,
-    write_atomically,
-)
-from mcp_asdf_tools.radio import (
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import results_beside, write_atomically
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
+from mcp_asdf_tools.radio.real_time import RadioRun
+from mcp_asdf_tools.radio.test_bench import BenchOptions
+from mcp_asdf_tools.radio.verification import (
     COLUMNS,
-    BenchOptions,
     ControllerVerdict,
-    Neighbourhood,
-    RadioRun,
-    RadioSettings,
     Verification,
     check_report_path,
-    choose_ids,
-    configured_like,
     write_report,
 )
-from mcp_asdf_tools.recording import InputLogHeader, LogOutputs, add_log_option
-from mcp_asdf_tools.robots import (
-    BusLink,
-    FrameTaker,
-    filters_for,
-)
-from mcp_asdf_tools.swarm import SwarmSettings, parse_fault
+from mcp_asdf_tools.recording.frame_logs import add_log_option
+from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.recording.recording import LogOutputs
+from mcp_asdf_tools.robots.node import BusLink, FrameTaker, filters_for
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 EPILOG = """\
 examples:

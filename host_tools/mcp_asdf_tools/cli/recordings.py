@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from mcp_asdf_tools.bus import BusChoice
-from mcp_asdf_tools.recording import InputLogHeader, NoRecording, Recording
+from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.recording.recording import NoRecording, Recording
 
 _FAILED, _NOT_WRITTEN = 1, 2
 

@@ -13,20 +13,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mcp_asdf_tools.bus import MAX_NODE_ID, interfaces
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.frames import MAX_NODE_ID
 from mcp_asdf_tools.cli.again import print_again
-from mcp_asdf_tools.common import INTERRUPTED, UsageError, stopping
-from mcp_asdf_tools.recording import (
-    PART,
-    InputLogReader,
-    Playback,
-    Player,
-    ReplayVerdict,
-    check_log,
-    input_log_of,
-    read_log,
-    verify,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.recording.frame_logs import PART, check_log, read_log
+from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_of
+from mcp_asdf_tools.recording.replay import Playback, Player, ReplayVerdict, verify
 
 EPILOG = """\
 examples:

@@ -12,10 +12,14 @@ from typing import get_args
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
-from mcp_asdf_tools.common import ParameterError, UsageError, progress
-from mcp_asdf_tools.experiments import Convention, Store, run_missing
-from mcp_asdf_tools.reproduction import PAPER, PERIODS, QUICK, Part, Scale, StudyFolder
-from mcp_asdf_tools.robots import FIRMWARES
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.common.progress_bar import progress
+from mcp_asdf_tools.experiments.experiment import Convention
+from mcp_asdf_tools.experiments.sweep import Store, run_missing
+from mcp_asdf_tools.reproduction.runs import StudyFolder
+from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
+from mcp_asdf_tools.robots.firmwares import FIRMWARES
 
 EPILOG = """\
 examples:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 
 from mcp_asdf.robot import MAX_ID, FirmwareError
-from mcp_asdf_tools.bus import FrameFormat
+from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.robots import Population, RobotRecord, Subjects, firmware_names
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.firmwares import firmware_names
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.record import RobotRecord
 
 _OF_ROBOT = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
 """Parameters of a population that each of its robots has."""

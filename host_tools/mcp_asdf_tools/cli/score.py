@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments import experiments_in, metadata_of, read_table, write_csv
+from mcp_asdf_tools.experiments.results import experiments_in, metadata_of, read_table, write_csv
 
 EPILOG = """\
 examples:

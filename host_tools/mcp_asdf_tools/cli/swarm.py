@@ -15,34 +15,35 @@ from typing import TYPE_CHECKING, Any
 import can
 from rich.console import Console
 
-from mcp_asdf_tools.bus import HOST, SlcanServer, interfaces
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
-from mcp_asdf_tools.common import INTERRUPTED, FileSet, UsageError, results_beside, stopping
-from mcp_asdf_tools.recording import InputLogHeader, LogOutputs
-from mcp_asdf_tools.robots import LockstepError, NodeProcesses, Subjects, node_processes
-from mcp_asdf_tools.swarm import (
-    MAX_ROBOTS_AND_TOOLS,
-    Companion,
-    LiveView,
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import FileSet, results_beside
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.recording.recording import LogOutputs
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.processes import NodeProcesses, node_processes
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
+from mcp_asdf_tools.swarm.summary import (
     Rows,
-    Swarm,
-    SwarmHook,
-    SwarmRun,
-    SwarmSettings,
-    Wiring,
     comparison,
     load_warning,
     one_line,
-    run_swarm,
     summary,
     summary_table,
 )
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmHook, SwarmRun, run_swarm
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.view import SwarmCamera
+    from mcp_asdf_tools.view.films import SwarmCamera
 
 __all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     wiring = wiring_of(args, settings, choice)
     _check_comparison(args, settings, wiring)
     if args.plot is not None:
-        from mcp_asdf_tools.common import check_plot_path  # noqa: PLC0415 (loads matplotlib)
+        from mcp_asdf_tools.common.figures import check_plot_path  # noqa: PLC0415
 
         check_plot_path(args.plot)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
@@ -133,8 +134,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _picture(outcome: SwarmRun, path: Path) -> bytes:
     """The plot of a run that is over."""
-    from mcp_asdf_tools.common import image_of  # noqa: PLC0415 (loads matplotlib)
-    from mcp_asdf_tools.swarm import draw  # noqa: PLC0415
+    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
+    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
 
     return image_of(draw(outcome), path)
 
@@ -189,7 +190,8 @@ def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack
     """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
     if not args.view:
         return None
-    from mcp_asdf_tools.view import SwarmCamera, serving  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
+    from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
     camera = SwarmCamera(settings)
     view.announce(args, ending.enter_context(serving(camera.film, args.port)))

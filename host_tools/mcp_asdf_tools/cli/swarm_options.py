@@ -8,13 +8,17 @@ from typing import Any, get_args
 
 import can
 
-from mcp_asdf_tools.bus import FrameFormat, interfaces
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli import parameter_options, view
 from mcp_asdf_tools.cli.robot_options import add_estimate_options
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.recording import add_log_option
-from mcp_asdf_tools.robots import ClockKind
-from mcp_asdf_tools.swarm import FaultKind, SwarmSettings, Wiring, check_remote
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.frame_logs import add_log_option
+from mcp_asdf_tools.robots.clock import ClockKind
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.fault_spec import FaultKind
+from mcp_asdf_tools.swarm.remote_robot import check_remote
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 _DEFAULTS = SwarmSettings()
 

@@ -11,8 +11,10 @@ from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
-from mcp_asdf_tools.common import progress
-from mcp_asdf_tools.experiments import Store, experiments_in, metadata_of, read_experiments, run_sweep
+from mcp_asdf_tools.common.progress_bar import progress
+from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
+from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 
 EPILOG = """\
 examples:

@@ -10,17 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.cli.again import print_again
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.tables import (
-    MAX_MESSAGES,
-    OMEGA_PLACES,
-    TableCheck,
-    check_file,
-    describe,
-    parse_omega,
-    verify_image,
-    write,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.tables.image_scan import verify_image
+from mcp_asdf_tools.tables.table_files import TableCheck, check_file, describe, write
+from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES, OMEGA_PLACES, parse_omega
 
 EPILOG = """\
 examples:

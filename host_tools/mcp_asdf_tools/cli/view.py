@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING
 
 import can
 
-from mcp_asdf_tools.bus import FrameFormat, interfaces
+from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
-from mcp_asdf_tools.common import UsageError, check_target, stopping, write_atomically
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import check_target, write_atomically
+from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments import Trials
-    from mcp_asdf_tools.view import Film
+    from mcp_asdf_tools.experiments.results import Trials
+    from mcp_asdf_tools.view.film import Film
 
 EPILOG = """\
 examples:
@@ -83,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _film_of(args: argparse.Namespace) -> Film:
-    from mcp_asdf_tools.view import film_of_log, film_of_trial  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.view.films import film_of_log, film_of_trial  # noqa: PLC0415
 
     if args.file.suffix.lower() in _RESULTS:
         return film_of_trial(_chosen(args), args.trial)
@@ -96,7 +99,7 @@ def _film_of(args: argparse.Namespace) -> Film:
 
 def _chosen(args: argparse.Namespace) -> Trials:
     """The experiment that the options choose. Raises UsageError unless it is one."""
-    from mcp_asdf_tools.experiments import experiments_in, read_table  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.experiments.results import experiments_in, read_table  # noqa: PLC0415
 
     found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
     if len(found) == 1:
@@ -106,7 +109,7 @@ def _chosen(args: argparse.Namespace) -> Trials:
 
 
 def _export(args: argparse.Namespace, film: Film) -> int:
-    from mcp_asdf_tools.view import page  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.view.page import page  # noqa: PLC0415
 
     content = page(film).encode()
     write_atomically(args.export, content)
@@ -117,7 +120,8 @@ def _export(args: argparse.Namespace, film: Film) -> int:
 
 def _serve(args: argparse.Namespace, film: Film) -> int:
     """Serve a film until Ctrl-C."""
-    from mcp_asdf_tools.view import LiveFilm, serving  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.view.film import LiveFilm  # noqa: PLC0415
+    from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
     with stopping() as should_stop, serving(LiveFilm.of(film), args.port) as url:
         announce(args, url)
@@ -145,7 +149,8 @@ def wait(should_stop: Callable[[], bool]) -> None:
 
 def _watch(args: argparse.Namespace) -> int:
     """Show a bus as it goes."""
-    from mcp_asdf_tools.view import BusFilm, serving  # noqa: PLC0415 (loads slowly)
+    from mcp_asdf_tools.view.films import BusFilm  # noqa: PLC0415
+    from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
     choice = interfaces.choose_bus(args)
     if choice.interface == interfaces.DEFAULT_INTERFACE:

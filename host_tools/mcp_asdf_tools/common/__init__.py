@@ -1,8 +1,1 @@
-"""Errors, files, signals, parameters and figures: what any program needs. Knows nothing of robots.
-
-``__init__.pyi`` names what other rooms may use; it is loaded when first used.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Errors, files, signals, parameters and figures: what any program needs. Knows nothing of robots."""

@@ -16,9 +16,9 @@ from mcp_asdf_tools.common.errors import UsageError
 FIRMWARES = "mcp_asdf.firmwares"
 """Classes of robots: ``(config, id, b_hat) -> mcp_asdf.Robot``."""
 TOPOLOGIES = "mcp_asdf.topologies"
-"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.Topology``."""
+"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.topology.Topology``."""
 SENSORS = "mcp_asdf.sensors"
-"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.SensorModel``."""
+"""Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.sensors.SensorModel``."""
 
 
 class Names:

@@ -1,8 +1,1 @@
-"""The C firmware against its mirror, float64 and exact arithmetic.
-
-``__init__.pyi`` names what other rooms may use; it is loaded when first used.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The C firmware against its mirror, float64 and exact arithmetic."""

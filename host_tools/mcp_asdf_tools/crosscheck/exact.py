@@ -13,7 +13,7 @@ from mpmath import mp  # type: ignore[import-untyped]
 
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck.scenario import TableChoice, build_table
-from mcp_asdf_tools.tables import parse_omega, true_thresholds, worst_threshold_error
+from mcp_asdf_tools.tables.thresholds import parse_omega, true_thresholds, worst_threshold_error
 
 HALF = Fraction(1, 2)
 EPSILON = Fraction(1, 2**20)

@@ -25,7 +25,7 @@ from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Observation
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MIN_Q, Table
-from mcp_asdf_tools.tables import generate, parse_omega
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 KINDS = {
     "add": ("add", "radd", "sub", "rsub", "neg"),

@@ -6,7 +6,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mcp_asdf_tools.common import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, clean, empty_figure
+from mcp_asdf_tools.common.figures import (
+    COLOURS,
+    MEDIUM,
+    WIDTH,
+    add_caption,
+    add_legend,
+    clean,
+    empty_figure,
+)
 from mcp_asdf_tools.crosscheck.operation_count import CallCount
 
 _COLOURS = dict(

@@ -19,8 +19,8 @@ from typing import cast
 from mcp_asdf.mirror import IMAGE_WORDS
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
 from mcp_asdf.table import EXTRA_WORDS, Table, checksum
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.tables import check_q, generate, parse_omega
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 
 IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 """A saved robot, as words."""

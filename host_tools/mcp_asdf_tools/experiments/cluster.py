@@ -13,7 +13,7 @@ from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 from typing import Any
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 _PATIENCE = 30
 """Seconds to wait for the scheduler, and then for a first worker."""

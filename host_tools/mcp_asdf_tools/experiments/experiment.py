@@ -11,7 +11,7 @@ from itertools import product
 from typing import Any, Literal
 
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
-from mcp_asdf_tools.robots import Population
+from mcp_asdf_tools.robots.population import Population
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000

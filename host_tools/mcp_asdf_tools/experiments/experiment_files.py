@@ -15,7 +15,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common import ParameterError, UsageError
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import Experiment, combinations
 
 STUDIES = Path(__file__).with_name("studies")

@@ -12,14 +12,14 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf.reference import local_confidence
-from mcp_asdf_tools.common import (
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import (
     COLOURS,
     INK,
     MEDIUM,
     SMALL,
     WIDTH,
     WITHOUT,
-    UsageError,
     add_caption,
     add_legend,
     clean,
@@ -30,7 +30,7 @@ from mcp_asdf_tools.common import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
-from mcp_asdf_tools.robots import Filtering
+from mcp_asdf_tools.robots.population import Filtering
 
 FILTER_NAMES = {
     "none": "no filter",

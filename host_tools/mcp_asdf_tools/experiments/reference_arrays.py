@@ -25,7 +25,7 @@ from mcp_asdf.reference import (
 )
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world import Scene, World
+from mcp_asdf_tools.world.world import Scene, World
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -27,7 +27,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import UsageError, software_versions, write_atomically
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.experiment import Experiment

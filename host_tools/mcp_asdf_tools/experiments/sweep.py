@@ -22,7 +22,10 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.common import ENDING_SIGNALS, UsageError, check_target, software_versions, stopping
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import check_target
+from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import (
     Trials,

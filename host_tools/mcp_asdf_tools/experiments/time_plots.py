@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
-from mcp_asdf_tools.common import (
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import (
     FLAWED,
     INK,
     MEDIUM,
     OTHER,
     SMALL,
     WIDTH,
-    UsageError,
     add_legend,
     clean,
     empty_figure,
@@ -24,8 +24,8 @@ from mcp_asdf_tools.common import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import FILTER_NAMES, caption_of, finish, handle, panels_of, share_of
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.robots import TimeSeries, draw_time_series
-from mcp_asdf_tools.world import Arena
+from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
+from mcp_asdf_tools.world.arena import Arena
 
 BANDS = (
     "lines are medians over robots and trials, bands the middle 50 and 90 %; titles say how many robots that "

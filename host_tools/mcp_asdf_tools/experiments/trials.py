@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
-from mcp_asdf_tools.common import UsageError, software_versions
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
-from mcp_asdf_tools.robots import RobotMaker, load_firmware
-from mcp_asdf_tools.world import World
+from mcp_asdf_tools.robots.firmwares import RobotMaker, load_firmware
+from mcp_asdf_tools.world.world import World
 
 Floats = NDArray[np.float64]
 

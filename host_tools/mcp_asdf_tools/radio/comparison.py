@@ -9,7 +9,7 @@ from itertools import pairwise, zip_longest
 
 import can
 
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     FRAME_BYTES,
     HEARTBEAT_SUBJECT,
     MAX_NODE_ID,
@@ -18,7 +18,7 @@ from mcp_asdf_tools.bus import (
     float_of,
     frame_as_text,
 )
-from mcp_asdf_tools.robots import Subjects
+from mcp_asdf_tools.robots.node import Subjects
 
 ESTIMATE, TELEMETRY, HEARTBEAT, BUS = "estimate", "telemetry", "heartbeat", "bus"
 Frames = dict[str, list[can.Message]]

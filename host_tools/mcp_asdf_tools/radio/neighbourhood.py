@@ -15,9 +15,14 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots import BusRobot, RobotRecord, Subjects
-from mcp_asdf_tools.swarm import MAX_ROBOTS_AND_TOOLS, Delivery, Fault, Faults, SentFrame, SwarmSettings
-from mcp_asdf_tools.world import World
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
+from mcp_asdf_tools.swarm.fault_spec import Fault
+from mcp_asdf_tools.swarm.faults import Faults
+from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
+from mcp_asdf_tools.world.world import World
 
 
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import can
 
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     ONE,
     Action,
@@ -22,7 +22,7 @@ from mcp_asdf_tools.bus import (
     encode_heartbeat,
     encode_telemetry,
 )
-from mcp_asdf_tools.robots import Subjects
+from mcp_asdf_tools.robots.node import Subjects
 
 Change = Callable[[can.Message], object]
 """Change of a frame in place."""

@@ -6,8 +6,8 @@ from collections import Counter
 
 import can
 
-from mcp_asdf_tools.bus import EVERY_ROBOT, Command, Message, decode, decode_command
-from mcp_asdf_tools.robots import Subjects
+from mcp_asdf_tools.bus.frames import EVERY_ROBOT, Command, Message, decode, decode_command
+from mcp_asdf_tools.robots.node import Subjects
 
 
 class Disturbed(Exception):  # noqa: N818 (an outcome, no error)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import Action
+from mcp_asdf_tools.bus.frames import Action
 from mcp_asdf_tools.radio.odd_frames import (
     DISTANT_NUMBERS,
     STRAY,
@@ -15,7 +15,7 @@ from mcp_asdf_tools.radio.odd_frames import (
 )
 from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content
 from mcp_asdf_tools.radio.test_bench import Bench
-from mcp_asdf_tools.robots import DRIVER_ID
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 _PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)
 MOST_SKIPPED = 10_000

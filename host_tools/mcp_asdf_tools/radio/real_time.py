@@ -8,9 +8,11 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import IdConflict, IdConflictWatch, Message, Telemetry, decode, decode_telemetry
+from mcp_asdf_tools.bus.frames import Message, Telemetry, decode, decode_telemetry
+from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
-from mcp_asdf_tools.robots import BusLink, RealTimeClock, RunOutcome, Stopped
+from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.node import BusLink, RunOutcome, Stopped
 
 
 class RadioRun:

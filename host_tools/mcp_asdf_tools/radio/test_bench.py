@@ -17,20 +17,15 @@ import can
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import MAX_ID, Filter, Observation
-from mcp_asdf_tools.bus import TRANSFER_IDS, Action, Command, Message, encode
+from mcp_asdf_tools.bus.frames import TRANSFER_IDS, Action, Command, Message, encode
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
 from mcp_asdf_tools.radio.other_nodes import OtherNodes
 from mcp_asdf_tools.radio.rounds import Content, Situation
-from mcp_asdf_tools.robots import (
-    DRIVER_ID,
-    Lockstep,
-    NodeSettings,
-    Recorder,
-    RobotNode,
-    TickedRobot,
-    send_all,
-)
+from mcp_asdf_tools.robots.bus_robot import Recorder
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
+from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, send_all
+from mcp_asdf_tools.robots.rounds import TickedRobot
 
 SEND_TIMEOUT = 2.0
 BURST = 16

@@ -1,8 +1,1 @@
-"""Recordings of a bus and of what each robot saw: written, read and replayed.
-
-``__init__.pyi`` names what other rooms may use; it is loaded when first used.
-"""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Recordings of a bus and of what each robot saw: written, read and replayed."""

@@ -18,7 +18,7 @@ from can.io.generic import MessageReader
 from can.io.logger import MESSAGE_WRITERS
 from can.io.player import MESSAGE_READERS
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 PART = ".part"
 """Suffix, behind all others, of a file that is not complete."""

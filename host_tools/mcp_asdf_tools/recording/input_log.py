@@ -30,10 +30,12 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import FrameFormat, frame_as_text
-from mcp_asdf_tools.common import UsageError, software_versions
+from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import PART
-from mcp_asdf_tools.robots import RESTART, SETTLE, SILENT, Event, Recorder, RobotRecord
+from mcp_asdf_tools.robots.bus_robot import RESTART, SETTLE, SILENT, Event, Recorder
+from mcp_asdf_tools.robots.record import RobotRecord
 
 FORMAT = "mcp-asdf events"
 VERSION = 2

@@ -11,7 +11,8 @@ from types import TracebackType
 
 import can
 
-from mcp_asdf_tools.common import UsageError, check_target, explaining
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import check_target, explaining
 from mcp_asdf_tools.recording.frame_logs import PART, FrameLog, check_format
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 

@@ -13,7 +13,7 @@ import can
 import numpy as np
 
 from mcp_asdf.robot import Robot
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     TRANSFER_IDS,
     Action,
     FrameFormat,
@@ -25,7 +25,8 @@ from mcp_asdf_tools.bus import (
     frame_as_text,
 )
 from mcp_asdf_tools.recording.input_log import InputLogReader
-from mcp_asdf_tools.robots import RESTART, SETTLE, BusRobot, Event, RobotRecord
+from mcp_asdf_tools.robots.bus_robot import RESTART, SETTLE, BusRobot, Event
+from mcp_asdf_tools.robots.record import RobotRecord
 
 SEND_TIMEOUT = 2.0
 _SLICE = 0.1

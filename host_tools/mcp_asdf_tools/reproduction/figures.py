@@ -8,18 +8,14 @@ from typing import NamedTuple, get_args
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import (
-    E_MAX,
-    FILTER_NAMES,
-    Experiment,
-    Trials,
-    plots,
-    run_trials,
-    time_plots,
-    trials_in_words,
-)
+from mcp_asdf_tools.experiments import plots, time_plots
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plots import FILTER_NAMES, trials_in_words
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import E_MAX
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction.study import PART_NAMES, Cell, Part, Scale, Study, cells_of, experiment_of
-from mcp_asdf_tools.robots import Filtering
+from mcp_asdf_tools.robots.population import Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 NONE: Filtering = "none"

@@ -11,8 +11,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common import UsageError, image_of, software_versions, write_atomically
-from mcp_asdf_tools.experiments import E_MAX
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import image_of
+from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.reproduction.claims import LEVELS, QUESTIONS, SIZES
 from mcp_asdf_tools.reproduction.decisions import Decided, Decision
 from mcp_asdf_tools.reproduction.figures import Picture, pictures

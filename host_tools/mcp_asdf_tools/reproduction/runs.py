@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import Store, experiments_in
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.results import experiments_in
+from mcp_asdf_tools.experiments.sweep import Store
 from mcp_asdf_tools.reproduction.decisions import Decided, decide
 from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cells_of, experiment_of, study_of
 

@@ -14,9 +14,12 @@ from enum import Enum
 from functools import cache
 from typing import Any, NamedTuple
 
-from mcp_asdf_tools.experiments import STUDIES, Convention, Experiment, Scores, Trials, read_experiments
+from mcp_asdf_tools.experiments.experiment import Convention, Experiment
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import Scores
 from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, summarized
-from mcp_asdf_tools.robots import Filtering
+from mcp_asdf_tools.robots.population import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)

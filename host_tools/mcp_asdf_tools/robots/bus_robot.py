@@ -15,7 +15,8 @@ import can
 import numpy as np
 
 from mcp_asdf.robot import Counters, Observation, Robot
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.estimates import decode_estimates
+from mcp_asdf_tools.bus.frames import (
     MAX_B_HAT,
     MIN_B_HAT,
     ONE,
@@ -29,7 +30,6 @@ from mcp_asdf_tools.bus import (
     Rejection,
     Telemetry,
     decode_any,
-    decode_estimates,
     encode,
     encode_heartbeat,
     encode_telemetry,

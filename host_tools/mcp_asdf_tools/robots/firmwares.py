@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import cast
 
 from mcp_asdf.robot import Config, Robot
-from mcp_asdf_tools.common import UsageError, extensions
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common.errors import UsageError
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot from a config, a robot id and an initial assumed accuracy."""

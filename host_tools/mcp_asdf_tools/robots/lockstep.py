@@ -19,7 +19,7 @@ from typing import NoReturn
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     TRANSFER_IDS,
     Action,
     Command,
@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus import (
     decode_telemetry,
     encode_command,
 )
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import Subjects, send_all
 
 DRIVER_ID = 126

@@ -17,7 +17,7 @@ import numpy as np
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import FixedPointRobot, Observation
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     COMMANDS,
     EVERY_ROBOT,
     MAX_NODE_ID,
@@ -25,13 +25,12 @@ from mcp_asdf_tools.bus import (
     Action,
     Command,
     FrameFormat,
-    IdConflict,
-    IdConflictWatch,
     Message,
     Rejection,
     decode,
     decode_command,
 )
+from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.rounds import TickedRobot

@@ -14,8 +14,8 @@ from mcp_asdf_tools.common.parameters import ParameterError, parameter, paramete
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickConfig
-from mcp_asdf_tools.tables import generate, parse_omega
-from mcp_asdf_tools.world import MAX_PERIOD, WorldSettings
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
 Filtering = Literal["none", "asdf-minus", "asdf-plus"]
 """Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+)."""

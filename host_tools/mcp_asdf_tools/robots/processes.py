@@ -11,8 +11,8 @@ from contextlib import suppress
 from typing import Any
 
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.bus import BusChoice
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.record import RobotRecord

@@ -10,7 +10,7 @@ from mcp_asdf.robot import Filter, check_settings
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickConfig, TickedRobot
-from mcp_asdf_tools.tables import generate, omega_from_word
+from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
 
 _FILTERS = {each.name.lower(): each for each in Filter}
 

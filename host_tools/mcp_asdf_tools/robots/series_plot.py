@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import (
+from mcp_asdf_tools.common.figures import (
     FLAWED,
     INK,
     MEDIUM,

@@ -26,8 +26,11 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus import FrameFormat, decode_any, decode_estimates
-from mcp_asdf_tools.robots import BusRobot, FrameTaker, RealTimeClock
+from mcp_asdf_tools.bus.estimates import decode_estimates
+from mcp_asdf_tools.bus.frames import FrameFormat, decode_any
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.node import FrameTaker
 from mcp_asdf_tools.swarm.delivery import Arrivals, Content, Delivery, SentFrame, content_of
 
 TIMEOUT = 2.0

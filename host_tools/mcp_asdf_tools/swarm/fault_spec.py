@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any
 
-from mcp_asdf_tools.bus import MAX_NODE_ID, float_of
+from mcp_asdf_tools.bus.frames import MAX_NODE_ID, float_of
 from mcp_asdf_tools.common.errors import UsageError
 
 _MAX_TICK = 2**32 - 1

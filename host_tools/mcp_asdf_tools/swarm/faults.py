@@ -30,9 +30,18 @@ from typing import Any, TypeVar
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus import FRAME_BYTES, MAX_NODE_ID, ONE, FrameFormat, Message, bits_of, decode, encode
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.robots import BusRobot
+from mcp_asdf_tools.bus.frames import (
+    FRAME_BYTES,
+    MAX_NODE_ID,
+    ONE,
+    FrameFormat,
+    Message,
+    bits_of,
+    decode,
+    encode,
+)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.delivery import Mask, Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 from mcp_asdf_tools.swarm.link_faults import LINK_FAULTS, Draws, Injector, LinkFault, below

@@ -18,8 +18,9 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mcp_asdf_tools.bus import ONE, bus_load
-from mcp_asdf_tools.robots import BusRobot
+from mcp_asdf_tools.bus.frames import ONE
+from mcp_asdf_tools.bus.load import bus_load
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.swarm import Companion, Swarm
 from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.robots import TimeSeries, draw_time_series
+from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
-from mcp_asdf_tools.world import Graph
+from mcp_asdf_tools.world.topology import Graph
 
 _LETTERS = 100
 """Of a title's line."""

@@ -13,7 +13,7 @@ import can
 
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation, Robot
-from mcp_asdf_tools.bus import (
+from mcp_asdf_tools.bus.frames import (
     MAX_NODE_ID,
     ONE,
     FrameFormat,
@@ -22,17 +22,12 @@ from mcp_asdf_tools.bus import (
     decode,
     decode_telemetry,
 )
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.robots import (
-    DRIVER_ID,
-    BusRobot,
-    Lockstep,
-    Recorder,
-    RobotRecord,
-    Subjects,
-    TickedRobot,
-    Words,
-)
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
+from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
+from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.rounds import TickedRobot, Words
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings

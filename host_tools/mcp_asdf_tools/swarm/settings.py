@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
-from mcp_asdf_tools.bus import TELEMETRY, FrameFormat
+from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
-from mcp_asdf_tools.robots import ClockKind, Population, RobotRecord
+from mcp_asdf_tools.robots.clock import ClockKind
+from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.world import MAX_PERIOD, default_of
+from mcp_asdf_tools.world.settings import MAX_PERIOD, default_of
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""

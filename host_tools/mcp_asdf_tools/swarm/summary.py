@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from mcp_asdf_tools.bus import LIMIT
+from mcp_asdf_tools.bus.load import LIMIT
 from mcp_asdf_tools.swarm.swarm import SwarmRun
 
 Rows = Sequence[tuple[str, str]]

@@ -19,17 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import BIT_RATES, FrameFormat, Message, alpha_bits, bus_load, decode
-from mcp_asdf_tools.common import software_versions
-from mcp_asdf_tools.recording import InputLogWriter
-from mcp_asdf_tools.robots import BusRobot, FrameTaker, LockstepError, RealTimeClock, RobotRecord
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
+from mcp_asdf_tools.bus.load import BIT_RATES, bus_load
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.recording.input_log import InputLogWriter
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.robots.node import FrameTaker
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.faults import Faults
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remote, remote_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
-from mcp_asdf_tools.world import World
+from mcp_asdf_tools.world.world import World
 
 QUANTITIES = ("b_hat", "x_hat", "x")
 """Quantities of each robot in a history."""

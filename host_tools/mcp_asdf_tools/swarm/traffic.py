@@ -9,8 +9,9 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus import Rejection, Telemetry, worst_bits
-from mcp_asdf_tools.robots import Reception
+from mcp_asdf_tools.bus.frames import Rejection, Telemetry
+from mcp_asdf_tools.bus.load import worst_bits
+from mcp_asdf_tools.robots.bus_robot import Reception
 
 
 @dataclass

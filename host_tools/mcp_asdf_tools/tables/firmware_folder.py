@@ -5,7 +5,9 @@ from __future__ import annotations
 from decimal import Decimal
 from pathlib import Path
 
-from mcp_asdf_tools.common import UsageError, own_version, write_files
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import write_files
+from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.tables.table_files import c_text, stem
 
 _CMAKE = """\

@@ -16,7 +16,7 @@ from elftools.elf.elffile import ELFFile
 from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
 
 from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.table_files import TableCheck, compare
 from mcp_asdf_tools.tables.thresholds import omega_from_word
 

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
-from mcp_asdf_tools.common import UsageError, write_files
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import write_files
 from mcp_asdf_tools.tables.thresholds import (
     GENERATOR_VERSION,
     MAX_MESSAGES,

@@ -18,7 +18,7 @@ from mpmath import mp, mpf  # type: ignore[import-untyped]
 
 from mcp_asdf.robot import MAX_ID
 from mcp_asdf.table import FRACTION_BITS, MAX_Q, MIN_Q, Table
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 
 GENERATOR_VERSION = 2
 """Changes whenever the bytes of a generated file change."""

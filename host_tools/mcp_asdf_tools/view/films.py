@@ -16,14 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import Robot
-from mcp_asdf_tools.bus import ONE, FrameFormat, Message, Telemetry, decode_any
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import Trials, run_trials
-from mcp_asdf_tools.recording import InputLogHeader, InputLogReader, input_log_path, rerun
-from mcp_asdf_tools.robots import Population, parameter_names
-from mcp_asdf_tools.swarm import Swarm, SwarmSettings
+from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
+from mcp_asdf_tools.recording.replay import rerun
+from mcp_asdf_tools.robots.population import Population, parameter_names
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_SAMPLES, QUANTITIES, Film, LiveFilm, Sample, Samples, Stage
-from mcp_asdf_tools.world import Arena, Graph, World, WorldSettings, code
+from mcp_asdf_tools.world.arena import Arena
+from mcp_asdf_tools.world.floor_code import code
+from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.topology import Graph
+from mcp_asdf_tools.world.world import World
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""

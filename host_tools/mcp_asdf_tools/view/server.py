@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from mcp_asdf_tools.bus import HOST
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.bus.slcan_server import HOST
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view.film import LiveFilm
 from mcp_asdf_tools.view.page import page, samples_as_plain, stage_as_plain
 

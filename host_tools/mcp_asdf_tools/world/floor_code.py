@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import ParameterError
+from mcp_asdf_tools.common.parameters import ParameterError
 
 CODE_MODULES = 100
 """Modules along a side of ``code``."""

@@ -8,7 +8,8 @@ from typing import Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import UsageError, extensions
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
 from mcp_asdf_tools.world.settings import WorldSettings
 

@@ -114,7 +114,7 @@ except BaseException:
 """
 WAITS = """
 import time
-from mcp_asdf_tools.common import interruptible
+from mcp_asdf_tools.common.signals import interruptible
 with interruptible():
     try:
         import swallows

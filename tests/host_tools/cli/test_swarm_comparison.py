@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.experiments import Experiment
 from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment
 from support import ROOT
 
 SMALL = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]

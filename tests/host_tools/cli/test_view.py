@@ -10,8 +10,9 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.experiments import Experiment, run_trials, table_of
-from mcp_asdf_tools.experiments.results import write_table
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import table_of, write_table
+from mcp_asdf_tools.experiments.trials import run_trials
 
 SWARM = ["swarm", "--robots", "5", "--steps", "60", "--filter-period", "20", "--quiet"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.experiments import experiments_in, read_table
+from mcp_asdf_tools.experiments.results import experiments_in, read_table
 
 GRID = """\
 robots = 4

@@ -17,9 +17,10 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from mcp_asdf_tools.swarm import Companion, LiveView, Swarm, SwarmRun, SwarmSettings, Wiring, run_swarm
-from mcp_asdf_tools.swarm.live_view import SwarmPicture, Watch
-from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture, Watch
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES, Companion, Swarm, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.text_charts import TextMap, bar, sparkline
 from support import slow
 

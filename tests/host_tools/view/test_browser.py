@@ -19,10 +19,14 @@ import numpy as np
 import pytest
 
 from browser import browser_page, developed, until
-from mcp_asdf_tools.bus import FrameFormat
-from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
-from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, page, serving
-from mcp_asdf_tools.view.film import rows_of
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.view.film import Film, LiveFilm, rows_of
+from mcp_asdf_tools.view.films import BusFilm, SwarmCamera
+from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.server import serving
 from support import PATIENCE, interruptible
 
 if TYPE_CHECKING:

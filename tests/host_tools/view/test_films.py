@@ -16,18 +16,21 @@ from numpy.typing import NDArray
 
 from browser import developed
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus import FrameFormat, Telemetry, encode_telemetry
+from mcp_asdf_tools.bus.frames import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.experiments import Experiment, Trials, experiments_in, run_trials, table_of
-from mcp_asdf_tools.robots import Lockstep
-from mcp_asdf_tools.swarm import Swarm, SwarmSettings, Wiring, run_swarm
-from mcp_asdf_tools.view import BusFilm, Film, LiveFilm, SwarmCamera, film_of_log, film_of_trial
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view import film as films
-from mcp_asdf_tools.view.film import Sample, Stage, rows_of
-from mcp_asdf_tools.view.films import spacing_of
+from mcp_asdf_tools.view.film import Film, LiveFilm, Sample, Stage, rows_of
+from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of
 from mcp_asdf_tools.view.page import samples_as_plain, stage_as_plain
-from mcp_asdf_tools.world import Arena
+from mcp_asdf_tools.world.arena import Arena
 from node_thread import node_in_a_thread
 from support import PATIENCE
 

@@ -13,9 +13,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from mcp_asdf_tools.common import UsageError
-from mcp_asdf_tools.view import Film, LiveFilm, page, serving
-from mcp_asdf_tools.view.film import Samples, Stage
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.view.film import Film, LiveFilm, Samples, Stage
+from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.server import serving
 from support import PATIENCE
 
 STAGE = Stage("two </script> robots", [0, 1], fill_ratio=0.5)

@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.robot import FirmwareError, Status
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots import TickConfig
-from mcp_asdf_tools.world import (
-    Arena,
-    black_probabilities,
-    config_values,
-    sensor_model,
-)
+from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.world.arena import Arena, config_values
+from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
 RECORD = np.dtype(
     [

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import UsageError
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.philox import world_seed
