@@ -68,7 +68,6 @@ static int outside_open(const char *path, int flags, ...) { return path[0] == 0 
 
 #include "linux/options.c"
 #include "linux/source.c"
-#include "linux/usage.c"
 
 #undef fprintf
 

@@ -6,7 +6,7 @@
 #include "node/node.h"
 #include "port.h"
 #include "same_frame.h"
-#include "slcan/slcan_link.h"
+#include "slcan/slcan.h"
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[];
 

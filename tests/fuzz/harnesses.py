@@ -81,13 +81,12 @@ class Harness:
 
 _CODEC = CORE.with_name("mcp_asdf_frame.c")
 _NODE = tuple(sorted((PORTS / "node").glob("*.c")))
-_SLCAN = tuple(PORTS / "slcan" / name for name in ("slcan.c", "slcan_commands.c", "slcan_link.c"))
 HARNESSES = {
     each.name: each
     for each in (
         Harness("api", (HERE / "variant.c", TABLE), 64),
         Harness("codec", (_CODEC,), 32),
-        Harness("slcan", (*_SLCAN, *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
+        Harness("slcan", (PORTS / "slcan" / "slcan.c", *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
         Harness("node", (), 128),
         Harness("radio", (PORTS / "packet_radio.c",), 96),
     )

@@ -127,7 +127,6 @@ CHOICES = {
     "own": (),
     "divide by table": ("MCP_ASDF_DIVIDE=2",),
     "divide by bits": ("MCP_ASDF_DIVIDE=3", "MCP_ASDF_SHIFT_BYTES=1", "MCP_ASDF_HAS_CLZ=0"),
-    "divide in lanes": ("MCP_ASDF_DIVIDE=4",),
     "multiply halves": ("MCP_ASDF_SPLIT_MULTIPLY=1", "MCP_ASDF_HAS_CLZ=0"),
 }
 """Ways to compute that a target's core can be built with, as definitions for the compiler."""

@@ -46,8 +46,8 @@ from targets.slow_line import SlowLine
 FILTER_PERIOD = 25
 SEED = 20261121
 PACE = 400
-SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c", "node_messages.c"}
-SOURCES |= {"slcan_robot.c", "slcan_link.c", "slcan_commands.c", "slcan.c"}
+SOURCES = {"mcp_asdf.c", "mcp_asdf_frame.c", "t_table_omega05_q30.c", "node.c"}
+SOURCES |= {"slcan_robot.c", "slcan.c"}
 LINUX = ROOT / "c_ref/ports/linux"
 COMPILERS_OWN = re.compile(r"libgcc2\.c|_\w+\.o|")
 

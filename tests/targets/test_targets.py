@@ -78,7 +78,7 @@ FLAGS = {
     "cortex-a8": "-mcpu=cortex-a8",
 }
 """For the compilers of targets that choose by it."""
-ARITHMETIC = {"DIVIDE": range(1, 5), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
+ARITHMETIC = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
 """Macros of mcp_asdf_arithmetic.h, and their values."""
 
 

@@ -1,7 +1,6 @@
 /* mcp_asdf_node: robots on a CAN bus under Linux, one or many. docs/socketcan.md is the manual. */
 #include "image.h"
 #include "run.h"
-#include "summary.h"
 
 #include <errno.h>
 #include <poll.h>

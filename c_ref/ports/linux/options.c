@@ -71,6 +71,40 @@ static const struct {
                 [HELP] = {.name = "help"},
                 [VERSION] = {.name = "version"}};
 
+/* ---- Help ------------------------------------------------------------------------------------------- */
+
+static const char usage[] =
+    "A robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
+    "Many of them:         mcp_asdf_node --interface vcan0 --id 0-126 --observations tiles.txt\n"
+    "\n"
+    "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
+    "  --id N                 of robot and node, 0 to 127; 0-126 for so many robots\n"
+    "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
+    "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
+    "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
+    "  --comms-period STEPS   between broadcasts (1)\n"
+    "  --filter-period STEPS  between tests, a multiple of the former (1000)\n"
+    "  --memory N             observations at which counts are halved, a multiple of 4, 64 to 2^31 (2^31)\n"
+    "\n"
+    "Clock and observations, one of:\n"
+    "  --lockstep             do what command frames say\n"
+    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen, in each step one of these\n"
+    "                         for each robot by rising id; - is the standard input\n"
+    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black; for one robot\n"
+    "\n"
+    "  --steps-per-second N   1 to 1000 (10); in lockstep of simulated time\n"
+    "  --steps N              end after so many (0: no limit)\n"
+    "  --telemetry-period STEPS  between telemetry frames (0: none; in lockstep every step)\n"
+    "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
+    "  --priority N           of estimates, 0 to 7 (4)\n"
+    "  --receive-buffer BYTES of the kernel (0: its default)\n"
+    "  --state FILE           go on from there, and save there at the end; {id} in its name is the robot's\n"
+    "  --save-period STEPS    save there in between, too (0: no)\n"
+    "\n"
+    "Ends with a line of JSON for each robot. Status 0: by --steps, the end of observations, SIGINT or "
+    "SIGTERM;\n"
+    "1: the bus or the observations failed; 2: it could not start.\n";
+
 /* ---- Values ----------------------------------------------------------------------------------------- */
 
 static void fail(enum option_index which, const char *value, const char *fix)
@@ -172,7 +206,7 @@ static void collect(const char *given[ALL], int count, char *const arguments[])
 static void answer_questions(const char *const given[ALL])
 {
     if (given[HELP] != NULL) {
-        (void)fputs(options_usage, stdout);
+        (void)fputs(usage, stdout);
         exit(EXIT_SUCCESS);
     }
     if (given[VERSION] != NULL) {

@@ -20,8 +20,6 @@ typedef struct {
 
 #define EXIT_USAGE 2
 
-extern const char options_usage[];
-
 /* Read the command line into *options, which need not be filled. Ends the program after --help and --version,
  * and with EXIT_USAGE and a message that names the value and the fix if something is wrong. */
 void options_read(options_t *options, int count, char *const arguments[]);

@@ -37,4 +37,8 @@ struct run {
  * that names the value and the fix if something is wrong. */
 void run_set_up(run_t *run);
 
+/* Print the summary of one robot of a run that has ended as a line of JSON; returns whether the standard
+ * output took it. Estimates and accuracies are the firmware's integers. */
+bool summary_print(const run_t *run, const node_t *node);
+
 #endif

@@ -1,5 +1,5 @@
 /* Printing the summary; docs/socketcan.md explains its members. */
-#include "summary.h"
+#include "run.h"
 
 #include <inttypes.h>
 #include <stdio.h>

@@ -1,6 +1,8 @@
 /* The node; node.h is its manual. */
 #include "node.h"
 
+#define HEARTBEAT_PRIORITY 4
+
 /* Frames refused before their content is looked at: kernel filters keep those frames away. */
 #define IS_OTHER(status) ((status) >= MCP_ASDF_FRAME_ERR_SUBJECT)
 
@@ -13,6 +15,55 @@ mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_
     *node = (node_t){.settings = settings, .output = output, .comms_left = period, .is_settled = true};
     node->config = (mcp_asdf_config_t){settings->table, tau / period, settings->memory, settings->filter};
     return mcp_asdf_init(&node->robot, &node->config, settings->id, settings->b_hat);
+}
+
+/* ---- Saying how things are now ---------------------------------------------------------------------- */
+
+static void send(node_t *node, const mcp_asdf_frame_t *frame)
+{
+    if (!node->output.send(node->output.context, frame)) {
+        ++node->counts.unsent;
+    }
+}
+
+static void send_heartbeat(node_t *node)
+{
+    const mcp_asdf_heartbeat_t message = {.node = node->settings->id,
+                                          .transfer_id = (uint8_t)node->counts.heartbeats++,
+                                          .health = node->health,
+                                          .mode = MCP_ASDF_MODE_OPERATIONAL,
+                                          .uptime = node->ticks / node->settings->ticks_per_second};
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_heartbeat(&frame, HEARTBEAT_PRIORITY, &message) == MCP_ASDF_FRAME_OK) {
+        send(node, &frame);
+    }
+}
+
+void node_start(node_t *node) { send_heartbeat(node); }
+
+static void send_estimate(node_t *node)
+{
+    const mcp_asdf_estimate_t message = {.node = node->settings->id,
+                                         .transfer_id = (uint8_t)node->counts.estimates++,
+                                         .x_hat = mcp_asdf_x_hat(&node->robot),
+                                         .alpha = mcp_asdf_alpha(&node->robot)};
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_estimate(&frame, &node->settings->estimate, &message) == MCP_ASDF_FRAME_OK) {
+        send(node, &frame);
+    }
+}
+
+static void send_telemetry(node_t *node)
+{
+    const mcp_asdf_telemetry_t message = {.node = node->settings->id,
+                                          .transfer_id = (uint8_t)node->counts.telemetry++,
+                                          .updates = (uint8_t)mcp_asdf_counters(&node->robot).updates,
+                                          .x = mcp_asdf_x(&node->robot),
+                                          .b_hat = mcp_asdf_b_hat(&node->robot) >> 8};
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_telemetry(&frame, &node->settings->telemetry, &message) == MCP_ASDF_FRAME_OK) {
+        send(node, &frame);
+    }
 }
 
 /* ---- Ticking ---------------------------------------------------------------------------------------- */
@@ -33,13 +84,13 @@ void node_observe(node_t *node, mcp_asdf_action_t seen)
         end_tick(node);
     }
     if (node->ticks != 0 && node->ticks % node->settings->ticks_per_second == 0) {
-        node_send_heartbeat(node);
+        send_heartbeat(node);
     }
     if (seen != MCP_ASDF_OBSERVE_NONE) {
         (void)mcp_asdf_observe(&node->robot, (mcp_asdf_observation_t)seen);
     }
     if (--node->comms_left == 0) {
-        node_send_estimate(node);
+        send_estimate(node);
     }
     ++node->ticks;
     node->is_settled = false;
@@ -50,7 +101,7 @@ void node_settle(node_t *node)
     const uint32_t period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
     end_tick(node);
     if (period != 0 && node->ticks % period == 0) {
-        node_send_telemetry(node);
+        send_telemetry(node);
     }
 }
 

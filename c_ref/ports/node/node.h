@@ -91,10 +91,4 @@ void node_settle(node_t *node);
 /* Take in any frame whatever, but none that this node has sent itself. */
 void node_hear(node_t *node, const mcp_asdf_frame_t *frame);
 
-/* ---- Between node.c and node_messages.c: say how things are now ---- */
-
-void node_send_heartbeat(node_t *node);
-void node_send_estimate(node_t *node);
-void node_send_telemetry(node_t *node);
-
 #endif

@@ -1,6 +1,6 @@
 /* A robot that speaks CAN over its serial line, by the protocol of Lawicel's adapters, and takes its clock
  * and its observations from command frames: the firmware in the loop of docs/firmware_in_the_loop.md. */
-#include "slcan_link.h"
+#include "slcan.h"
 
 #include "../node/node.h"
 #include "../port.h"
