@@ -3,13 +3,12 @@
 What an ecosystem's own tools can do offline they do here: Arduino's builder makes an image that runs under
 emulation; PlatformIO and ESP-IDF pack the folder, and the consumer is built from what they packed; Kconfig
 reads Zephyr's options. Where a build needs the ecosystem itself (ESP-IDF, Zephyr), the few functions that our
-build file calls are stood in for, as their manuals describe them.
+build file calls are replaced by stubs, as their manuals describe them.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -22,7 +21,7 @@ import pytest
 import yaml
 
 from c_ref.consumer import CONSUMER, answer, version_of_header
-from support import PATH, PATIENCE, ROOT, TABLE, require, run
+from support import PATIENCE, ROOT, TABLE, require, run
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
@@ -56,15 +55,6 @@ def test_all_manifests_agree(key: str) -> None:
     assert {name: manifest[key] for name, manifest in manifests().items()} == dict.fromkeys(
         manifests(), right
     )
-
-
-def test_all_ecosystems_know_it_by_one_name() -> None:
-    module = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))
-    assert {manifests()["library.json"]["name"], properties()["name"], module["name"]} == {"mcp_asdf"}
-
-
-def test_the_package_comes_with_the_licence() -> None:
-    assert (PACKAGE / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
 
 
 # --- Arduino ---------------------------------------------------------------------------------------------
@@ -201,17 +191,6 @@ def test_esp_idf_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
     assert run(build_consumer(tmp_path, ESP_PROJECT)) == answer()
 
 
-def test_esp_idf_s_linter_would_complain(tmp_path: Path) -> None:
-    require("compote")
-    bad = tmp_path / "idf_component.yml"
-    bad.write_text("version: first\n")
-    environment = {**os.environ, "PATH": PATH}
-    done = subprocess.run(
-        ["compote", "manifest", "lint", bad], env=environment, capture_output=True, check=False
-    )
-    assert done.returncode != 0
-
-
 # --- Zephyr ----------------------------------------------------------------------------------------------
 
 ZEPHYR_PROJECT = """
@@ -277,7 +256,7 @@ def test_zephyr_builds_nothing_unless_told_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("left_out", [(), ("mcp_asdf_frame",), ("mcp_asdf_image",), PARTS[1:]])
+@pytest.mark.parametrize("left_out", [(), ("mcp_asdf_image",), PARTS[1:]])
 def test_zephyr_builds_what_its_options_say(left_out: tuple[str, ...], tmp_path: Path) -> None:
     wanted = "".join(f"CONFIG_{name.upper()}={'n' if name in left_out else 'y'}\n" for name in PARTS)
     options = configured(tmp_path, wanted)

@@ -1,7 +1,7 @@
 """Fuzzing the firmware: its harnesses, how they are compiled, and the inputs that are kept of them.
 
-A harness is a C or C++ file with libFuzzer's entry, which AFL++ takes as well. Everything happens in one
-process, without input or output.
+A harness is a C or C++ file with libFuzzer's entry. Everything happens in one process, without
+input or output.
 """
 
 from __future__ import annotations
