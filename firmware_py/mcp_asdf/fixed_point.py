@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from operator import index
 from typing import TYPE_CHECKING
 
-from mcp_asdf.robot import MAX_ID, Status, Sums, accepted, check_alpha, shown, whole_number
+from mcp_asdf.robot import MAX_ID, Status, Sums, accepted, check_alpha, shown
 from mcp_asdf.table import MAX_WORD
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def sums_possible(sums: Sums) -> bool:
 class FixedPointView(ABC):
     """Floats in and out of a robot that computes in integers. Every value but ``beta`` is exact.
 
-    What reaches the robot's own methods, ``_receive`` and ``_add``, are Python's integers.
+    What reaches the robot's own ``_receive`` are Python's integers.
     """
 
     @property
@@ -144,18 +144,6 @@ class FixedPointView(ABC):
         """``receive_all`` of an array that is as it should be."""
         return sum(self._receive(*each) is Status.OK for each in messages.tolist())
 
-    @abstractmethod
-    def _unheard(self) -> list[int]:
-        """Ids of the other robots that were not heard in this round, from the lowest."""
-
-    @abstractmethod
-    def _note_heard(self, senders: list[int]) -> None:
-        """Note that these robots were heard in this round."""
-
-    @abstractmethod
-    def _add_sums(self, sums: Sums, messages: int) -> None:
-        """Add the sums of this many messages to the open round."""
-
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Take a neighbour's message into the open round; x_hat in 2**-23, alpha as the firmware's word.
 
@@ -178,18 +166,6 @@ class FixedPointView(ABC):
                 "give a C-contiguous one of uint32 of shape (messages, 3)"
             )
         return self._receive_all(messages)
-
-    def add_round(self, sums: Sums, messages: int) -> None:
-        """Receive ``messages`` messages at once, of which these are the exact sums."""
-        whole = Sums(**{name: whole_number(value) for name, value in vars(sums).items()})
-        unheard = self._unheard()
-        number = whole_number(messages)
-        if not (sums_possible(whole) and whole.count <= number <= len(unheard)):
-            raise ValueError(
-                f"{messages} messages of {len(unheard)} robots not heard yet cannot sum up to {whole}"
-            )
-        self._note_heard(unheard[:number])
-        self._add_sums(whole, number)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message; values off the firmware's grids are rounded down.

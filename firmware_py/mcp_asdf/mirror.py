@@ -270,21 +270,6 @@ class MirrorRobot(FixedPointView):
             return Status.ERR_SENDER
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
 
-    def _note_heard(self, senders: list[int]) -> None:
-        for sender in senders:
-            self.s.heard[sender >> 5] |= 1 << (sender & 31)
-
-    def _add_sums(self, sums: Sums, messages: int) -> None:
-        """Add the sums of this many messages to the open round."""
-        s = self.s
-        s.accepted = s.accepted + messages & COUNTER_MASK
-        for name, value in vars(sums).items():
-            setattr(s.open, name, getattr(s.open, name) + value)
-
-    def _unheard(self) -> list[int]:
-        s = self.s
-        return [i for i in range(MAX_ID + 1) if i != s.id and not s.heard[i >> 5] >> (i & 31) & 1]
-
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds."""
         s, updated = self.s, False

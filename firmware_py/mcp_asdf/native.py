@@ -16,16 +16,13 @@ from mcp_asdf._native import ffi, lib
 from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
 from mcp_asdf.robot import (
     B_HAT_MARGIN,
-    MAX_ID,
     Config,
     Counters,
     Filter,
     FirmwareError,
     Observation,
     Status,
-    Sums,
     whole_number,
-    whole_settings,
 )
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
@@ -106,21 +103,6 @@ class NativeRobot(FixedPointView):
         words = ffi.from_buffer("uint32_t[]", messages)
         return int(lib.mcp_asdf_receive_all(self.pointer, words, len(messages)))
 
-    def _unheard(self) -> list[int]:
-        robot = self.pointer
-        return [i for i in range(MAX_ID + 1) if i != robot.id and not robot.heard.of[i >> 3] >> (i & 7) & 1]
-
-    def _note_heard(self, senders: list[int]) -> None:
-        for sender in senders:
-            self.pointer.heard.of[sender >> 3] |= 1 << (sender & 7)
-
-    def _add_sums(self, sums: Sums, messages: int) -> None:
-        """Add the sums of this many messages to the open round."""
-        counters, open_round = self.pointer.counters, self.pointer.open
-        counters.accepted = counters.accepted + messages & _COUNTER_MASK
-        for name, value in vars(sums).items():
-            setattr(open_round, name, getattr(open_round, name) + value)
-
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds."""
         return _STATUS[lib.mcp_asdf_settle(self.pointer)]
@@ -198,10 +180,9 @@ class _SharedConfig:
             self._table = _table_in_c(config.table)
         self.pointer = ffi.new("mcp_asdf_config_t *")
         self.pointer.table = self._table
-        filter_mode, filter_period, memory = whole_settings(config)
-        self.pointer.filter_period = _fit(filter_period, MAX_WORD, refused=0)
-        self.pointer.memory = _fit(memory, MAX_WORD, refused=0)
-        self.pointer.filter = _fit(filter_mode, _MAX_BYTE)
+        self.pointer.filter_period = _fit(config.filter_period, MAX_WORD, refused=0)
+        self.pointer.memory = _fit(config.memory, MAX_WORD, refused=0)
+        self.pointer.filter = _fit(config.filter, _MAX_BYTE)
 
 
 def _table_in_c(table: Table) -> Any:
@@ -217,7 +198,6 @@ _shared_configs: WeakValueDictionary[Config, _SharedConfig] = WeakValueDictionar
 
 
 def _share(config: Config) -> _SharedConfig:
-    whole_settings(config)  # 1.0 equals 1, and would share its copy
     shared = _shared_configs.get(config)
     if shared is None:
         shared = _shared_configs[config] = _SharedConfig(config)

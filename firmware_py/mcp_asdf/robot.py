@@ -142,8 +142,7 @@ class Robot(Protocol):
     Constructors take ``(config, robot_id, b_hat)``: a `Config`, an id in 0..127 and the
     initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise `FirmwareError`.
 
-    An ``int`` may be any integer, NumPy's included, and a ``float`` any real number; another type raises
-    TypeError and changes nothing.
+    An ``int`` may be any integer, NumPy's included, and a ``float`` any real number.
     """
 
     def observe(self, z: Observation) -> Status:
@@ -216,13 +215,6 @@ class FixedPointRobot(Robot, Protocol):
         changes nothing, for an ``alpha`` that is no word of 32 bits.
         """
 
-    def add_round(self, sums: Sums, messages: int) -> None:
-        """Receive ``messages`` messages at once, of which these are the exact sums. For simulators. O(1).
-
-        The senders are the robots with the lowest ids that were not heard in this round. Raises ValueError,
-        and changes nothing, where there are not as many, or that many messages cannot have these sums.
-        """
-
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
         """``receive_raw`` of several messages in order; returns how many were accepted. O(messages).
 
@@ -284,24 +276,10 @@ def whole_number(value: SupportsIndex) -> int:
     return index(value)
 
 
-def whole_settings(config: Config) -> tuple[int, int, int]:
-    """filter, filter_period and memory. Raises TypeError, naming it, for one that is no integer."""
-    found = []
-    for name in ("filter", "filter_period", "memory"):
-        value = getattr(config, name)
-        try:
-            found.append(whole_number(value))
-        except TypeError:
-            raise TypeError(f"{name} is {value!r}; give an integer") from None
-    mode, period, memory = found
-    return mode, period, memory
-
-
 def check_settings(config: Config) -> None:
-    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse, and
-    TypeError for one that is no integer."""
-    mode, period, memory = whole_settings(config)
-    if mode not in tuple(Filter):
+    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
+    period, memory = config.filter_period, config.memory
+    if config.filter not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
     if not 1 <= period <= MAX_FILTER_PERIOD:
         raise FirmwareError(
@@ -350,9 +328,8 @@ def shown(robot: Any) -> str:
 
 
 def check_identity(robot_id: int, b_hat: float) -> None:
-    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range, and TypeError
-    for an id that is no integer."""
-    if not 0 <= whole_number(robot_id) <= MAX_ID:
+    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range."""
+    if not 0 <= robot_id <= MAX_ID:
         raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
     if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
         raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")

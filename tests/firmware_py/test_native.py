@@ -11,7 +11,6 @@ import random
 import re
 import subprocess
 import weakref
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -21,7 +20,7 @@ import pytest
 from mcp_asdf import fixed_point, robot
 from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS, MirrorRobot
 from mcp_asdf.native import NativeRobot, _SharedConfig, ffi, lib
-from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Status, Sums
+from mcp_asdf.robot import Config, Filter, FirmwareError, FixedPointRobot, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAGIC, MAX_Q, Table, checksum
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from robots import status_of_receive
@@ -215,21 +214,6 @@ def test_an_image_may_reach_far_in_time() -> None:
         mirror.step(Observation.BLACK)
     assert native.t == 2**30 + 1
     assert views(native) == views(mirror)
-
-
-@pytest.mark.parametrize("messages", [0, 1, 2, 3, 127, 128, 255, 256, 2**40, -1])
-@pytest.mark.parametrize("alpha", [0, 5, 2**24, 2**55, 2**64])
-def test_sums_are_taken_and_refused_alike(messages: int, alpha: int) -> None:
-    native, mirror = both()
-    x = fixed_point.HALF
-    sums = Sums(alpha=alpha, alpha_x_low=(alpha & 0xFFFFFFFF) * x, x=x, x_squared=x * x, count=1)
-    taken = 0
-    for each in (native, mirror):
-        with suppress(ValueError):
-            each.add_round(sums, messages)
-            taken += 1
-    assert taken == (2 if alpha in (5, 2**24) and 1 <= messages <= 127 else 0)
-    assert native.state() == mirror.state()
 
 
 # --- Errors ----------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from mcp_asdf.reference import (
 )
 from mcp_asdf.robot import Filter, Sums
 from mcp_asdf.table import FRACTION_BITS
-from mcp_asdf_tools.crosscheck.compare import REFUSED, Look, State, Watcher
+from mcp_asdf_tools.crosscheck.compare import Look, State, Watcher
 from mcp_asdf_tools.crosscheck.exact import (
     EPSILON,
     LARGEST_ALPHA,
@@ -202,7 +202,7 @@ class _Follower:
         problems += _means(new) + _same({name: new[word] for name, word in _READ.items()}, new)
         if call.name == "receive":
             return problems + self._received(call, before, after)
-        if after.outcome == REFUSED or after.outcome.startswith("ERR"):
+        if after.outcome.startswith("ERR"):
             return problems + _same(old, new)
         if call.name in _KEPT:
             problems += _kept(call, before, after)

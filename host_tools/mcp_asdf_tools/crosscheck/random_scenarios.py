@@ -8,7 +8,6 @@ whether x_bar is informative.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import astuple, replace
 from fractions import Fraction
 from math import ceil, isqrt
@@ -23,7 +22,6 @@ from mcp_asdf.fixed_point import (
     MANTISSA_MAX,
     ONE,
     SHIFT_MAX,
-    sums_add,
 )
 from mcp_asdf.mirror import IMAGE_WORDS, accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, Sums
@@ -78,9 +76,9 @@ class _Author:
         source = self._source
         if source.random() < 0.1:
             return Scenario(_spoilt(self._setup, source), ())
-        actions = (self._tick, self._jump, self._image, self._sums, self._forge, self._decide, self._hesitate)
+        actions = (self._tick, self._jump, self._image, self._forge, self._decide, self._hesitate)
         weights = source.choice(
-            [(20, 4, 2, 2, 2, 4, 2), (1, 0, 0, 0, 0, 0, 0), (1, 1, 0, 0, 0, 0, 0), (2, 2, 2, 1, 3, 12, 2)]
+            [(20, 4, 2, 2, 4, 2), (1, 0, 0, 0, 0, 0), (1, 1, 0, 0, 0, 0), (2, 2, 2, 3, 12, 2)]
         )
         for action in source.choices(actions, weights, k=source.choice([3, 10, 30])):
             action()
@@ -155,21 +153,8 @@ class _Author:
             self._call("restore", *source.choice(changes))
         self._call("receive", self._sender(), self._x_hat(), source.choice([0, alpha]))
 
-    def _sums(self) -> None:
-        """Add a round's sums, some of them impossible."""
-        source = self._source
-        m = source.choice([0, 1, 2, 3, 30, 31, 126, 127, source.randint(0, MAX_ID)])
-        largest = source.random() < 0.2
-        messages = [(ONE, ALPHA_MAX) if largest else (self._x_hat(), _alpha(source)) for _ in range(m)]
-        numbers = [m + source.choice([0, 0, 0, 0, 1, 126, 128]), *astuple(_sums_of(messages))]
-        if source.random() < 0.3:
-            member = source.randrange(len(numbers))
-            number = numbers[member]
-            numbers[member] = source.choice([max(number - 1, 0), number + 1, number ^ 1 << 20, number // 2])
-        self._call("add", numbers[0] & 0xFF, *numbers[1:])
-
     def _forge(self) -> None:
-        """Add or restore a round, open or closed, whose sums are at their limits, or beyond."""
+        """Restore a round, open or closed, whose sums are at their limits, or beyond."""
         source = self._source
         numbers = list(astuple(_extreme_sums(source)))
         if source.random() < 0.7:
@@ -177,9 +162,7 @@ class _Author:
             numbers[member] = max(numbers[member] + source.choice([-1, 1, 1]), 0)
         self._call("settle")
         words = [word for number in numbers[:4] for word in (number & _BITS_32, number >> 32)]
-        if source.random() < 0.4:
-            self._call("add", min(numbers[-1], MAX_ID), *numbers)
-        elif source.random() < 0.3:
+        if source.random() < 0.3:
             self._restore(_CLOSED, words[:6])
         else:
             heard = (1 << MAX_ID + 1) - 1 ^ 1 << self._setup.robot_id
@@ -217,13 +200,13 @@ class _Author:
         source = self._source
         heavy, light = (HALF, 0xFF << 8), (HALF + source.choice([-1, 1]), source.randint(0, 4) << 8)
         self._prepare_filter(source.choice([0, ONE]))
-        self._call("add", 2, *astuple(_sums_of([heavy, light])))
+        self._deliver([heavy, light])
         self._call("settle")
 
     def _filter_at(self, own: int, x_hats: list[int]) -> None:
         """Run the filter on a round of these estimates and the own one."""
         self._prepare_filter(own)
-        self._deliver(x_hats)
+        self._deliver([(x_hat, _positive_alpha(self._source)) for x_hat in x_hats])
         self._call("settle")
 
     def _prepare_filter(self, own: int) -> None:
@@ -234,15 +217,10 @@ class _Author:
         self._call("settle")
         self._call("restore", *words, _LAST, setup.robot_id << 24 | _UPDATED, _FILTER_LEFT, 1)
 
-    def _deliver(self, x_hats: list[int]) -> None:
-        """One message for each, or all at once."""
-        source = self._source
+    def _deliver(self, messages: list[tuple[int, int]]) -> None:
+        """Send messages of x_hat and alpha from robots drawn at random."""
         senders = [sender for sender in range(MAX_ID + 1) if sender != self._setup.robot_id]
-        messages = [(x_hat, _positive_alpha(source)) for x_hat in x_hats]
-        if len(messages) > 3 and source.random() < 0.95:
-            self._call("add", len(messages), *astuple(_sums_of(messages)))
-            return
-        for sender, message in zip(source.sample(senders, len(messages)), messages, strict=True):
+        for sender, message in zip(self._source.sample(senders, len(messages)), messages, strict=True):
             self._call("receive", sender, *message)
 
 
@@ -284,14 +262,6 @@ def round_at_threshold(source: Random, table: Table, m: int) -> tuple[list[int],
     start = source.randint(-low, max(ONE - high, -low))
     x_hats = [min(start + m * d * (i >= p), ONE) for i in range(m)]
     return x_hats, min(start + own, ONE)
-
-
-def _sums_of(messages: Iterable[tuple[int, int]]) -> Sums:
-    """The sums over messages of x_hat, at most 1.0, and an alpha word. O(m)."""
-    sums = Sums()
-    for x_hat, alpha in messages:
-        sums_add(sums, min(x_hat, ONE), alpha)
-    return sums
 
 
 def _setup(source: Random) -> Setup:

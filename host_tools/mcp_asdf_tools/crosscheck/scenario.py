@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import cast
 
 from mcp_asdf.mirror import IMAGE_WORDS
-from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status, Sums
+from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
@@ -25,14 +25,13 @@ from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 """A saved robot, as words."""
 
-_U8, _U32, _U64 = 2**8 - 1, 2**32 - 1, 2**64 - 1
+_U8, _U32 = 2**8 - 1, 2**32 - 1
 _LARGEST = {
     "robot": (_U8, _U32, _U32, _U8, _U32),
     "observe": (_U32,),
     "step": (_U32,),
     "settle": (),
     "receive": (_U8, _U32, _U32),
-    "add": (_U8, _U64, _U64, _U64, _U64, _U32, _U32),
     "damage": (4 * IMAGE_WORDS - 1, _U8),
 }
 """The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
@@ -50,8 +49,6 @@ class Call:
             observe, step: the observation.
             settle: none.
             receive: sender, x_hat, alpha.
-            add: ``add_round`` with the number of messages and the members of ``Sums`` in order; the firmwares
-                in Python have it, the C alone has not.
             restore: The robot is saved and replaced by the robot restored from its image, in which words were
                 replaced (pairs of index, 1 .. 29, and value) and the checksum made right again. If that is
                 refused it stays as it was.
@@ -241,7 +238,7 @@ def edited_image(image: bytes, call: Call) -> bytes:
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
-    """Make any call of ``robot`` but those in REPLACING. ``add`` raises ValueError as ``add_round`` does."""
+    """Make any call of ``robot`` but those in REPLACING."""
     numbers = call.numbers
     if call.name == "receive":
         return robot.receive_raw(*numbers)
@@ -249,7 +246,4 @@ def perform(robot: FixedPointRobot, call: Call) -> Status:
         return robot.observe(cast(Observation, numbers[0]))
     if call.name == "step":
         return robot.step(cast(Observation, numbers[0]))
-    if call.name == "settle":
-        return robot.settle()
-    robot.add_round(Sums(*numbers[1:]), numbers[0])
-    return Status.OK
+    return robot.settle()

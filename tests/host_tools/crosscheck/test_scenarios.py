@@ -96,7 +96,7 @@ def settled(before: dict[str, int], after: dict[str, int]) -> Iterator[str]:
         *("OK", "ERR_CONFIG", "ERR_TABLE", "ERR_ID", "ERR_B_HAT"),
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
-        *("settle OK", "settle UPDATED", "add OK", "add REFUSED"),
+        *("settle OK", "settle UPDATED"),
         *("restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
     ],
 )
