@@ -77,7 +77,6 @@ NEEDS_CLUSTER = (
 NOT_RUN = {
     f"mcp-asdf radio --id 3 --robots 11 {CAN0}": NO_CAN,
     f"mcp-asdf radio --id 3 {CAN0} --verify --wait 60 --report controller.md": NO_CAN,
-    f"mcp-asdf replay run.log --onto-bus {CAN0} --leave-out 3 --speed 2": NO_CAN,
     "mcp-asdf swarm --interface socketcan --channel vcan0": NO_CAN,
     "candump vcan0 | cantools decode --single-line -m 0x1FFFFF00 mcp_asdf.dbc": NO_CAN,
     "yakut -i \"CAN(can.media.socketcan.SocketCANMedia('vcan0', 8), 126)\" monitor": NO_CAN,

@@ -23,7 +23,7 @@ GROUPS = {
     "See a swarm calibrate itself": {
         "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
         "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
-        "replay": "check a log by running its robots again, or play it onto a bus",
+        "replay": "check a log by running its robots again",
     },
     "Put the firmware into robots": {
         "firmware": "write the C firmware with a t-table and a CMake file into a project",

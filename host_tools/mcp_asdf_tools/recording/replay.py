@@ -1,11 +1,10 @@
-"""Replay of a log: every robot runs again on its recorded input, or the frames go onto a bus."""
+"""Replay of a log: every robot runs again on its recorded input."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -27,11 +26,6 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.robots.bus_robot import RESTART, SETTLE, BusRobot, Event
 from mcp_asdf_tools.robots.record import RobotRecord
-
-SEND_TIMEOUT = 2.0
-_SLICE = 0.1
-_QUIET, _LONGEST_REST = 0.1, 2.0
-"""Seconds."""
 
 
 class Broadcast(NamedTuple):
@@ -280,105 +274,3 @@ def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
     """Place of the broadcast with the message's transfer_id among the next; 0 in a log without gaps."""
     ahead = range(min(len(broadcasts), TRANSFER_IDS))
     return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
-
-
-# --- Onto a bus ------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Playback:
-    """Frames of a log on their way onto a bus.
-
-    Attributes:
-        sent: Frames sent.
-        skipped: Error frames, which cannot be sent, and frames of nodes left out.
-        seconds: Duration.
-        lateness: Largest lateness of a frame, seconds; 0 at full speed.
-        failures: Frames that the bus did not take.
-        last_failure: The last reason.
-        is_stopped: Whether it was asked to stop.
-    """
-
-    sent: int = 0
-    skipped: int = 0
-    seconds: float = 0.0
-    lateness: float = 0.0
-    failures: int = 0
-    last_failure: str | None = None
-    is_stopped: bool = False
-
-    def plain(self) -> dict[str, Any]:
-        """The figures as plain values, for JSON."""
-        return asdict(self)
-
-
-@dataclass
-class Player:
-    """Sends the frames of a log.
-
-    Attributes:
-        bus: Bus to send on.
-        speed: Recorded seconds per second; 0 for as fast as the bus takes frames.
-        left_out: Node ids whose frames are not sent, such as that of a robot on the bus.
-        should_stop: Checked several times per second.
-        progress: Called after each frame.
-        playback: Figures so far.
-    """
-
-    bus: can.BusABC
-    speed: float = 1.0
-    left_out: Collection[int] = ()
-    should_stop: Callable[[], bool] = lambda: False
-    progress: Callable[[], None] = lambda: None
-    playback: Playback = field(default_factory=Playback)
-
-    def play(self, log: Iterable[can.Message]) -> None:
-        """Send all frames of ``log``, or until asked to stop."""
-        began, first = time.monotonic(), None
-        for frame in log:
-            if self._is_left_out(frame):
-                self.playback.skipped += 1
-                self.playback.is_stopped = self.should_stop()
-            else:
-                first = frame.timestamp if first is None else first
-                due = began + (frame.timestamp - first) / self.speed if self.speed else began
-                self.playback.is_stopped = not self._wait(due)
-                if not self.playback.is_stopped:
-                    self._send(frame)
-                    self.progress()
-            if self.playback.is_stopped:
-                break
-        self.playback.seconds = time.monotonic() - began
-        self._come_to_rest()
-
-    def _is_left_out(self, frame: can.Message) -> bool:
-        return frame.is_error_frame or (frame.is_extended_id and frame.arbitration_id & 0x7F in self.left_out)
-
-    def _wait(self, due: float) -> bool:
-        """Wait until ``due``; returns whether to go on."""
-        while not self.should_stop():
-            left = due - time.monotonic()
-            if left <= 0:
-                if self.speed:
-                    self.playback.lateness = max(self.playback.lateness, -left)
-                return True
-            time.sleep(min(left, _SLICE))
-        return False
-
-    def _come_to_rest(self) -> None:
-        """Read until the bus is quiet: leaving an adapter earlier loses frames that it has not passed on."""
-        began = now = time.monotonic()
-        while now - began < _LONGEST_REST:
-            self.bus.recv(_QUIET)
-            before, now = now, time.monotonic()
-            if now - before >= _QUIET:
-                break
-
-    def _send(self, frame: can.Message) -> None:
-        try:
-            self.bus.send(frame, timeout=SEND_TIMEOUT)
-            self.bus.recv(0)  # adapters answer each frame, and stop if their answers are not read
-            self.playback.sent += 1
-        except can.CanError as error:
-            self.playback.failures += 1
-            self.playback.last_failure = str(error)

@@ -28,8 +28,6 @@ NOT_RUN = {
     "view grid.parquet --where filter=none --trial 3": CTRL_C,
     "view run.log": CTRL_C,
     "view --interface socketcan --channel vcan0": NO_CAN,
-    f"replay run.log {CAN0} --onto-bus --leave-out 3": NO_CAN,
-    "replay run.log --interface socketcan --channel vcan0 --onto-bus --speed 0": NO_CAN,
     f"radio --id 3 --robots 11 {CAN0}": NO_CAN,
     f"radio --id 3 --robots 11 {CAN0} --fault loss=0.3": NO_CAN,
     f"radio --id 3 {CAN0} --verify --wait 60 --report it.md": NO_CAN,

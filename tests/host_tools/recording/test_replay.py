@@ -8,7 +8,6 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -17,13 +16,11 @@ from can.interfaces import virtual
 from input_logs import input_log_in
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode
-from mcp_asdf_tools.bus.slcan_server import SlcanServer
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording import replay as module
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
-from mcp_asdf_tools.recording.replay import Player, ReplayVerdict, verify
+from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
 from wire import record
@@ -213,148 +210,18 @@ def test_the_first_difference_is_told(
     assert "x_hat 0x000000 (0.0000000), alpha 0x00000000 (0), transfer_id 10, but in tick 11 " in captured.err
 
 
-# Playing
-
-
-def frames_at(*times: float, node: int = 3) -> list[can.Message]:
-    return [can.Message(arbitration_id=0x106BB800 | node, timestamp=time, data=b"12345678") for time in times]
-
-
-class Clock:
-    """A clock that only sleeping moves; a bus that notes when it is given frames."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-        self.sent: list[tuple[float, int]] = []
-        self.fails = False
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        assert seconds > 0
-        self.now += seconds
-
-    def send(self, frame: can.Message, timeout: float) -> None:
-        if self.fails:
-            raise can.CanOperationError("bus off")
-        self.sent.append((self.now - 1000.0, frame.arbitration_id & 0x7F))
-
-    def recv(self, timeout: float) -> None:
-        self.now += timeout
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr(module, "time", clock)
-    return clock
-
-
-def player(clock: Clock, **settings: Any) -> Player:
-    return Player(clock, **settings)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("speed", "times"), [(1.0, [0, 1.5, 4]), (0.5, [0, 3, 8]), (4.0, [0, 0.375, 1])])
-def test_frames_are_played_in_time(speed: float, times: list[float], clock: Clock) -> None:
-    playing = player(clock, speed=speed)
-    playing.play(frames_at(7.0, 8.5, 11.0))
-    assert [when for when, _ in clock.sent] == pytest.approx(times)
-    assert playing.playback.sent == 3
-    assert playing.playback.lateness < 1e-6
-
-
-def test_flat_out_nothing_waits_and_the_past_is_no_trouble(clock: Clock) -> None:
-    player(clock, speed=0).play(frames_at(7.0, 8.5, 1.0))
-    assert clock.sent == [(0.0, 3)] * 3
-    began = clock.now - 1000.0
-    player(clock, speed=1).play(frames_at(7.0, 6.0, 6.5))
-    assert clock.sent[3:] == [(began, 3)] * 3
-
-
-def test_who_is_left_out_and_what_cannot_be_sent(clock: Clock) -> None:
-    error = can.Message(is_error_frame=True)
-    standard = can.Message(arbitration_id=0x103, is_extended_id=False)
-    playing = player(clock, left_out=(3, 4))
-    playing.play([*frames_at(1.0), error, *frames_at(1.0, node=5), standard, *frames_at(1.0, node=4)])
-    assert [node for _, node in clock.sent] == [5, 3]
-    assert playing.playback.skipped == 3
-
-
-def test_a_bus_that_refuses_frames_is_counted(clock: Clock) -> None:
-    clock.fails = True
-    playing = player(clock)
-    playing.play(frames_at(1.0, 2.0))
-    assert (playing.playback.sent, playing.playback.failures) == (0, 2)
-    assert playing.playback.last_failure == "bus off"
-
-
-def test_playing_stops_when_told(clock: Clock) -> None:
-    playing = player(clock, should_stop=lambda: clock.now > 1001)
-    playing.play(frames_at(0.0, 0.5, 100.0))
-    assert len(clock.sent) == 2
-    assert playing.playback.is_stopped
-    assert playing.playback.seconds == pytest.approx(1.0, abs=0.2)
-
-
-def test_playing_stops_while_all_frames_are_left_out(clock: Clock) -> None:
-    playing = player(clock, left_out=(3,))
-    playing.should_stop = lambda: playing.playback.skipped == 10
-    playing.play(frames_at(*[0.0] * 1000))
-    assert playing.playback.is_stopped
-    assert playing.playback.skipped == 10
-
-
 # The command
-
-
-def test_a_log_without_input_log_is_played(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "run.log"
-    shutil.copy(recorded, log)
-    frames = list(read_log(log))
-    server = f"{SLCAN} --speed 0 --leave-out 1"
-    played = play_to_slcan(log, server)
-    expected = [frame for frame in frames if frame.arbitration_id & 0x7F != 1]
-    assert [(f.arbitration_id, bytes(f.data)) for f in played] == [
-        (f.arbitration_id, bytes(f.data)) for f in expected
-    ]
-    assert f"{len(expected)} frames sent" in capsys.readouterr().out
-
-
-SLCAN = "--interface slcan --channel socket://127.0.0.1:{port} --bus-kwargs sleep_after_open=0"
-
-
-def play_to_slcan(log: Path, options: str) -> list[can.Message]:
-    """Frames on a bus behind an slcan adapter when the command plays ``log`` onto it."""
-    pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
-
-    def join() -> can.BusABC:
-        return can.Bus(interface="virtual", channel="replay test", ignore_config=True)
-
-    with join() as bus, SlcanServer(join()) as server:
-        assert main(["replay", str(log), *shlex.split(options.format(port=server.port))]) == 0
-        return list(iter(lambda: bus.recv(0.5), None))
-
 
 BAD = {
     "absent.log": "absent.log",
     "absent.log --events run.log.events": "cannot read the log absent.log: No such file",
     "run.log --events absent": "cannot read absent: No such file",
     "run.log --events run.log": "run.log, line 1: not JSON",
-    "run.log --speed -1": "speed is -1.0; it must be 0 (flat out) or a positive factor",
-    "run.log --speed nan": "speed is nan",
-    "run.log --speed 2": "run.log.events is there; add --onto-bus",
-    "run.log --leave-out 3": "run.log.events is there; add --onto-bus",
-    "run.log --onto-bus --leave-out 128": "leave-out is 128; ids are 0 to 127",
-    "run.log --onto-bus": "is inside this process, where no other program hears run.log",
-    "lone.log": "give lone.log.events or --events",
+    "lone.log": "there is no lone.log.events, without which nothing can be checked; give it as --events",
     "cut.log --events run.log.events": "the log cut.log is malformed after frame 3 ",
     "empty.log --events run.log.events": "the log empty.log holds no frame",
     "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
-    "run.log --interface nonsense --onto-bus": "nonsense",
 }
 
 
