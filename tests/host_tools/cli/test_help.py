@@ -99,18 +99,6 @@ def test_no_list_of_interfaces_and_no_option_that_does_nothing(helps: dict[str, 
         assert "--fd" not in text and "--data-bitrate" not in text, name
 
 
-def test_prose_is_wrapped_and_examples_are_not(
-    helps: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    narrow = parser_of("replay").format_help()
-    assert "\nexit code: 0 done, 1 a broadcast" in narrow
-    prose = narrow.partition("# flat out\n")[2]
-    assert max(map(len, prose.splitlines())) <= 60
-    for line in examples("replay"):
-        assert f"\n  mcp-asdf {line}" in narrow
-
-
 @pytest.mark.parametrize(
     ("line", "told"),
     [
