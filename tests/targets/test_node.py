@@ -10,13 +10,18 @@ import random
 import resource
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
+from cffi import FFI
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
@@ -40,6 +45,7 @@ from support import PATIENCE, ROOT, interruptible, require, run, slow
 from targets.c_node import (
     CORTEX_A8,
     HOST,
+    PLAIN,
     SOURCES,
     CNode,
     Kind,
@@ -572,6 +578,75 @@ def complaint(node: CNode) -> str:
     printed, complaints = node.process.communicate(timeout=PATIENCE)
     assert (node.process.returncode, printed) == (2, "")
     return str(complaints)
+
+
+# ---- What the kernel is asked for, and when ----
+
+
+def traced(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, bus: UnixBus, strace: str, *options: object
+) -> tuple[dict[str, Any], list[str]]:
+    """The summary of a node under strace, and the calls that were written down."""
+    trace = tmp_path / "trace"
+    command = [require("strace", "strace"), "-o", trace, *strace.split(), *built(PLAIN, tmp_path_factory)]
+    options = ("--steps-per-second", 1000, *options)
+    with CNode(list(map(str, command)), bus.channel_info, 5, *options) as node:
+        hear_out(bus, bus.accept())
+        return node.summary(), trace.read_text(encoding="utf-8").splitlines()
+
+
+def test_a_state_is_on_the_disk_before_it_replaces_the_last_one(
+    bus: UnixBus, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    text, state = tmp_path / "observations", tmp_path / "state"
+    text.write_text("101", encoding="ascii")
+    options = ("--state", state, "--observations", text)
+    _, calls = traced(tmp_path, tmp_path_factory, bus, "-e trace=fsync,rename", *options)
+    ends = [call for call in calls if not call.startswith("+++")]
+    assert [call.partition("(")[0] for call in ends] == ["fsync", "rename"]
+    assert all(call.endswith("= 0") for call in ends)
+
+
+def test_a_signal_that_interrupts_reading_does_not_end_the_input(
+    bus: UnixBus, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    text = tmp_path / "observations"
+    text.write_text("1011", encoding="ascii")
+    interrupted = f"-e trace=read -P {text} -e inject=read:error=EINTR:when=1"
+    figures, calls = traced(tmp_path, tmp_path_factory, bus, interrupted, "--observations", text)
+    assert "EINTR" in calls[0]
+    assert (figures["t"], figures["n"], figures["missing"]) == (4, 3, 1)
+
+
+@given(st.integers(1000, 10**9), st.integers(0, 10**12), st.lists(st.integers(0, 10**10), min_size=1))
+@settings(deadline=None)
+def test_the_ticker_leaves_out_exactly_the_ticks_that_it_missed(
+    period: int, begin: int, waits: list[int]
+) -> None:
+    """Ticks are due at begin + k period; one that is taken late takes the place of all up to then."""
+    ffi, library = ticker()
+    one, now, taken, worst = ffi.new("ticker_t *", library.ticker_start(period, begin)), begin, 0, 0
+    for wait in waits:
+        now += wait
+        due = begin + (taken + one.skipped) * period
+        assert library.ticker_is_due(one, now) == (now >= due)
+        if now >= due:
+            taken, worst = taken + 1, max(worst, now - due)
+            assert one.next - period <= now < one.next
+        assert (one.next, one.worst) == (begin + (taken + one.skipped) * period, worst)
+
+
+@cache
+def ticker() -> tuple[FFI, Any]:
+    """ticker.c as a library."""
+    ffi, folder = FFI(), Path(tempfile.mkdtemp())
+    ffi.cdef(
+        "typedef struct { int64_t period, next, worst; uint32_t skipped; } ticker_t;"
+        "ticker_t ticker_start(int64_t period, int64_t now);"
+        "bool ticker_is_due(ticker_t *ticker, int64_t now);"
+    )
+    run(require("gcc"), "-shared", "-fPIC", SOURCES / "ticker.c", "-o", folder / "ticker.so")
+    return ffi, ffi.dlopen(str(folder / "ticker.so"))
 
 
 # ---- Bad usage ----
