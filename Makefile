@@ -12,7 +12,7 @@ C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets loop socketcan reproducible sbom lowest docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets socketcan reproducible sbom lowest docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -49,9 +49,6 @@ cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again
 
 targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
 	@PYTHONPATH=tests $(BIN)/python -m targets.matrix
-
-loop: .venv/ready-to-test ## run a Cortex-M3 image as one robot of ten, every bit compared, and measure its rate
-	@$(BIN)/python tests/targets/firmware_loop.py
 
 socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
 	@$(BIN)/pytest tests/socketcan

@@ -29,7 +29,6 @@ SHOWN = (
     "(0.000000) vcan0",
     "PASS scenarios",
     "scenario 6",
-    "cortex-m3 on mps2-an385",
     "tick  50: share of black",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""

@@ -12,9 +12,7 @@ from typing import Any
 
 import can
 import pytest
-from can.typechecking import CanFilters
 
-from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import (
     Command,
     FrameFormat,
@@ -27,7 +25,7 @@ from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
 from socketcan.robots import PythonNode, drive
-from socketcan.vcan import FRAME, Vcan
+from socketcan.vcan import Vcan
 from support import PATIENCE
 from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
 
@@ -142,32 +140,6 @@ def time_used() -> float:
 
 
 # ---- What the kernel is asked for ----
-
-
-def test_a_node_wakes_only_for_frames_that_it_needs(start: Start, vcan: Vcan) -> None:
-    node = start(0, "--lockstep", "--steps", 1)
-    of_node_0: CanFilters = [{"can_id": 0, "can_mask": NODE_BITS, "extended": True}]
-    with vcan.bus() as bus, vcan.socket() as own:
-        bus.set_filters(of_node_0)
-        lockstep = Lockstep(bus, timeout=PATIENCE)
-        lockstep.wait_until_up([0], PATIENCE)
-        needed = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat()).arbitration_id | EXTENDED
-        near = (
-            needed ^ 0x100,
-            needed ^ 0x80,
-            needed ^ 0x800000,
-            needed ^ 0x2000000,
-            needed & 0x7FF,
-            needed | 0x4000_0000,
-        )
-        for _ in range(50):
-            for identifier in near:
-                own.send(FRAME.pack(identifier, 8, bytes(8)))
-        own.send(FRAME.pack(needed, 8, bytes([0, 0, 64, 0, 0, 128, 63, 0xE0])))
-        lockstep.observe({0: Observation.BLACK})
-        lockstep.settle([0])
-    figures = node.summary()
-    assert (figures["received"], figures["heard"], figures["obeyed"]) == (3, 1, 2)
 
 
 def test_frames_that_overflow_the_receive_buffer_are_counted(

@@ -1,59 +1,37 @@
-"""A robot's firmware image under QEMU in a swarm of ten, with its mirror: every frame is compared.
-
-    python tests/targets/firmware_loop.py [--target NAME] [--steps N] [--seconds S]
-
-Builds the image of c_ref/ports/slcan for a target, lets it run in lockstep with nine emulated neighbours
-for N ticks as fast as it answers, then for S seconds at ten ticks per second, and prints the comparisons and
-the speed of the answers. Exits with 1 at the first frame that differs, or if more than one tick in ten of
-those at ten per second was late, with 2 for bad usage.
-"""
+"""A robot's firmware image under QEMU in a swarm of ten, with its mirror: every frame is compared."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import shutil
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
 
 import can
-from rich.console import Console
-from rich.progress import track
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config
 from mcp_asdf_tools.bus.frames import Action, Command, encode_command
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
+from support import ROOT, run
+from targets.c_node import WARNINGS
 from targets.qemu import Board
 
-SOURCE = Path(__file__).resolve().parents[2] / "c_ref/ports/slcan"
+SOURCE = ROOT / "c_ref/ports/slcan"
 BOARDS = {"cortex-m3": "mps2-an385", "cortex-m4": "mps2-an386", "rv32imc": "virt"}
 """Name of the toolchain file, and the board that runs its code."""
 
 IMAGE_ID, ROBOTS = 3, 10
 FILL_RATIO, ACCURACY, FLAWED_ACCURACY = 0.55, 0.95, 0.55
 SEED = 20261121
-_DAY = 86400
 TIMEOUT = 20.0
-PERIOD, MOST_LATE = 0.1, 0.1
-"""Seconds of a tick in real time, and the share of ticks that may be late: a computer has more to do."""
 
-_WARNINGS = (
-    "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wdouble-promotion -Wundef -Werror"
-)
 
 Send = Callable[[Sequence[can.Message]], None]
 Receive = Callable[[], can.Message | None]
@@ -63,24 +41,14 @@ class DifferenceError(AssertionError):
     """The image said something else than its mirror, or nothing."""
 
 
-class LateError(AssertionError):
-    """The image does not keep up with ten ticks per second."""
-
-
 def build(target: str, folder: Path, filter_period: int, flags: str = "") -> Path:
     """Build the image for a key of BOARDS, or for this computer if "host", in ``folder``; returns it."""
-    if shutil.which("cmake") is None:
-        raise UsageError("cmake is not installed; apt-get install cmake ninja-build")
     chosen = {"ID": IMAGE_ID, "B_HAT": FLAWED_ACCURACY, "FILTER_PERIOD": filter_period}
     settings = [f"-DROBOT_{name}={value}" for name, value in chosen.items()]
     if target != "host":
-        settings.append(f"-DCMAKE_TOOLCHAIN_FILE={SOURCE}/../../cmake/{target}.cmake")
-    environment = {**os.environ, "CFLAGS": f"{_WARNINGS} {flags}"}
-    configure = ["cmake", "-G", "Ninja", "-S", str(SOURCE), "-B", str(folder), *settings]
-    for command in (configure, ["cmake", "--build", str(folder)]):
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise UsageError(f"the image cannot be built:\n{done.stdout}\n{done.stderr}")
+        settings.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake'}/{target}.cmake")
+    run("cmake", "-G", "Ninja", "-S", SOURCE, "-B", folder, *settings, CFLAGS=f"{WARNINGS} {flags}")
+    run("cmake", "--build", folder)
     return folder / "slcan_robot"
 
 
@@ -175,81 +143,3 @@ def over(bus: can.BusABC) -> tuple[Send, Receive]:
 def open_bus(board: Board) -> can.BusABC:
     """The board's serial line as a bus of python-can."""
     return can.Bus(interface="slcan", channel=board.channel, sleep_after_open=0, ignore_config=True)
-
-
-def demonstrate(board: Board, filter_period: int, ticks: int, seconds: float) -> str:
-    """Lockstep as fast as it goes, then at ten ticks per second; returns what happened, a few lines.
-
-    Raises DifferenceError as Loop, and LateError with those lines if too many ticks were late.
-    """
-    with open_bus(board) as bus:
-        loop = Loop(*over(bus), filter_period)
-        loop.start()
-        began = time.monotonic()
-        for _ in _shown(ticks, "lockstep"):
-            loop.tick()
-        rate = ticks / (time.monotonic() - began)
-        took = [_pace(loop, time.monotonic()) for _ in _shown(round(seconds / PERIOD), "real time")]
-    robot, late = loop.mirror.robot, sum(each > PERIOD for each in took)
-    told = (
-        f"{loop.compared} frames in {ticks + len(took)} ticks are its mirror's, bit for bit\n"
-        f"x {robot.x:.6f}  b_hat {robot.b_hat:.6f}  re-estimates {robot.counters.updates}\n"
-        f"highest rate {rate:.0f} ticks/s\n"
-        f"at 10 ticks/s {late} of {len(took)} were late; the slowest took {1000 * max(took):.0f} ms"
-    )
-    if late > MOST_LATE * len(took):
-        raise LateError(f"{told}: it does not keep up")
-    return told
-
-
-def _shown(ticks: int, what: str) -> Iterable[int]:
-    """A range with a progress bar where somebody may see it."""
-    console = Console(stderr=True)
-    return track(range(ticks), what, transient=True, console=console, disable=not console.is_terminal)
-
-
-def _pace(loop: Loop, began: float) -> float:
-    """One tick at ten per second; returns its duration."""
-    loop.tick()
-    took = time.monotonic() - began
-    time.sleep(max(0.0, PERIOD - took))
-    return took
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Raises UsageError for a run that cannot be."""
-    if args.steps < 1:
-        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    if not PERIOD <= args.seconds <= _DAY:
-        raise UsageError(f"seconds is {args.seconds}; it must be {PERIOD}, one tick, to {_DAY}, a day")
-    mirror_node(args.filter_period)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        description="Run a firmware image in a swarm of ten and compare every frame."
-    )
-    parser.add_argument("--target", choices=list(BOARDS), default="cortex-m3", help="default: %(default)s")
-    parser.add_argument("--steps", type=int, default=5000, help="of lockstep (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of real time (default: %(default)s)")
-    parser.add_argument("--filter-period", type=int, default=1000, help="tau in ticks (default: %(default)s)")
-    args = parser.parse_args(arguments)
-    try:
-        _check(args)
-        with tempfile.TemporaryDirectory() as folder:
-            image = build(args.target, Path(folder), args.filter_period)
-            with Board(BOARDS[args.target], image) as board:
-                print(f"{args.target} on {BOARDS[args.target]} is robot {IMAGE_ID} of {ROBOTS}; seed {SEED}")
-                print(demonstrate(board, args.filter_period, args.steps, args.seconds))
-    except (DifferenceError, LateError) as failure:
-        print(failure)
-        return 1
-    except UsageError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

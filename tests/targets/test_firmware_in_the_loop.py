@@ -127,13 +127,6 @@ class Line:
                 return text
         raise AssertionError(f"the image does not answer; the last it said is {text[-100:]!r}")
 
-    def until(self, end: bytes) -> bytes:
-        """All bytes up to ``end``."""
-        text = b""
-        while not text.endswith(end):
-            text += self.receive(1)
-        return text
-
 
 def model() -> Model:
     return Model(lambda: mirror_node(FILTER_PERIOD))
@@ -145,7 +138,6 @@ def model() -> Model:
 @every_target
 @pytest.mark.parametrize("ticks", [50, pytest.param(500, marks=pytest.mark.slow)])
 def test_in_lockstep_every_frame_is_the_mirror_s(target: str, ticks: int, board: Board) -> None:
-    """`make loop` runs 5000 ticks."""
     with open_bus(board) as bus:
         loop = Loop(*over(bus), FILTER_PERIOD)
         loop.start()
