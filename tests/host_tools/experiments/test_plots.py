@@ -109,7 +109,9 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
 def test_series_are_named_by_what_varies(results: list[Trials]) -> None:
     names = ["no filter", "ASDF+, filter period 100", "ASDF+, filter period 150"]
     assert legend_of(boxes(results, lambda _: LIMITS)) == names
-    assert legend_of(boxes(results, lambda _: LIMITS, lambda _: "all of them")) == ["all of them"]
+    figure = boxes(results, lambda _: LIMITS, lambda _: "all of them")
+    assert legend_of(figure) == ["all of them"]
+    assert figure.get_size_inches() == pytest.approx((0.7 * 9, 1.4 + 2 * 2.6))
 
 
 def test_captions_say_how_to_read_a_figure(results: list[Trials]) -> None:
@@ -256,6 +258,7 @@ def test_paths_lead_from_start_to_end() -> None:
     assert [body.center for body in bodies] == [tuple(place) for place in path[-1]]
     assert {body.radius for body in bodies} == {BODY_RADIUS}
     assert to_hex(bodies[0].get_facecolor()) == FLAWED
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$ (m)", "$y$ (m)")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import signal
@@ -149,30 +148,6 @@ def test_another_server_is_told(
         address = f"127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(UsageError, match=f"no Dask scheduler at {address}: {reason}"):
             run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
-
-
-def test_no_client_is_made_before_the_scheduler_answers(tmp_path: Path) -> None:
-    """One that fails would be closed by the garbage collector: in the wrong thread, that stops the next."""
-    gc.collect()
-    gc.disable()
-    try:
-        with pytest.raises(UsageError, match="no Dask scheduler at"):
-            run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler="nonsense://x")
-        clients = [each for each in gc.get_objects() if type(each) is distributed.Client]
-        assert [each.status for each in clients if each.status != "closed"] == []
-    finally:
-        gc.enable()
-
-
-def test_a_scheduler_lost_before_the_client_is_there_is_told(
-    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def lost(address: str, **_: object) -> None:
-        raise OSError("connection reset")
-
-    monkeypatch.setattr(distributed, "Client", lost)
-    with pytest.raises(UsageError, match=f"no Dask scheduler at {cluster}: connection reset; start one"):
-        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
 
 
 def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

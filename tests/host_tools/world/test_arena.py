@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from host_tools.world.motion_statistics import bursts as motion_bursts
-from host_tools.world.motion_statistics import motion_statistics, runs
+from host_tools.world.motion_statistics import motion_statistics
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
@@ -385,26 +384,6 @@ def test_robots_look_at_the_floor_before_their_right_front(floor: dict[str, Any]
 # ---------------------------------------------------------------- statistics
 
 
-def test_runs_are_those_that_begin_and_end_within() -> None:
-    state = np.random.default_rng(3).random((60, 25)) < 0.6
-    state[:, 0], state[:, 1] = True, False
-    starts, lengths = runs(state)
-    expected = []
-    for column in range(25):
-        tick = 0
-        for value, group in itertools.groupby(state[:, column].tolist()):
-            length = len(list(group))
-            if value and tick > 0 and tick + length < 60:
-                expected.append((column, tick - 1, length))
-            tick += length
-    assert [(c, t, n) for (c, t), n in zip(starts.tolist(), lengths.tolist(), strict=True)] == expected
-
-
-def test_too_short_a_motion_has_no_statistics() -> None:
-    with pytest.raises(ValueError, match="500 ticks are too few"):
-        motion_statistics(Arena(PAPER, 0).record(500))
-
-
 DIFFERENT = {"degree without blocking", "time between contacts", "largest coordinate"}
 """Not measured here, or measured otherwise: docs/arena.md."""
 
@@ -424,12 +403,3 @@ def test_the_motion_has_the_statistics_of_the_reference() -> None:
         if abs(values.mean() - expected) > 0.05 * abs(expected) + 3 * error + digit:
             wrong.append(f"{name}: {values.mean():.4f} +- {error:.4f}, not {expected}")
     assert not wrong, "; ".join(wrong)
-
-
-def test_bursts_join_avoidances_that_follow_at_once() -> None:
-    """A run of False of nine ticks joins, of ten does not; what is cut off by an end counts for nothing."""
-    avoids = np.zeros((60, 1), np.bool_)
-    for start, end in ((0, 3), (10, 12), (21, 24), (34, 40), (55, 60)):
-        avoids[start:end] = True
-    found = motion_bursts(avoids)
-    assert found == {"avoidance bursts in 1000 s": 1000 / 6, "ticks between bursts": (10 + 15) / 2}
