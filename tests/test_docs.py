@@ -115,7 +115,6 @@ NOT_RUN = {
 
 SLOW = {
     "mcp-asdf crosscheck --steps 5000 --seed 7",
-    "mcp-asdf crosscheck --steps 1000 --plot operations.png",
     "mcp-asdf crosscheck --steps 1000 --json",
     "mcp-asdf reproduce --quick --part physical",
     "mcp-asdf sweep physical --trials 1",

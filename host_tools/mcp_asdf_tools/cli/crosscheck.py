@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
-from pathlib import Path
 from typing import cast
 
 from rich.console import Console
@@ -25,7 +23,7 @@ from mcp_asdf_tools.crosscheck.compare import (
     crosscheck,
     shrink,
 )
-from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations, measure_storage
+from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
 from mcp_asdf_tools.crosscheck.oracle import Audit
 from mcp_asdf_tools.crosscheck.report import Failure, Result
 from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
@@ -35,7 +33,6 @@ EPILOG = """\
 examples:
   mcp-asdf crosscheck                               # about ten seconds
   mcp-asdf crosscheck --steps 100000000 --seed 7    # hours; Ctrl-C reports what was done
-  mcp-asdf crosscheck --plot operations.png         # operations against t, m and q
   mcp-asdf crosscheck --replay robot:2:1:64:0:2147483648,step:1
 Random and adversarial scenarios run through the C and through its mirror in Python. Any differing bit of
 state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
@@ -49,24 +46,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--steps", type=int, metavar="N", help=f"calls to make and compare (default {STEPS})")
     parser.add_argument("--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {SEED})")
-    parser.add_argument(
-        "--plot", metavar="FILE", type=Path, help="draw the operation counts: .png, .svg or .pdf"
-    )
     parser.add_argument("--replay", metavar="LINE", help="run one scenario, as a failed check printed it")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay one scenario, or run the whole check."""
     if args.replay is not None:
-        if (args.steps, args.seed, args.plot) != (None, None, None):
-            raise UsageError("--replay runs one scenario; it does not go with --steps, --seed or --plot")
+        if (args.steps, args.seed) != (None, None):
+            raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
     steps, seed = STEPS if args.steps is None else args.steps, SEED if args.seed is None else args.seed
     if steps < 1:
         raise UsageError(f"--steps is {steps}; choose 1 or more")
     if seed < 0:
         raise UsageError(f"--seed is {seed}; choose 0 or more")
-    return _check_all(steps, seed, _plotter(args.plot), args)
+    return _check_all(steps, seed, args)
 
 
 def _firmware(name: str) -> Firmware:
@@ -104,13 +98,10 @@ def _agreement(status: str, calls: int) -> str:
     return f"native and mirror agree in every bit over {calls} calls"
 
 
-def _check_all(
-    steps: int, seed: int, save_plot: Callable[[dict[str, CallCount]], None], args: argparse.Namespace
-) -> int:
+def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     audit = Audit()
     check = _check_with(audit)
     counts = count_operations()
-    save_plot(counts)
     with _progress(args.json) as progress:
         task = progress.add_task("calls", total=steps)
         outcome = crosscheck(check, seed, steps, lambda done: progress.update(task, completed=done))
@@ -141,18 +132,6 @@ def _explain(scenario: Scenario) -> Failure:
 def _failure(scenario: Scenario, finding: Disagreement | None) -> Failure:
     assert finding is not None
     return Failure(scenario.with_calls(scenario.calls[: finding.calls]), finding)
-
-
-def _plotter(path: Path | None) -> Callable[[dict[str, CallCount]], None]:
-    """A function that draws the counts into ``path``. Raises UsageError, before the run, for a bad path."""
-    if path is None:
-        return lambda counts: None
-    # matplotlib takes a second to load, and is needed for a picture only.
-    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
-    from mcp_asdf_tools.crosscheck.operation_plot import draw  # noqa: PLC0415
-
-    checked = check_plot_path(path)
-    return lambda counts: save_figure(draw(counts), checked)
 
 
 def _progress(quiet: bool) -> Progress:

@@ -1,24 +1,19 @@
-"""Counting the integer operations of every call: the claims that time is O(1) and memory O(q).
+"""Counting the interpreter's instructions of every call: the claims that time is O(1) and memory O(q).
 
-The mirror's code runs on integers that count their operations, so the count is that of the very code whose
-bits are the firmware's. It is taken over t, over the messages m of a round and over the table's q, with both
-outcomes of every decision. Integers here have no fixed size; the widest one met is recorded too, so that an
-operation is a bounded number of instructions. So are the lines of code executed, for a loop need not touch
-such an integer, and the builtins used, for some of them are loops themselves.
+The mirror's code runs as it is and every bytecode instruction is counted, so a loop shows whatever it loops
+over. The count is taken over t, over the messages m of a round and over the table's q, with both outcomes of
+every decision. Each instruction takes a bounded time, for the mirror's integers are those of the C.
 """
 
 from __future__ import annotations
 
-import builtins
-import dis
 import gc
 import sys
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from copy import copy
-from dataclasses import dataclass, field, fields, replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import cache, partial
-from types import CodeType, FrameType
+from types import FrameType
 from typing import Any
 
 from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
@@ -27,121 +22,49 @@ from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Observati
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
-KINDS = {
-    "add": ("add", "radd", "sub", "rsub", "neg"),
-    "multiply": ("mul", "rmul", "pow"),
-    "divide": ("floordiv", "rfloordiv", "mod", "rmod"),
-    "shift": ("lshift", "rlshift", "rshift", "rrshift"),
-    "logic": ("and", "rand", "or", "ror", "xor", "rxor", "invert"),
-    "compare": ("lt", "le", "gt", "ge", "eq", "ne", "bool"),
-    "bit length": ("bit_length",),
-}
-"""Kinds of operations, and the methods of ``int`` that count as such."""
-
-BOUNDS = {"observe": 70, "receive": 40, "settle": 110, "step": 180, "x": 15}
-"""Maximum operations of a call. Written down, so that a change of the mirror's cost is a decision."""
-WIDEST = 96
-"""Maximum bits of any intermediate integer."""
-LINE_BOUNDS = {"observe": 40, "receive": 30, "settle": 90, "step": 130, "x": 8}
-"""Maximum lines of Python that a call executes."""
-ELEMENTARY = frozenset({"int", "len", "max", "min", "super", "ValueError"})
-"""Builtins that calls may use: given a few numbers, their time does not depend on the values."""
-
+CALLS = ("observe", "receive", "settle", "step", "x")
 AXES = ("t", "m", "q")
+
+Counts = dict[str, dict[str, dict[int, int]]]
+"""Largest number of instructions by call, by t, m or q, and by its value."""
 
 _OWN, _HEARD, _FRESH = 127, 0, 126
 _ALPHA_ONE, _ANY_BITS = 0x80000001, 0xFFFFFFFF
-_TOO_MANY_LINES = 1000
+_TOO_MANY = 20_000
 """A call is cut short there: a loop over t would not end."""
 
 
 class _CutShortError(Exception):
-    """Ends a call that has executed too many lines."""
+    """Ends a call that has executed too many instructions."""
 
 
-class Tally:
-    """The work of a call.
+def instructions(act: Callable[[], object]) -> int:
+    """The number of bytecode instructions that ``act`` executes, cut short at 20,000.
 
-    Attributes:
-        counts: Operations by kind.
-        widest: Bits of the widest result.
-        lines: Lines of Python executed.
-        builtins: Names of the builtins used.
+    Garbage is not collected meanwhile: finalizers of whatever else the process has made would be counted.
     """
+    count = 0
 
-    def __init__(self) -> None:
-        self.clear()
+    def trace(frame: FrameType, event: str, _: object) -> Callable[..., Any]:
+        nonlocal count
+        frame.f_trace_opcodes = True
+        count += event == "opcode"
+        if count > _TOO_MANY:
+            raise _CutShortError
+        return trace
 
-    def clear(self) -> None:
-        """Start again."""
-        self.counts: Counter[str] = Counter()
-        self.widest = 0
-        self.lines = 0
-        self.builtins: set[str] = set()
-
-    def note(self, kind: str, result: int) -> None:
-        """Count an operation."""
-        # A missing key of a Counter is looked up by lines of Python, which would count.
-        self.counts[kind] = self.counts.get(kind, 0) + 1
-        self.widest = max(self.widest, int.bit_length(result))
-
-    def watch(self, act: Callable[[], object]) -> None:
-        """Act, and count the lines executed and the builtins used, those of this module aside.
-
-        Garbage is not collected meanwhile: finalizers of whatever else the process has made would be counted.
-        """
-        previous, collects = sys.gettrace(), gc.isenabled()
-        gc.disable()
-        sys.settrace(self._trace)
-        try:
-            act()
-        except _CutShortError:
-            pass
-        finally:
-            sys.settrace(previous)
-            if collects:
-                gc.enable()
-
-    def _trace(self, frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
-        if event == "call":
-            if frame.f_globals is globals():
-                return None
-            self.builtins |= _builtins_of(frame.f_code)
-        elif event == "line":
-            self.lines += 1
-            if self.lines > _TOO_MANY_LINES:
-                raise _CutShortError
-        return self._trace
-
-
-@cache
-def _builtins_of(code: CodeType) -> frozenset[str]:
-    """Names of builtins that code loads."""
-    loaded = {step.argval for step in dis.get_instructions(code) if step.opname == "LOAD_GLOBAL"}
-    return frozenset(loaded & vars(builtins).keys())
-
-
-def counting_type(tally: Tally) -> type[int]:
-    """A subclass of int whose operators note themselves in ``tally`` and return its own kind."""
-    methods: dict[str, Any] = {}
-    for kind, names in KINDS.items():
-        for name in names:
-            method = name if name == "bit_length" else f"__{name}__"
-            methods[method] = _counted(getattr(int, method), kind, tally)
-    # Equality defined in a class takes the hash away.
-    methods["__hash__"] = int.__hash__
-    return type("CountingInt", (int,), methods)
-
-
-def _counted(plain: Callable[..., Any], kind: str, tally: Tally) -> Callable[..., Any]:
-    def operate(self: int, *others: int) -> Any:
-        result = plain(self, *others)
-        if result is NotImplemented:
-            return result
-        tally.note(kind, result)
-        return result if isinstance(result, bool) else type(self)(result)
-
-    return operate
+    previous, collects = sys.gettrace(), gc.isenabled()
+    gc.disable()
+    sys.settrace(trace)
+    try:
+        act()
+    except _CutShortError:
+        pass
+    finally:
+        sys.settrace(previous)
+        if collects:
+            gc.enable()
+    return count
 
 
 @dataclass(frozen=True)
@@ -152,8 +75,8 @@ class Situation:
         t, n: Observations, the next one included, and the black ones among them.
         b_hat: Assumed accuracy (raw).
         m: Messages in its open round, at whose end the filter runs, and in the last closed round.
-        alpha: Of these messages and its own, about.
-        q: Of its table.
+        alpha: Confidence of these messages and its own, about.
+        q: Entries of its table.
         memory: Observations at which t and n are halved.
         agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
     """
@@ -168,77 +91,34 @@ class Situation:
     agrees: bool = False
 
 
-Axis = dict[int, tuple[int, int]]
-"""Minimum and maximum operations of a call, by the value of t, m or q."""
-
-
-@dataclass
-class CallCount:
-    """Operations of one call.
-
-    Attributes:
-        least, most: Minimum and maximum over everything that was tried.
-        kinds: Of the operations of the maximum.
-        widest: Bits of the widest result.
-        lines: Maximum lines of Python executed.
-        loops: Builtins used that are not elementary, by name.
-        axes: By t, by m and by q.
-    """
-
-    least: int = 2**31
-    most: int = 0
-    widest: int = 0
-    lines: int = 0
-    loops: list[str] = field(default_factory=list)
-    kinds: dict[str, int] = field(default_factory=dict)
-    axes: dict[str, Axis] = field(default_factory=lambda: {axis: {} for axis in AXES})
-
-    def add(self, axis: str, value: int, tally: Tally) -> None:
-        """Count a call made at ``value`` of ``axis``."""
-        total = tally.counts.total()
-        if total > self.most:
-            self.kinds = dict(tally.counts)
-        self.least, self.most = min(self.least, total), max(self.most, total)
-        self.widest, self.lines = max(self.widest, tally.widest), max(self.lines, tally.lines)
-        self.loops = sorted({*self.loops, *tally.builtins - ELEMENTARY})
-        least, most = self.axes[axis].get(value, (total, total))
-        self.axes[axis][value] = min(least, total), max(most, total)
-
-
-def count_operations(
-    firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES
-) -> dict[str, CallCount]:
-    """Count the operations of every call in BOUNDS, over some of AXES. Takes about three seconds for all."""
-    counts = {name: CallCount() for name in BOUNDS}
-    tally = Tally()
-    number = counting_type(tally)
+def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
+    """Count the instructions of every call, over some of AXES. Takes a few seconds for all."""
+    counts: Counts = {name: {axis: {} for axis in axes} for name in CALLS}
     for axis, value, situation in _situations():
         if axis not in axes:
             continue
         plain = _robot(firmware, situation)
-        plain.config = _converted(plain.config, number)
         for name, act in _acts(axis):
-            robot = copy(plain)
-            robot.s = _converted(plain.s, number)
-            tally.clear()
-            tally.watch(partial(act, robot, number))
-            counts[name].add(axis, value, tally)
+            robot = firmware.__new__(firmware)
+            robot.config, robot.s = plain.config, deepcopy(plain.s)
+            most = counts[name][axis]
+            most[value] = max(most.get(value, 0), instructions(partial(act, robot)))
     return counts
 
 
-def exceeded(counts: dict[str, CallCount]) -> list[str]:
-    """Counts above their bounds, a line each."""
-    return [problem for name, count in counts.items() for problem in _exceeded(name, count)]
-
-
-def _exceeded(name: str, count: CallCount) -> Iterator[str]:
-    if count.most > BOUNDS[name] or count.widest > WIDEST:
-        operations = f"{count.most} operations of up to {count.widest} bits"
-        yield f"{name}: {operations}, bound {BOUNDS[name]} of {WIDEST}"
-    if count.lines > LINE_BOUNDS[name]:
-        yield f"{name}: {count.lines} lines executed, bound {LINE_BOUNDS[name]}"
-    if count.loops:
-        yield f"{name}: uses {', '.join(count.loops)}, whose time depends on its arguments"
+def growing(counts: Counts) -> list[str]:
+    """Calls that take more instructions in the later half of an axis than in the earlier, or have no
+    end, a line each."""
+    problems = []
+    for name, axes in counts.items():
+        for axis, most in axes.items():
+            values = sorted(most)
+            early, late = values[: len(values) // 2], values[len(values) // 2 :]
+            earlier, later = (max(map(most.__getitem__, half), default=0) for half in (early, late))
+            if later > min(earlier, _TOO_MANY):
+                where = f"where {axis} is {late[0]} to {late[-1]}"
+                problems.append(f"{name}: {later} instructions {where}, but {earlier} below")
+    return problems
 
 
 @dataclass(frozen=True)
@@ -246,8 +126,8 @@ class Storage:
     """Bytes.
 
     Attributes:
-        tables: Of a table, by q.
-        images: Of the images that robots in all situations save: one size.
+        tables: Size of a table, by q.
+        images: Sizes of the images that robots in all situations save: one size.
     """
 
     tables: dict[int, int]
@@ -289,14 +169,14 @@ def _situations() -> Iterator[tuple[str, int, Situation]]:
             yield "q", q, Situation(q=q, m=m)
 
 
-Act = Callable[[MirrorRobot, type[int]], object]
+Act = Callable[[MirrorRobot], object]
 
 
 def _acts(axis: str) -> Iterator[tuple[str, Act]]:
     """The calls to count; ``receive`` has many kinds, which are tried along its own axis only."""
-    yield "step", lambda robot, number: robot.step(Observation.BLACK)
-    yield "settle", lambda robot, number: robot.settle()
-    yield "x", lambda robot, number: robot.x_raw
+    yield "step", lambda robot: robot.step(Observation.BLACK)
+    yield "settle", lambda robot: robot.settle()
+    yield "x", lambda robot: robot.x_raw
     for z in Observation:
         yield "observe", partial(_observe, z)
     for sender in (_FRESH, _HEARD, _OWN) if axis == "m" else (_FRESH,):
@@ -304,16 +184,16 @@ def _acts(axis: str) -> Iterator[tuple[str, Act]]:
             yield "receive", partial(_receive, sender, alpha)
 
 
-def _observe(z: Observation, robot: MirrorRobot, number: type[int]) -> None:
+def _observe(z: Observation, robot: MirrorRobot) -> None:
     robot.observe(z)
 
 
-def _receive(sender: int, alpha: int, robot: MirrorRobot, number: type[int]) -> None:
-    robot.receive_raw(number(sender), number(ONE // 3), number(alpha))
+def _receive(sender: int, alpha: int, robot: MirrorRobot) -> None:
+    robot.receive_raw(sender, ONE // 3, alpha)
 
 
 def _robot(firmware: type[MirrorRobot], situation: Situation) -> MirrorRobot:
-    """A robot in a situation, still of plain integers."""
+    """A robot in a situation."""
     robot = firmware(
         Config(_table(situation.q), filter_period=1, memory=situation.memory), _OWN, situation.b_hat / 2**32
     )
@@ -325,17 +205,6 @@ def _robot(firmware: type[MirrorRobot], situation: Situation) -> MirrorRobot:
     s.alpha = situation.alpha
     s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
     return robot
-
-
-def _converted(value: Any, number: type[int]) -> Any:
-    """A value made of counting integers; a fresh one, so that the original does not change with it."""
-    if isinstance(value, int):
-        return number(value)
-    if isinstance(value, list | tuple):
-        return type(value)(_converted(item, number) for item in value)
-    return replace(
-        value, **{member.name: _converted(getattr(value, member.name), number) for member in fields(value)}
-    )
 
 
 @cache

@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 
 from mcp_asdf_tools.crosscheck.compare import CrosscheckResult, Disagreement
-from mcp_asdf_tools.crosscheck.operation_count import AXES, BOUNDS, LINE_BOUNDS, CallCount, Storage, exceeded
+from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts, Storage, growing
 from mcp_asdf_tools.crosscheck.oracle import PLACES, Audit
 from mcp_asdf_tools.crosscheck.scenario import Scenario
 
@@ -56,13 +56,13 @@ class Result:
     outcome: CrosscheckResult
     failure: Failure | None
     audit: Audit
-    counts: dict[str, CallCount]
+    counts: Counts
     storage: Storage
 
     @property
     def problems(self) -> list[str]:
         """Claims about time and memory that do not hold."""
-        return exceeded(self.counts) + self.storage.problems()
+        return growing(self.counts) + self.storage.problems()
 
     @property
     def is_good(self) -> bool:
@@ -80,10 +80,7 @@ class Result:
             "failure": None if self.failure is None else self.failure.as_dict(),
             "problems": self.problems,
             **self.audit.as_dict(),
-            "operations": {
-                name: asdict(count) | {"bound": BOUNDS[name], "line_bound": LINE_BOUNDS[name]}
-                for name, count in self.counts.items()
-            },
+            "operations": self.counts,
             "storage": asdict(self.storage),
         }
 
@@ -138,20 +135,13 @@ def _decisions(tallies: dict[str, dict[str, Any]]) -> Table:
     return table
 
 
-def _operations(counts: dict[str, CallCount]) -> Table:
-    table = _table("integer operations per call, from minimum to maximum, and maximum lines of Python", "")
-    for name in (*(f"over {axis}" for axis in AXES), "bound", "widest", "lines", "bound"):
-        table.add_column(name, justify="right")
-    for name, count in counts.items():
-        ranges = (_range(count, axis) for axis in AXES)
-        lines = str(count.lines), str(LINE_BOUNDS[name])
-        table.add_row(name, *ranges, str(BOUNDS[name]), f"{count.widest} bits", *lines)
+def _operations(counts: Counts) -> Table:
+    table = _table("instructions of Python's interpreter per call, at most", "")
+    for axis in AXES:
+        table.add_column(f"over {axis}", justify="right")
+    for name, axes in counts.items():
+        table.add_row(name, *(str(max(axes[axis].values())) for axis in AXES))
     return table
-
-
-def _range(count: CallCount, axis: str) -> str:
-    values = count.axes[axis].values()
-    return f"{min(least for least, _ in values)} to {max(most for _, most in values)}"
 
 
 def _table(title: str, first: str) -> Table:

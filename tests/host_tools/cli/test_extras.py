@@ -101,7 +101,6 @@ def test_the_base_knows_all_options(tmp_path: Path) -> None:
         ("reproduce --quick", "pyarrow", "study"),
         ("swarm --steps 3 --plot x.png", "matplotlib", "study"),
         ("swarm --steps 3 --view", "uvicorn", "view"),
-        ("crosscheck --plot x.png", "matplotlib", "study"),
     ],
 )
 def test_a_missing_extra_is_named_in_one_line(line: str, module: str, extra: str, tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mcp_asdf_tools.crosscheck.operation_count import CallCount, count_operations
+from mcp_asdf_tools.crosscheck.operation_count import Counts, count_operations
 
 
 @pytest.fixture(scope="session")
-def operations() -> dict[str, CallCount]:
-    """Operations of each call, counted once."""
+def operations() -> Counts:
+    """Instructions of each call, counted once."""
     return count_operations()
