@@ -419,10 +419,10 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
 ) -> None:
     text = tmp_path / "observations"
     text.write_text("01" * 1000, encoding="ascii")
+    begin = time.monotonic()
     node = start(5, "--steps-per-second", 100, "--observations", text)
     peer = bus.accept()
-    begin = time.monotonic()
-    wait_for_more(bus, peer, 10)
+    wait_for_more(bus, peer, 60)
     node.process.send_signal(signal.SIGSTOP)
     time.sleep(0.3)
     node.process.send_signal(signal.SIGCONT)
@@ -431,7 +431,7 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
     elapsed = time.monotonic() - begin
     assert figures["skipped"] >= 25
     assert figures["worst_lateness_us"] >= 250_000
-    assert figures["ticks"] + figures["skipped"] <= 100 * elapsed + 30, "faster than the clock"
+    assert figures["ticks"] + figures["skipped"] <= 100 * elapsed + 1, "faster than the clock"
 
 
 # ---- Faults of the surroundings ----

@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #define MOST_PACKETS 256 /* taken in a row, so that a babbling node cannot keep us from ticking */
 
@@ -41,6 +42,31 @@ static void catch_signals(run_t *run)
     heed(run, SIGINT, &action);
     heed(run, SIGTERM, &action);
     heed(run, SIGHUP, &action);
+}
+
+/* ---- The clock -------------------------------------------------------------------------------------- */
+
+/* Time since some moment in the past that no one sets back. */
+static int64_t now_ns(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * SECOND + now.tv_nsec;
+}
+
+/* Whether a tick is due; says so once for each. */
+static bool is_due(ticker_t *ticker, int64_t now)
+{
+    const int64_t late = now - ticker->next;
+    if (late < 0) {
+        return false;
+    }
+    if (late > ticker->worst) {
+        ticker->worst = late;
+    }
+    ticker->skipped += (uint32_t)(late / ticker->period);
+    ticker->next += (late / ticker->period + 1) * ticker->period;
+    return true;
 }
 
 /* ---- Running ---------------------------------------------------------------------------------------- */
@@ -196,27 +222,26 @@ static void wait_for_work(run_t *run)
     if (!is_joined && run->reopening.next < until) {
         until = run->reopening.next;
     }
-    const int64_t now = ticker_now(), left = until > now ? until - now : 0;
-    const struct timespec timeout = {.tv_sec = (time_t)(left / TICKER_SECOND),
-                                     .tv_nsec = (long)(left % TICKER_SECOND)};
+    const int64_t now = now_ns(), left = until > now ? until - now : 0;
+    const struct timespec timeout = {.tv_sec = (time_t)(left / SECOND), .tv_nsec = (long)(left % SECOND)};
     (void)ppoll(&bus, 1, in_lockstep && is_joined ? NULL : &timeout, &run->when_waiting);
 }
 
 static void run_until_ended(run_t *run)
 {
     const bool in_lockstep = run->options.node.lockstep;
-    run->reopening = ticker_start(TICKER_SECOND, ticker_now());
-    run->clock = ticker_start(TICKER_SECOND / run->options.node.ticks_per_second, ticker_now());
+    run->reopening = (ticker_t){.period = SECOND, .next = now_ns()};
+    run->clock = (ticker_t){.period = SECOND / run->options.node.ticks_per_second, .next = now_ns()};
     for (unsigned i = 0; i < run->options.robots; ++i) {
         node_start(&run->members[i].node);
     }
     while (run->ended == NULL) {
         wait_for_work(run);
-        if (run->bus.fd < 0 && ticker_is_due(&run->reopening, ticker_now())) {
+        if (run->bus.fd < 0 && is_due(&run->reopening, now_ns())) {
             (void)bus_open(&run->bus);
         }
         hear(run);
-        if (run->ended == NULL && !in_lockstep && ticker_is_due(&run->clock, ticker_now())) {
+        if (run->ended == NULL && !in_lockstep && is_due(&run->clock, now_ns())) {
             tick(run);
         }
         if (run->ended == NULL && is_interrupted) {

@@ -6,9 +6,20 @@
 #include "conflicts.h"
 #include "options.h"
 #include "source.h"
-#include "ticker.h"
 
 #include <signal.h>
+
+#define SECOND INT64_C(1000000000)
+
+/* A clock that ticks at a steady rate, and how late its owner was. Times are nanoseconds.
+ *   period    between ticks
+ *   next      when the next tick is due; the first is due at once
+ *   worst     how late a tick was at most
+ *   skipped   ticks left out, since a node that is a period late or more must not catch up in a burst */
+typedef struct {
+    int64_t period, next, worst;
+    uint32_t skipped;
+} ticker_t;
 
 typedef struct run run_t;
 
