@@ -7,16 +7,17 @@ written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
-from typing import Protocol, cast
+from typing import Protocol, TextIO, cast
 
 from mcp_asdf_tools.cli.parsing import Parser, offer
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import missing_extra
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
-from mcp_asdf_tools.common.terminal import ReaderLeft, screen
 
 PROGRAM = "mcp-asdf"
 GROUPS = {
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
-    with interruptible() as exit_code, screen():
+    with interruptible() as exit_code:
         if name is None:
             code = _attempt(title, lambda: _show_overview(arguments))
         else:
@@ -93,15 +94,36 @@ def _attempt(title: str, work: Callable[[], int]) -> int:
             raise
         return _refuse(title, told)
     except KeyboardInterrupt:
-        print(f"{title}: interrupted", file=sys.stderr)
+        _tell(f"{title}: interrupted")
         return INTERRUPTED
-    except ReaderLeft:
-        return 141
+    except OSError as error:
+        _drop(sys.stdout)
+        return 141 if isinstance(error, BrokenPipeError) else _refuse(title, _explained(error))
 
 
-def _refuse(title: str, error: UsageError) -> int:
-    print(f"{title}: error: {error}", file=sys.stderr)
+def _refuse(title: str, error: UsageError | str) -> int:
+    _tell(f"{title}: error: {error}")
     return 2
+
+
+def _explained(error: OSError) -> str:
+    place = "to standard output" if error.filename is None else error.filename
+    return f"cannot write {place}: {error.strerror}; send it elsewhere"
+
+
+def _tell(text: str) -> None:
+    """Print to standard error, which may be closed or full: then nobody can be told."""
+    if sys.stderr is not None:
+        try:
+            print(text, file=sys.stderr, flush=True)
+        except OSError:
+            _drop(sys.stderr)
+
+
+def _drop(stream: TextIO) -> None:
+    """Let the interpreter, which flushes a stream once more at its end, find a place to write to."""
+    with suppress(OSError, ValueError), open(os.devnull, "w") as null:
+        os.dup2(null.fileno(), stream.fileno())
 
 
 def _flush() -> int:
@@ -113,7 +135,7 @@ def _flush() -> int:
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     """Import and run one command only: the others' libraries stay unloaded."""
     command = _load(name)
-    return command.run(_parser_for(name, command).parse_args(arguments))
+    return command.run(_parser_for(name, command).parsed(arguments))
 
 
 def _load(name: str) -> Command:
@@ -125,14 +147,14 @@ def _load(name: str) -> Command:
     return command
 
 
-def _parser_for(name: str, command: Command) -> argparse.ArgumentParser:
+def _parser_for(name: str, command: Command) -> Parser:
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
     command.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     return parser
 
 
-def _overview_parser() -> argparse.ArgumentParser:
+def _overview_parser() -> Parser:
     from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415
 
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
@@ -168,7 +190,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
     if found.command is not None:
         near = offer(found.command, [*COMMANDS, "--help", "--version"])
         parser.error(f"no command is called {found.command!r}{near}")
-    parser.parse_args(arguments)
+    parser.parsed(arguments)
     parser.print_help(sys.stderr)
     return 2
 

@@ -21,12 +21,6 @@ ENDING_SIGNALS = tuple(
 INTERRUPTED = 130
 """Exit code of interrupted work; ``interruptible`` turns it into 128 + the signal that came."""
 
-_MOMENT = 0.05
-"""Seconds after which a signal that came during an import is tried again."""
-
-_MOST_DEFERRED = 200
-"""Then it counts even so: a whole program may run within an import."""
-
 _came: list[int] = []
 """Signals since the program began, so that one piece of code can count what another has handled."""
 
@@ -35,17 +29,11 @@ _came: list[int] = []
 def interruptible() -> Iterator[Callable[[int], int]]:
     """Let every signal that asks to end raise KeyboardInterrupt, as Ctrl-C does.
 
-    Yields a function that makes the program's exit code of that of its work.
+    Yields a function that makes the program's exit code of that of its work. Modules written in C may drop an
+    exception that is raised while they are loaded, so what loads them does it under ``stopping``.
     """
 
-    deferred = 0
-
     def interrupt(signum: int, frame: FrameType | None) -> None:
-        nonlocal deferred
-        if deferred < _MOST_DEFERRED and _is_importing(frame):
-            deferred += 1
-            _send_later(signum)
-            return
         _came.append(signum)
         # Terminals and service managers may send two signals: the second must not disturb the saving.
         if len(_came) == 1 or signum == signal.SIGINT:
@@ -54,27 +42,6 @@ def interruptible() -> Iterator[Callable[[int], int]]:
     _came.clear()
     with _handled_by(interrupt):
         yield lambda code: 128 + _came[0] if code == INTERRUPTED and _came else code
-
-
-def _is_importing(frame: FrameType | None) -> bool:
-    """True while a module is imported, where libraries written in C may swallow an exception."""
-    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
-        frame = frame.f_back
-    return frame is not None
-
-
-def _send_later(signum: int) -> None:
-    """Send a signal to the main thread once more in a moment."""
-
-    def send() -> None:
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signum)
-        else:
-            signal.raise_signal(signum)
-
-    timer = threading.Timer(_MOMENT, send)
-    timer.daemon = True
-    timer.start()
 
 
 @contextmanager

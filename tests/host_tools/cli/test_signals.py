@@ -101,34 +101,3 @@ def heeds(process: int, number: signal.Signals) -> bool:
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     (caught,) = (int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
     return bool(caught >> (number - 1) & 1)
-
-
-SWALLOWS = """
-import os, signal
-try:
-    os.kill(os.getpid(), signal.SIGTERM)
-    for _ in range(10_000):
-        pass
-except BaseException:
-    swallowed = True
-"""
-WAITS = """
-import time
-from mcp_asdf_tools.common.signals import interruptible
-with interruptible():
-    try:
-        import swallows
-        assert not hasattr(swallows, "swallowed")
-        time.sleep(60)
-    except KeyboardInterrupt:
-        print("ended")
-"""
-
-
-def test_a_signal_that_comes_during_an_import_is_not_lost(tmp_path: Path) -> None:
-    """Some modules written in C drop an exception that is raised while they are loaded."""
-    (tmp_path / "swallows.py").write_text(SWALLOWS)
-    done = subprocess.run(
-        [sys.executable, "-c", WAITS], cwd=tmp_path, capture_output=True, text=True, timeout=30, check=False
-    )
-    assert done.stdout == "ended\n", done.stderr
