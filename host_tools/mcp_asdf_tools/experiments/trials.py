@@ -21,6 +21,7 @@ from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
@@ -41,7 +42,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
             return _run_native(experiment, first, trials, sampling_interval)
         # A trial of robots that move has a series of x for each: one at a time bounds the memory.
         return _joined([_run_native(experiment, number, 1, sampling_interval) for number in numbers])
-    if experiment.firmware == "reference" and sampling_interval == 0 and _arrays().can_run(experiment):
+    if experiment.firmware == "reference" and sampling_interval == 0 and reference_arrays.can_run(experiment):
         return _joined([_run_arrays(experiment, number) for number in numbers])
     return _joined([_run_by_message(experiment, number, sampling_interval) for number in numbers])
 
@@ -120,16 +121,12 @@ def _confidences(words: NDArray[np.uint32]) -> Floats:
 # --- In arrays -------------------------------------------------------------------------------------------
 
 
-def _arrays() -> ModuleType:
-    """The reference in arrays, loaded when first needed: it brings SciPy, which no native worker needs."""
-    from mcp_asdf_tools.experiments import reference_arrays  # noqa: PLC0415
-
-    return reference_arrays
-
-
 def _run_arrays(experiment: Experiment, trial: int) -> Trials:
-    x, b_hat, tests, updates = (values[np.newaxis] for values in _arrays().run(experiment, trial))
-    return Trials(experiment, [trial], *_measured(experiment, x, 1.0), b_hat, tests, updates, {})
+    x, b_hat, tests, updates = reference_arrays.run(experiment, trial)
+    measured = _measured(experiment, x[np.newaxis], 1.0)
+    return Trials(
+        experiment, [trial], *measured, b_hat[np.newaxis], tests[np.newaxis], updates[np.newaxis], {}
+    )
 
 
 # --- Message by message ----------------------------------------------------------------------------------
@@ -227,7 +224,7 @@ class MessageSwarm:
 def _make_robots(experiment: Experiment) -> list[Robot]:
     make: RobotMaker = load_firmware(experiment.firmware)
     if experiment.firmware == "reference":
-        conventions = _arrays().conventions_of(experiment)
+        conventions = reference_arrays.conventions_of(experiment)
         make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
         make(experiment.config(robot).in_rounds(), robot, experiment.b_hat(robot))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import replace
 from fractions import Fraction
@@ -12,12 +13,15 @@ import numpy as np
 import pytest
 
 from mcp_asdf.robot import Observation
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
 from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
+from mcp_asdf_tools.world.sensors import CheckedSensors
 from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.topology import Checked
 from mcp_asdf_tools.world.world import Scene, World
 
 SEED = 20241029
@@ -227,3 +231,74 @@ def test_what_robots_meet_on_the_code_is_its_share() -> None:
     )
     shares = [Arena(physical, trial).record(10_000).black.mean() for trial in range(20)]
     assert abs(np.mean(shares) - 0.448) < 0.01
+
+
+def test_the_code_is_always_the_same() -> None:
+    digest = hashlib.sha256(np.packbits(code(0.448)).tobytes()).hexdigest()
+    assert digest[:16] == "0f663b83c29ac0ea"
+
+
+# --- Edges -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", [{}, {"topology": "dynamic"}])
+def test_a_draw_equal_to_the_probability_is_not_below_it(
+    given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chance = 3 * 2**29  # b = 3/4 in units of 2**-31
+    monkeypatch.setattr(
+        Stream, "words", lambda self, steps, first=0: np.full((steps, self.robots), 2 * chance, np.uint32)
+    )
+    assert not make(**given, fill_ratio=1.0, true_accuracy=0.75).advance(20).black.any()
+    assert make(**given, fill_ratio=1.0, true_accuracy=0.75 + 2**-31).advance(20).black.all()
+
+
+def test_robots_that_do_not_move_need_no_arena_in_which_they_could() -> None:
+    assert WorldSettings(steps_per_second=1).steps_per_second == 1
+
+
+class Model:
+    """A sensor and a topology that give what they are told."""
+
+    def __init__(self, *given: Any) -> None:
+        self.given = given
+
+    def advance(self, steps: int) -> Any:
+        return self.given if len(self.given) > 1 else self.given[0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "value", "words"),
+    [
+        ((5, 4), 0.5, ""),
+        ((1, 1), 1.0, ""),
+        ((1, 4), 0.0, ""),
+        ((4,), 0.5, r"gives shape \(4,\); return \(5 or 1, 4 or 1\)"),
+        ((2, 4), 0.5, "gives shape"),
+        ((5, 3), 0.5, "gives shape"),
+        ((5, 4), 1.01, "an accuracy outside 0 to 1"),
+        ((5, 4), -0.01, "an accuracy outside 0 to 1"),
+        ((5, 4), math.nan, "an accuracy outside 0 to 1"),
+    ],
+)
+def test_answers_of_installed_sensors_are_checked(shape: tuple[int, ...], value: float, words: str) -> None:
+    right, given = np.full((1, 1), 0.5), np.full(shape, value)
+    for pair in ((right, given), (given, right)):
+        sensors = CheckedSensors(Model(*pair), make().settings)
+        if words:
+            with pytest.raises(UsageError, match=words):
+                sensors.advance(5)
+        else:
+            assert [each.shape for each in sensors.advance(5)] == [each.shape for each in pair]
+
+
+def test_answers_of_installed_topologies_are_checked() -> None:
+    hears = np.zeros((5, 4, 4), np.bool_)
+    assert Checked(Model(hears), "mine", 4).advance(5) is hears
+    for wrong, words in (
+        (hears[:4], "gives bool of shape"),
+        (hears.astype(int), "gives int64 of shape"),
+        (hears | np.eye(4, dtype=np.bool_), "a robot hears itself"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            Checked(Model(wrong), "mine", 4).advance(5)
