@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
 from mcp_asdf.mirror import MirrorRobot
@@ -60,11 +59,6 @@ def test_an_impossible_value_is_named(key: str, value: Any, words: str) -> None:
 def test_periods_must_fit() -> None:
     with pytest.raises(ParameterError, match="multiple of comms_period, 3"):
         Experiment(comms_period=3, filter_period=100)
-
-
-def test_drift_starts_above_its_floor() -> None:
-    with pytest.raises(ParameterError, match="at most true_accuracy"):
-        Experiment(drift="linear", true_accuracy=0.6, lowest_accuracy=0.7)
 
 
 def test_parameters_come_back() -> None:
@@ -128,49 +122,6 @@ def test_the_papers_first_table(
         for step in range(1000):
             robot.step(Observation.BLACK if step < blacks else Observation.WHITE)
         assert f"{robot.x_hat:.3f}" == expected
-
-
-def true_accuracies(experiment: Experiment, trial: int) -> NDArray[np.float64]:
-    black, white = sensor_model(experiment, trial).advance(experiment.steps)
-    assert white is black
-    return black
-
-
-def test_accuracy_without_drift_never_changes() -> None:
-    assert true_accuracies(Experiment(), 0).tolist() == [[0.95]]
-
-
-def test_linear_drift_goes_down_to_the_floor() -> None:
-    experiment = Experiment(steps=1000, drift="linear", drift_rate=-1e-3, lowest_accuracy=0.6)
-    path = true_accuracies(experiment, 0)
-    assert path.shape == (1000, 1)
-    assert path[[0, 100, 349, 999], 0] == pytest.approx([0.95, 0.85, 0.601, 0.6])
-
-
-def test_stepped_drift_changes_at_its_period_only() -> None:
-    path = true_accuracies(Experiment(steps=1000, drift="stepped", drift_rate=-1e-4, drift_period=300), 0)
-    changes = np.flatnonzero(np.diff(path[:, 0])) + 1
-    assert changes.tolist() == [300, 600, 900]
-    assert path[999, 0] == pytest.approx(0.95 - 0.09)
-
-
-def test_wiener_drift_has_the_moments_of_its_process() -> None:
-    experiment = Experiment(
-        robots=100,
-        flawed=0,
-        true_accuracy=0.75,
-        steps=400,
-        drift="wiener",
-        drift_rate=1e-5,
-        drift_diffusion=1e-3,
-    )
-    paths = np.concatenate([true_accuracies(experiment, trial) for trial in range(5)], axis=1)
-    moves = np.diff(paths, axis=0)
-    assert (paths[0] == 0.75).all()
-    assert abs(moves.mean() - 1e-5) < 4e-3 / moves.size**0.5
-    assert moves.std() == pytest.approx(1e-3, rel=0.01)
-    assert paths[-1].var() == pytest.approx(399e-6, rel=0.2)
-    assert len(np.unique(paths[-1])) == 500
 
 
 # --- TOML ------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
@@ -19,7 +20,7 @@ from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
 from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
-from mcp_asdf_tools.world.sensors import CheckedSensors
+from mcp_asdf_tools.world.sensors import CheckedSensors, sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import Checked
 from mcp_asdf_tools.world.world import Scene, World
@@ -164,6 +165,7 @@ def test_what_cannot_be_is_refused(given: dict[str, Any], key: str, message: str
         ({"floor": "code", "tile": 0.02}, "tile", "without tiles"),
         ({"floor": "code", "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
         ({"floor": "code", "fill_ratio": 0.99}, "fill_ratio", "can have"),
+        ({"floor": "code", "fill_ratio": 0.0182}, "fill_ratio", "can have 0.0183 to"),
         ({"observation_period": 0}, "observation_period", "1 to"),
         ({"topology": "fully-connected"}, "density", "choose topology dynamic"),
     ],
@@ -212,7 +214,7 @@ def test_trials_of_one_seed_see_the_same_motion() -> None:
         assert not np.array_equal(first.positions, other.positions)
 
 
-@pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8])
+@pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8, 3 * 33e-4 + 2 * 42e-4])
 def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
     pattern = code(fill_ratio)
     assert pattern.shape == (CODE_MODULES, CODE_MODULES)
@@ -302,3 +304,54 @@ def test_answers_of_installed_topologies_are_checked() -> None:
     ):
         with pytest.raises(UsageError, match=words):
             Checked(Model(wrong), "mine", 4).advance(5)
+
+
+# --- Drifting sensors ------------------------------------------------------------------------------------
+
+
+def true_accuracies(settings: WorldSettings, trial: int) -> NDArray[np.float64]:
+    black, white = sensor_model(settings, trial).advance(settings.steps)
+    assert white is black
+    return black
+
+
+def test_accuracy_without_drift_never_changes() -> None:
+    assert true_accuracies(WorldSettings(), 0).tolist() == [[0.95]]
+
+
+def test_linear_drift_goes_down_to_the_floor() -> None:
+    settings = WorldSettings(steps=1000, drift="linear", drift_rate=-1e-3, lowest_accuracy=0.6)
+    path = true_accuracies(settings, 0)
+    assert path.shape == (1000, 1)
+    assert path[[0, 100, 349, 999], 0] == pytest.approx([0.95, 0.85, 0.601, 0.6])
+
+
+def test_stepped_drift_changes_at_its_period_only() -> None:
+    path = true_accuracies(WorldSettings(steps=1000, drift="stepped", drift_rate=-1e-4, drift_period=300), 0)
+    changes = np.flatnonzero(np.diff(path[:, 0])) + 1
+    assert changes.tolist() == [300, 600, 900]
+    assert path[999, 0] == pytest.approx(0.95 - 0.09)
+
+
+def test_wiener_drift_has_the_moments_of_its_process() -> None:
+    settings = WorldSettings(
+        robots=100,
+        true_accuracy=0.75,
+        steps=400,
+        drift="wiener",
+        drift_rate=1e-5,
+        drift_diffusion=1e-3,
+    )
+    paths = np.concatenate([true_accuracies(settings, trial) for trial in range(5)], axis=1)
+    moves = np.diff(paths, axis=0)
+    assert (paths[0] == 0.75).all()
+    assert abs(moves.mean() - 1e-5) < 4e-3 / moves.size**0.5
+    assert moves.std() == pytest.approx(1e-3, rel=0.01)
+    assert paths[-1].var() == pytest.approx(399e-6, rel=0.2)
+    assert len(np.unique(paths[-1])) == 500
+
+
+def test_a_drift_may_begin_at_its_floor() -> None:
+    assert true_accuracies(WorldSettings(drift="linear", true_accuracy=0.6, lowest_accuracy=0.6), 0)[0] == 0.6
+    with pytest.raises(ParameterError, match="at most true_accuracy"):
+        WorldSettings(drift="linear", true_accuracy=0.6, lowest_accuracy=0.7)
