@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 from dataclasses import replace
-from functools import partial
 from typing import cast
 
 import pytest
 
-from crosschecks import FAULTS, MIRROR, SOURCES, caught, copy_of_mirror, judged, planted
+from crosschecks import FAULTS, caught, judged, planted
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config
@@ -57,77 +55,6 @@ def test_what_both_do_wrong_is_caught_by_exact_arithmetic(fault: str) -> None:
     wrong = planted(fault)
     assert caught(lambda scenario: compare_firmwares(scenario, wrong, wrong), calls=2000) is None
     assert caught(judged(wrong, wrong)) is not None
-
-
-def functions() -> dict[str, list[tuple[int, int]]]:
-    """Integer constants of SOURCES: module and function, or module alone, to lines and columns.
-
-    Of the functions in the second, those that the C has, too; the others bring floats to words and back.
-    """
-    places: dict[str, list[tuple[int, int]]] = {}
-    for module, source in SOURCES.items():
-        tree, name = ast.parse(source), module.__name__.rpartition(".")[2]
-        owners: list[tuple[str, ast.AST]] = [
-            (name, node) for node in tree.body if isinstance(node, ast.Assign)
-        ]
-        owners += [
-            (f"{name}.{node.name}", node)
-            for node in ast.walk(tree)
-            if isinstance(node, ast.FunctionDef) and (module is MIRROR or node.name in SHARED)
-        ]
-        for owner, node in owners:
-            places[owner] = places.get(owner, []) + constants(node)
-    return {name: found for name, found in places.items() if found}
-
-
-SHARED = {"alpha_units", "sums_add", "mean_possible", "sums_possible"}
-
-
-def constants(owner: ast.AST) -> list[tuple[int, int]]:
-    """Lines and columns of whole numbers outside of texts."""
-    texts = {
-        id(part) for node in ast.walk(owner) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)
-    }
-    return [
-        (node.lineno, node.col_offset)
-        for node in ast.walk(owner)
-        if isinstance(node, ast.Constant) and type(node.value) is int and id(node) not in texts
-    ]
-
-
-EQUIVALENT = {
-    ("mirror.alpha_word", "if exponent < 0:", 0): "a shift by 0 changes nothing",
-    ("mirror.upper_quotient", "if shift < 0:", 0): "both branches agree at 0",
-    ("mirror.reestimate", "if alpha >> 32 == 0:", 32): "bits below the upper 32 are dropped in any case",
-    ("mirror.reestimate", "if numerator <= 0:", 0): "a numerator of 1 gives at most the least b_hat",
-    ("mirror.x_bar_raw", "HALF, 0)", 0): "a mantissa of 0 says nothing, whatever its shift",
-    ("mirror.restore", "else (0,)", 0): "neither is the magic word",
-    ("mirror._state_from", "words[7:21:2]", 21): "a slice of every second word may end one earlier",
-    ("fixed_point", "UNITS_PER_ALPHA =", 1): "of the float view only",
-    ("fixed_point", "UNITS_PER_ALPHA =", 24): "of the float view only",
-}
-"""Constants whose last bit makes no difference: function, part of the line, and value."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("function", functions())
-def test_the_last_bit_of_every_constant_of_the_mirror_matters(function: str) -> None:
-    module = {module.__name__.rpartition(".")[2]: module for module in SOURCES}[function.partition(".")[0]]
-    survivors = []
-    for line, column in functions()[function]:
-        tree, text = ast.parse(SOURCES[module]), SOURCES[module].splitlines()[line - 1]
-        [node] = [
-            node
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Constant) and (node.lineno, node.col_offset) == (line, column)
-        ]
-        if any(name == function and part in text and value == node.value for name, part, value in EQUIVALENT):
-            continue
-        node.value = cast(int, node.value) ^ 1
-        changed = copy_of_mirror(module, tree)
-        if caught(partial(compare_firmwares, left=NativeRobot, right=changed)) is None:
-            survivors.append(f"line {line}, column {column}: {text.strip()}")
-    assert survivors == []
 
 
 class TamperedRobot(MirrorRobot):
