@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import random
 import threading
-from collections.abc import Collection
 from types import TracebackType
 
-import can
-
-from mcp_asdf.robot import Observation
-from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import send_all
 from socketcan.vcan import Vcan
 from support import PATIENCE
 from targets.c_node import twin
-
-_BOTH = (Observation.WHITE, Observation.BLACK)
 
 
 class PythonNode:
@@ -45,19 +37,3 @@ class PythonNode:
             frame = self._bus.recv(0.05)
             if frame is not None:
                 send_all(self._bus, self.node.hear(frame), PATIENCE)
-
-
-def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:
-    """Let robots observe what a seeded generator draws, exchange and settle.
-
-    Returns all frames that came in, in order: all but the commands.
-    """
-    draw = random.Random(seed)
-    frames: list[can.Message] = []
-    lockstep = Lockstep(bus, timeout=PATIENCE, watch=frames.append)
-    lockstep.wait_until_up(robots, PATIENCE)
-    for _ in range(ticks):
-        lockstep.observe({robot: draw.choice(_BOTH) for robot in robots})
-        lockstep.estimates(robots)
-        lockstep.settle(robots)
-    return [frame for frame in frames if frame.is_rx]

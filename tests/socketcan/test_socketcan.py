@@ -24,15 +24,25 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
-from socketcan.robots import PythonNode, drive
+from socketcan.robots import PythonNode
 from socketcan.vcan import Vcan
 from support import PATIENCE
-from targets.c_node import CORTEX_A8, PLAIN, CNode, Kind, assert_same_robot, built, content, twin
+from targets.c_node import (
+    CORTEX_A8,
+    PLAIN,
+    CNode,
+    Kind,
+    Start,
+    assert_same_robot,
+    built,
+    content,
+    drive,
+    twin,
+)
 
 pytestmark = pytest.mark.socketcan
 
 NODE_BITS, EXTENDED = 0x7F, 0x8000_0000
-Start = Callable[..., CNode]
 
 
 @pytest.fixture(scope="module")

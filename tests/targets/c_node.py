@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import signal
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ import can
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Filter
+from mcp_asdf.robot import Filter, Observation
+from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
 from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -32,6 +34,9 @@ WARNINGS = (
 SANITIZERS = " -fsanitize=address,undefined -fno-sanitize-recover=all"
 TABLE = generate(parse_omega("0.05"), q=127)
 """The table that the node is linked with."""
+
+
+_BOTH = (Observation.WHITE, Observation.BLACK)
 
 
 @dataclass(frozen=True)
@@ -132,6 +137,10 @@ class CNode:
         self.process.communicate()
 
 
+Start = Callable[..., CNode]
+"""What starts nodes on a bus: an id, or a range of them, and options."""
+
+
 def twin(
     robot_id: int,
     b_hat: float = 0.95,
@@ -174,6 +183,22 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
         "unsettled": traffic.unsettled,
     }
     assert {name: figures[name] for name in numbers} == numbers
+
+
+def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:
+    """Let robots observe what a seeded generator draws, exchange and settle.
+
+    Returns all frames that came in, in order: all but the commands.
+    """
+    draw = random.Random(seed)
+    frames: list[can.Message] = []
+    lockstep = Lockstep(bus, timeout=PATIENCE, watch=frames.append)
+    lockstep.wait_until_up(robots, PATIENCE)
+    for _ in range(ticks):
+        lockstep.observe({robot: draw.choice(_BOTH) for robot in robots})
+        lockstep.estimates(robots)
+        lockstep.settle(robots)
+    return [frame for frame in frames if frame.is_rx]
 
 
 def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
