@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any
@@ -13,10 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.reference import ReferenceRobot
-from mcp_asdf.robot import Config, Filter, FirmwareError
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
@@ -120,15 +115,3 @@ def test_what_is_unambiguous_is_coerced() -> None:
 def test_messages_name_field_value_and_fix(kind: Any, values: dict[str, Any], words: str) -> None:
     with pytest.raises(UsageError, match=re.escape(words)):
         kind(**values)
-
-
-@pytest.mark.parametrize("kind", [MirrorRobot, NativeRobot, ReferenceRobot])
-@pytest.mark.parametrize("name", [field.name for field in fields(Config)])
-def test_a_robot_refuses_a_wrong_config_by_name(kind: Any, name: str) -> None:
-    """With the firmware's own error or, for a value that is no integer, a TypeError that names it."""
-    for value in WRONG:
-        config = {"filter": Filter.OFF, name: value}
-        try:
-            kind(Config(**config), 1, 0.75)
-        except (FirmwareError, TypeError) as error:
-            assert name in str(error), (value, error)

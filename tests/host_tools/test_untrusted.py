@@ -289,30 +289,6 @@ def test_time_and_memory_grow_with_the_length(name: str, file: Path) -> None:
         assert grows_with_the_length(parser, path, begin, pattern), pattern
 
 
-def counted_to_each(path: Path) -> None:
-    """Time that grows as the square."""
-    data = path.read_bytes()
-    for end in range(len(data)):
-        data.count(0xFF, 0, end)
-
-
-def cut_at_each(path: Path) -> None:
-    """Memory that grows as the square."""
-    _ = [bytes(end) for end in range(path.stat().st_size)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("read", "length", "is_linear"),
-    [(Path.read_bytes, 120_000, True), (counted_to_each, 40_000, False), (cut_at_each, 12_000, False)],
-)
-def test_growth_as_the_square_is_caught(
-    read: Callable[[Path], object], length: int, is_linear: bool, file: Path
-) -> None:
-    parser = Parser(".txt", read, bytes, length)
-    assert grows_with_the_length(parser, file, b"", b",") == is_linear
-
-
 def grows_with_the_length(parser: Parser, path: Path, begin: bytes, pattern: bytes) -> bool:
     """Compare two lengths, one 16 times the other; what grows as the square is 256 times more.
 

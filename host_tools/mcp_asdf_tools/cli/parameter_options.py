@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from typing import Any, TypeVar
 
-from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
-from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.world.settings import TOPOLOGIES
 
 Settings = TypeVar("Settings", bound=Population)
 
@@ -32,7 +29,7 @@ def add_parameters(
 
 
 def _add(group: argparse._ArgumentGroup, each: Parameter) -> None:
-    choices = _choices(each)
+    choices = each.choices or None
     shown = f" (default {each.default})" if each.default != "" else ""
     group.add_argument(
         option_of(each.name),
@@ -41,14 +38,6 @@ def _add(group: argparse._ArgumentGroup, each: Parameter) -> None:
         metavar=None if choices else each.name.split("_")[-1].upper(),
         help=(each.text + shown).replace("%", "%%"),
     )
-
-
-def _choices(each: Parameter) -> Iterable[str] | None:
-    if each.name == "firmware":
-        return firmware_names()
-    if each.name == "topology":
-        return extensions.Names(TOPOLOGIES, extensions.TOPOLOGIES)
-    return each.choices or None
 
 
 def settings_from(

@@ -7,11 +7,13 @@ in its ``__post_init__``. Options, TOML keys, JSON and table columns follow from
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extensions import Names
 
 
 class ParameterError(UsageError):
@@ -29,7 +31,7 @@ class Parameter:
     Attributes:
         name: Name of the field; its option has dashes in place of underscores.
         kind: int, float or str; a value of any other type is checked by the class.
-        choices: Texts that it may be; empty unless the annotation is a ``Literal``.
+        choices: Texts that it may be, those of a ``Literal`` or the ones declared; empty: any.
         default: Value if none is given.
         text: Meaning in one line, with the unit.
         least: Smallest value, for numbers.
@@ -38,7 +40,7 @@ class Parameter:
 
     name: str
     kind: Any
-    choices: tuple[str, ...]
+    choices: Collection[str] | Names
     default: Any
     text: str
     least: float
@@ -77,9 +79,16 @@ def _plain(limit: float) -> str:
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
-def parameter(text: str, least: float = -math.inf, most: float = math.inf, *, default: Any) -> Any:
-    """A dataclass field with its meaning in one line, for a number its range, and its default."""
-    return field(default=default, metadata={"parameter": (text, least, most)})
+def parameter(
+    text: str,
+    least: float = -math.inf,
+    most: float = math.inf,
+    *,
+    default: Any,
+    choices: Collection[str] | Names = (),
+) -> Any:
+    """A dataclass field with its meaning in one line, its default, and its range or what it may be."""
+    return field(default=default, metadata={"choices": choices, "parameter": (text, least, most)})
 
 
 def parameters_of(kind: Any) -> dict[str, Parameter]:
@@ -94,7 +103,7 @@ def _declared(kind: Any) -> dict[str, Parameter]:
     for each in fields(kind):
         if "parameter" in each.metadata:
             held = types[each.name]
-            choices = get_args(held) if get_origin(held) is Literal else ()
+            choices = get_args(held) if get_origin(held) is Literal else each.metadata["choices"]
             found[each.name] = Parameter(each.name, held, choices, each.default, *each.metadata["parameter"])
     return found
 

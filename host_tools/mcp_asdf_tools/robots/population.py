@@ -54,7 +54,7 @@ class Population(WorldSettings):
         default=DEFAULT_MEMORY,
     )
     latency: int = parameter("steps that a message takes", 0, 1, default=0)
-    firmware: str = parameter("firmware of the robots", default="native")
+    firmware: str = parameter("firmware of the robots", default="native", choices=firmware_names())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,10 +74,6 @@ class Population(WorldSettings):
             )
         if self.memory % 4:
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
-        known = firmware_names()
-        if self.firmware not in known:
-            message = f"firmware is {self.firmware!r}; choose one of {', '.join(known)}"
-            raise ParameterError("firmware", message)
 
     def unused_parameters(self) -> dict[str, str]:
         """Parameters without effect here, with the reason."""

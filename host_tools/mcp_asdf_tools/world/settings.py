@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -61,7 +60,11 @@ class WorldSettings:
     """
 
     robots: int = parameter("number of robots N", 1, MAX_ROBOTS, default=20)
-    topology: str = parameter("who hears whom", default="fully-connected")
+    topology: str = parameter(
+        "who hears whom",
+        default="fully-connected",
+        choices=extensions.Names(TOPOLOGIES, extensions.TOPOLOGIES),
+    )
     graph: Any = parameter("edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default="")
     fill_ratio: float = parameter("f, share of black tiles", 0, 1, default=0.55)
     true_accuracy: float = parameter("b of every sensor", 0, 1, default=0.95)
@@ -92,7 +95,6 @@ class WorldSettings:
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        _check_name(self, "topology", TOPOLOGIES, extensions.TOPOLOGIES)
         _set(self, "graph", _graph(self.graph))
         self._check_topology()
         self._check_sensor()
@@ -130,7 +132,9 @@ class WorldSettings:
                 raise ParameterError("graph", str(error)) from error
 
     def _check_sensor(self) -> None:
-        _check_name(self, "sensor", ("",), extensions.SENSORS)
+        if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
+            installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
+            raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
         if self.drift == "none":
             for name in ("drift_rate", "drift_diffusion"):
                 if getattr(self, name):
@@ -153,14 +157,6 @@ def default_of(settings: Any, name: str) -> Any:
 
 def _set(settings: WorldSettings, name: str, value: Any) -> None:
     object.__setattr__(settings, name, value)
-
-
-def _check_name(settings: WorldSettings, key: str, own: Sequence[str], group: str) -> None:
-    """Raise ParameterError unless a parameter names one of ``own`` or an installed extension."""
-    name = getattr(settings, key)
-    if name not in own and name not in extensions.names(group):
-        known = ", ".join(filter(None, (*own, *extensions.names(group)))) or "an extension: none is installed"
-        raise ParameterError(key, f"{key} is {name!r}; choose one of {known}")
 
 
 def _graph(value: Any) -> Graph | str:

@@ -45,7 +45,7 @@ from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
         ("seed", 2**64, "0 to"),
         ("trials", 0, "1 to"),
         ("firmware", "real", "choose one of native, mirror, reference"),
-        ("firmware", 3, "give a text"),
+        ("firmware", 3, "choose one of native"),
         ("conventions", "authors", "choose firmware reference"),
         ("colour", 1, "unknown key 'colour'"),
     ],

@@ -132,7 +132,7 @@ def test_who_hears_whom_in_a_graph(tmp_path: Path) -> None:
         ({"topology": "graph", "graph": "0 0"}, "graph", "graph, edge 1: robot 0 cannot be its own"),
         ({"topology": "graph", "graph": 5}, "graph", "graph is 5; give a file or edges"),
         ({"density": 2}, "density", "density is 2.0 but robots do not move; choose topology dynamic"),
-        ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose one of an extension: none is installed"),
+        ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose an extension: none is installed"),
         ({"drift": "sideways"}, "drift", "choose one of none, linear, stepped, wiener"),
         ({"drift_rate": 0.1}, "drift_rate", "drift_rate is 0.1 but drift is none; choose a drift"),
     ],
