@@ -198,11 +198,6 @@ def budgets(part: str) -> dict[str, float]:
     return {core: float(kilobytes) for kilobytes, core in re.findall(r"([\d.]+) KB \(([\w+-]+)\)", row)}
 
 
-@pytest.mark.parametrize("part", PARTS)
-def test_the_page_budgets_for_every_core(part: str) -> None:
-    assert list(budgets(part)) == list(CORES)
-
-
 @pytest.mark.parametrize(("core", "part"), list(product(CORES, PARTS)))
 def test_the_core_keeps_to_the_page_s_budget(core: str, part: str, tmp_path: Path) -> None:
     tools, flags, packages = CORES[core]
@@ -430,7 +425,6 @@ def test_the_image_whose_cost_is_told_is_a_kilobot_s(tmp_path: Path) -> None:
         ("-DF_CPU=8000000UL", "more than 2.5 % off"),
         ("-DF_CPU=8", "has to be 8 to 20 MHz"),
         ("-DBAUD=2400", "cannot make BAUD"),
-        ("-DBAUD=40000000", "cannot make BAUD"),
     ],
 )
 def test_a_speed_that_the_uart_cannot_make_is_refused(macros: str, reason: str, tmp_path: Path) -> None:
