@@ -199,6 +199,8 @@ static void confidence_is_at_least_a_unit_a_message(void)
     BREAKS(robot.open = open);
     open.alpha = 0;
     KEEPS(robot.open = open);
+    open.alpha = open.count = MOST; /* everyone else was heard */
+    KEEPS((robot.open = open, memset(&robot.heard, 0xFF, sizeof robot.heard), robot.heard.of[5] = 0xFE));
 }
 
 /* A message with confidence has a sender, one without may have one, and the robot hears not itself. */
