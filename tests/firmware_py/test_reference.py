@@ -631,43 +631,6 @@ def test_message_without_confidence_says_nothing_but_is_heard() -> None:
     assert robot.counters == Counters(accepted=2, repeated=1)  # m = 1: no test
 
 
-INVALID = [
-    (-1, 0.5, 1.0, Status.ERR_SENDER),
-    (128, 0.5, 1.0, Status.ERR_SENDER),
-    (3, 0.5, 1.0, Status.ERR_SENDER),  # the own id
-    (1, math.nextafter(1, 2), 1.0, Status.ERR_X_HAT),
-    (1, -1e-9, 1.0, Status.ERR_X_HAT),
-    (1, math.nan, 1.0, Status.ERR_X_HAT),
-    (128, 2.0, 1.0, Status.ERR_SENDER),  # the order of the checks
-]
-
-
-@pytest.mark.parametrize(("sender", "x_hat", "alpha", "status"), INVALID)
-def test_invalid_message_changes_one_counter(sender: int, x_hat: float, alpha: float, status: Status) -> None:
-    robot = make_robot(robot_id=3)
-    watch(robot, black=3, white=1)
-    robot.receive(2, 0.25, 1.0)
-    before = view(robot)
-    with pytest.raises(FirmwareError) as refused:
-        robot.receive(sender, x_hat, alpha)
-    assert refused.value.status == status
-    assert view(robot) == (*before[:-1], Counters(accepted=1, rejected=1))
-    assert robot.receive(1, 0.75, 1.0) == Status.OK  # an invalid message is not heard
-    robot.settle()
-    assert (robot.x_bar, robot.beta) == (0.5, 2.0)
-
-
-@pytest.mark.parametrize("alpha", [-0.0, -1.0, math.nan, math.inf, -math.inf])
-def test_what_is_no_confidence_raises(alpha: float) -> None:
-    robot = make_robot(robot_id=3)
-    watch(robot, black=3, white=1)
-    before = view(robot)
-    for sender, x_hat in ((1, 0.5), (128, 0.5), (1, 2.0)):
-        with pytest.raises(ValueError, match="alpha is"):
-            robot.receive(sender, x_hat, alpha)
-    assert view(robot) == before
-
-
 @pytest.mark.parametrize(
     ("sender", "x_hat", "alpha"), [(0, 0.0, 0.0), (127, 1.0, LARGEST_BINARY32), (1, -0.0, 5e-324)]
 )
@@ -880,34 +843,6 @@ def test_x_is_of_the_own_estimate_now_and_the_last_closed_round() -> None:
 
 ENTRIES = tuple(round(2**26 * (1 + 1 / m)) for m in range(2, 9))
 GOOD_TABLE = Table(omega_word=round(OMEGA * 2**32), entries=ENTRIES)
-UNORDERED_TABLE = replace(GOOD_TABLE, entries=ENTRIES[::-1])
-
-
-@pytest.mark.parametrize(
-    ("settings", "robot_id", "b_hat", "status"),
-    [
-        ({"filter_period": 0}, 0, 0.75, Status.ERR_CONFIG),
-        ({"filter_period": 2**32}, 0, 0.75, Status.ERR_CONFIG),
-        ({"memory": 60}, 0, 0.75, Status.ERR_CONFIG),
-        ({"memory": 66}, 0, 0.75, Status.ERR_CONFIG),
-        ({"memory": 2**31 + 4}, 0, 0.75, Status.ERR_CONFIG),
-        ({"filter": 3}, 0, 0.75, Status.ERR_CONFIG),
-        ({"table": None}, 0, 0.75, Status.ERR_TABLE),
-        ({"table": UNORDERED_TABLE}, 0, 0.75, Status.ERR_TABLE),
-        ({}, -1, 0.75, Status.ERR_ID),
-        ({}, 128, 0.75, Status.ERR_ID),
-        ({}, 0, 2**-20 - 2**-60, Status.ERR_B_HAT),
-        ({}, 0, 1 - 2**-21, Status.ERR_B_HAT),
-        ({}, 0, math.nan, Status.ERR_B_HAT),
-        ({"memory": 0, "table": None}, -1, math.nan, Status.ERR_CONFIG),  # the order of the checks
-        ({"table": None}, -1, math.nan, Status.ERR_TABLE),
-        ({}, -1, math.nan, Status.ERR_ID),
-    ],
-)
-def test_refused(settings: dict[str, Any], robot_id: int, b_hat: float, status: Status) -> None:
-    with pytest.raises(FirmwareError) as error:
-        ReferenceRobot(Config(**{"table": GOOD_TABLE, **settings}), robot_id, b_hat)
-    assert error.value.status == status
 
 
 @pytest.mark.parametrize("omega", [0.0, -0.1, 0.91, math.nan])
@@ -915,17 +850,6 @@ def test_omega_out_of_range(omega: float) -> None:
     with pytest.raises(FirmwareError, match="omega is") as error:
         ReferenceRobot(Config(), 0, 0.75, omega=omega)
     assert error.value.status == Status.ERR_TABLE
-
-
-@pytest.mark.parametrize("mode", [Filter.ALWAYS, Filter.OFF])
-def test_only_the_adaptive_filter_needs_a_table(mode: Filter) -> None:
-    watch(ReferenceRobot(Config(filter=mode), 0, 0.75), black=1, white=1)
-    watch(ReferenceRobot(Config(filter=mode, table=UNORDERED_TABLE), 0, 0.75), black=1, white=1)
-
-
-def test_extreme_settings_are_accepted() -> None:
-    ReferenceRobot(Config(GOOD_TABLE, filter_period=2**32 - 1, memory=64), 127, 2**-20)
-    ReferenceRobot(Config(GOOD_TABLE, memory=2**31), 0, 1 - 2**-20)
 
 
 @pytest.mark.parametrize(("omega", "updated"), [(0.05, True), (0.9, False)])
