@@ -9,6 +9,7 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -353,3 +354,17 @@ def test_a_flawless_state_is_accepted_whatever_the_counters(kind: FixedPointType
         restored = kind.restore(replace(PLAIN, memory=64), rewritten(image, **{name: 65535}))
         assert getattr(restored.counters, name) == 65535
     assert kind(PLAIN, OWN_ID, 0.75).holds_invariants()
+
+
+@of_fixed_point
+def test_messages_in_an_array_are_messages_one_by_one(kind: FixedPointType) -> None:
+    robot, other = kind(PLAIN, OWN_ID, 0.75), kind(PLAIN, OWN_ID, 0.75)
+    heard = [(1, HALF, ALPHA_ONE), (1, 0, ALPHA_ONE), (OWN_ID, 0, ALPHA_ONE), (7, ONE, ALPHA_MOST)]
+    array = np.array(heard, "uint32")
+    receive_all(other, heard)
+    assert robot.receive_all(array) == 2
+    assert robot.state() == other.state()
+    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
+        with pytest.raises(ValueError, match="give a C-contiguous one"):
+            robot.receive_all(wrong)
+    assert robot.state() == other.state()
