@@ -107,8 +107,9 @@ def _refuse(title: str, error: UsageError | str) -> int:
 
 
 def _explained(error: OSError) -> str:
-    place = "to standard output" if error.filename is None else error.filename
-    return f"cannot write {place}: {error.strerror}; send it elsewhere"
+    if error.filename is None:
+        return f"cannot write to standard output: {error.strerror}; send it elsewhere"
+    return f"cannot use {error.filename}: {error.strerror}; give another"
 
 
 def _tell(text: str) -> None:
@@ -127,8 +128,9 @@ def _drop(stream: TextIO) -> None:
 
 
 def _flush() -> int:
-    if sys.stdout is not None:
-        sys.stdout.flush()
+    if sys.stdout is None:
+        raise UsageError("standard output is closed, so nothing was printed; send it elsewhere")
+    sys.stdout.flush()
     return 0
 
 

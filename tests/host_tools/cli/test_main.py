@@ -257,6 +257,11 @@ def test_what_cannot_be_told_changes_no_exit_code(line: str, code: int) -> None:
     assert (result.returncode, result.stdout, result.stderr) == (code, "", "")
 
 
+def test_a_closed_output_is_told() -> None:
+    result = shell("table --check tables/t_table_omega05_q30.c >&-")
+    assert (result.returncode, "standard output is closed" in result.stderr) == (2, True)
+
+
 SLOW_TO_LOAD = ["can", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
 """Libraries that each take about as long to load as all that an overview needs, or much longer."""
 
