@@ -19,9 +19,9 @@ EXACT = [f"host_tools/mcp_asdf_tools/crosscheck/{name}.py" for name in ("exact",
 @pytest.mark.parametrize(
     ("paths", "tests", "sample", "most"),
     [
-        (FIRMWARE, ["tests/firmware_py", "tests/host_tools/crosscheck"], 60, 0),
-        (EXACT, ["tests/host_tools/crosscheck"], 20, 2),
-        (["host_tools/mcp_asdf_tools"], None, 40, 8),
+        (FIRMWARE, ["tests/firmware_py", "tests/host_tools/crosscheck"], 40, 4),
+        (EXACT, ["tests/host_tools/crosscheck"], 20, 6),
+        (["host_tools/mcp_asdf_tools"], None, 40, 20),
     ],
     ids=["firmware", "exact", "tools"],
 )

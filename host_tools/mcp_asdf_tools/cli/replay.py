@@ -21,7 +21,7 @@ from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 EPILOG = """\
 examples:
   mcp-asdf replay run.log                       # is every broadcast what the firmware makes of it?
-  mcp-asdf replay run.log.part                  # of a run that was cut off
+  mcp-asdf replay run.log --events run.log.events --json
 Checking needs the file FILE.events that swarm and radio write beside their logs. To play a log onto a bus,
 use python-can's can_player.
 exit code: 0 done, 1 a broadcast is not reproduced, 2 bad usage, 128 + signal if interrupted"""

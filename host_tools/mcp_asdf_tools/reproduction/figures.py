@@ -74,8 +74,8 @@ def _of(study: Study, part: Part, *filters: Filtering, shortest: bool = False) -
         each
         for own in filters
         for each in study.of(part)
-        if each.experiment.filter is own
-        and (own is NONE or not shortest or each.experiment.filter_period == Cell.period)
+        if each.experiment.filter == own
+        and (own == NONE or not shortest or each.experiment.filter_period == Cell.period)
     ]
 
 
