@@ -13,6 +13,7 @@ from mutation.python_mutants import mutants
 
 FIRMWARE = [f"firmware_py/mcp_asdf/{name}.py" for name in ("mirror", "fixed_point")]
 EXACT = [f"host_tools/mcp_asdf_tools/crosscheck/{name}.py" for name in ("exact", "oracle")]
+WORLD = [f"host_tools/mcp_asdf_tools/world/{name}.py" for name in ("world", "philox", "arena/__init__")]
 
 
 @pytest.mark.slow
@@ -34,5 +35,5 @@ def test_some_mistakes_are_noticed(paths: list[str], tests: list[str] | None, sa
 
 @pytest.mark.slow
 def test_each_equivalent_mutant_is_a_mutant() -> None:
-    names = {each.name for path in (*FIRMWARE, *EXACT) for each in mutants(Path(path))}
+    names = {each.name for path in (*FIRMWARE, *EXACT, *WORLD) for each in mutants(Path(path))}
     assert set(equivalents("python")) <= names
