@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from mcp_asdf_tools.cli import swarm as swarm_command
-from mcp_asdf_tools.swarm import carrier as connection
-from mcp_asdf_tools.swarm import remote_robot
+from mcp_asdf_tools.swarm import carrier, remote_robot
 from socketcan.guest import why_not_native
 from socketcan.relay import REPORTS, Reporter, reports_of
 from socketcan.vcan import Vcan, interfaces
@@ -68,7 +67,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr(swarm_command, "_STARTING_TIMEOUT", PATIENCE)
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", PATIENCE)
-    monkeypatch.setattr(connection, "TIMEOUT", PATIENCE)
+    monkeypatch.setattr(carrier, "TIMEOUT", PATIENCE)
 
 
 @pytest.fixture

@@ -72,9 +72,6 @@ FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
 WITHOUT = GREY
 """Swarms without a filter."""
 
-DIVERGING = LinearSegmentedColormap.from_list("below to above", [COLOURS[1], "#ffffff", COLOURS[0]])
-"""Colours of differences: orange below 0, blue above."""
-
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
 
 

@@ -261,7 +261,7 @@ class Faults:
         return bool(self._babblers)
 
     def is_off(self, robot: int, tick: int) -> bool:
-        """True if the node is off the bus, crashed or bus-off. ``leave`` and ``link_faults`` respect it."""
+        """True if the node is off the bus, crashed or bus-off. ``leave``, ``babble``, ``paths`` obey it."""
         # All are evaluated, since each counts its ticks.
         return bool(self._spells) and any([each.lasts(robot, tick) for each in self._spells])
 
