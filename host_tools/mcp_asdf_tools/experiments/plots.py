@@ -30,13 +30,8 @@ from mcp_asdf_tools.common.figures import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
-FILTER_NAMES = {
-    "none": "no filter",
-    "asdf-minus": "ASDF\N{MINUS SIGN}",
-    "asdf-plus": "ASDF+",
-}
 LETTERS = {
     "f": "fill_ratio",
     "b": "true_accuracy",
@@ -122,7 +117,7 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
     )
 
     def name(experiment: Experiment) -> str:
-        words = [FILTER_NAMES[experiment.filter]]
+        words = [TYPESET_FILTER_NAMES[experiment.filter]]
         for key in varying:
             if experiment.filter != "none" or key not in _FILTER_PARAMETERS:
                 words.append(f"{key.replace('_', ' ')} {number_in_words(experiment.parameters()[key])}")

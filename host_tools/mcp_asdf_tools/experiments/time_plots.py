@@ -22,8 +22,9 @@ from mcp_asdf_tools.common.figures import (
     empty_figure,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import FILTER_NAMES, caption_of, finish, handle, panels_of, share_of
+from mcp_asdf_tools.experiments.plots import caption_of, finish, handle, panels_of, share_of
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES
 from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.world.arena import Arena
 
@@ -60,7 +61,7 @@ def _series_of(trials: Trials, number: int) -> TimeSeries:
 
 def _title(experiment: Experiment, trial: int) -> str:
     """Parameters of a trial in words."""
-    words = FILTER_NAMES[experiment.filter]
+    words = TYPESET_FILTER_NAMES[experiment.filter]
     if experiment.filter != "none":
         words += rf", $\tau$ = {experiment.filter_period}"
     return (

@@ -31,6 +31,7 @@ from mcp_asdf_tools.reproduction.study import (
     cells_of,
 )
 from mcp_asdf_tools.reproduction.verdicts import Comparison, Expectation, Place, Scope
+from mcp_asdf_tools.robots.population import FILTER_NAMES
 
 _FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 
@@ -215,8 +216,6 @@ def _largest_difference(part: Part, name: str) -> Estimating:
 
 # --- Words -----------------------------------------------------------------------------------------------
 
-_FILTER_NAMES = {"none": "no filter", "asdf-minus": "ASDF-", "asdf-plus": "ASDF+"}
-
 
 def _place(cells: Sequence[Cell], words: str) -> Place:
     """Row: f, b and b_hat of the first cell. Column: what else it is, and how the second differs."""
@@ -240,7 +239,7 @@ def _words_of(cell: Cell) -> dict[str, str]:
         "true_accuracy": f"b {cell.true_accuracy:g}",
         "flawed_accuracy": f"b_hat {cell.flawed_accuracy:g}",
         "percent": f"P {cell.percent} %",
-        "filter": _FILTER_NAMES[cell.filter],
+        "filter": FILTER_NAMES[cell.filter],
         "period": f"tau {cell.period}",
     }
     meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.filter == "none"}

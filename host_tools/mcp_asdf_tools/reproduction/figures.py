@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.experiments import plots, time_plots
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import FILTER_NAMES, trials_in_words
+from mcp_asdf_tools.experiments.plots import trials_in_words
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction.study import PART_NAMES, Cell, Part, Scale, Study, cells_of, experiment_of
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 FULLY_CONNECTED, DYNAMIC, PHYSICAL = Part
 NONE: Filtering = "none"
@@ -63,7 +63,7 @@ def pictures(study: Study, scale: Scale) -> Iterator[Picture]:
     if PHYSICAL in study.parts:
         yield _paths(scale)
         shown = _of(study, PHYSICAL, NONE, PLUS)
-        title = f"H of physical swarms without filter and with {FILTER_NAMES[PLUS]}"
+        title = f"H of physical swarms without filter and with {TYPESET_FILTER_NAMES[PLUS]}"
         yield _scored("physical_scores", _titled(title, "8a"), shown, plots.boxes, plots.BOXES)
         yield _scatter(study, PHYSICAL, "8b")
 
@@ -98,7 +98,7 @@ def _boxes(study: Study, part: Part, own: Filtering, paper: str) -> Picture:
     shown = _of(study, part, NONE, own)
     if own == MINUS:
         shown = [each for each in shown if each.experiment.flawed < each.experiment.robots]
-    title = f"H of {PART_NAMES[part]} swarms without filter and with {FILTER_NAMES[own]}"
+    title = f"H of {PART_NAMES[part]} swarms without filter and with {TYPESET_FILTER_NAMES[own]}"
     return _scored(f"{part.value}_{own}", _titled(title, paper), shown, plots.boxes, plots.BOXES)
 
 
@@ -121,12 +121,12 @@ def _topologies(study: Study, own: Filtering, paper: str) -> Picture:
     """Dynamic beside fully connected."""
 
     def name(each: Experiment) -> str:
-        return f"{'dynamic' if each.is_dynamic else 'fully connected'}, {FILTER_NAMES[each.filter]}"
+        return f"{'dynamic' if each.is_dynamic else 'fully connected'}, {TYPESET_FILTER_NAMES[each.filter]}"
 
     def draw(shown: Sequence[Trials]) -> Figure:
         return plots.boxes(shown, name=name)
 
-    title = f"H in both topologies without filter and with {FILTER_NAMES[own]}, tau = {Cell.period}"
+    title = f"H in both topologies without filter and with {TYPESET_FILTER_NAMES[own]}, tau = {Cell.period}"
     parts = (DYNAMIC, FULLY_CONNECTED)
     shown = [each for part in parts for each in _of(study, part, NONE, own, shortest=True)]
     return _scored(f"topologies_{own}", _titled(title, paper), shown, draw, plots.BOXES)

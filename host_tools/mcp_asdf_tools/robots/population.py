@@ -20,6 +20,11 @@ from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 Filtering = Literal["none", "asdf-minus", "asdf-plus"]
 """Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+)."""
 
+FILTER_NAMES: dict[Filtering, str] = {"none": "no filter", "asdf-minus": "ASDF-", "asdf-plus": "ASDF+"}
+"""The paper's names, in ASCII."""
+TYPESET_FILTER_NAMES = {key: name.replace("-", "\N{MINUS SIGN}") for key, name in FILTER_NAMES.items()}
+"""The same for pictures and pages."""
+
 Activation = Literal["adaptive", "always"]
 """When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from mcp_asdf_tools.robots.population import FILTER_NAMES
 from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
@@ -34,11 +35,10 @@ def draw(run: SwarmRun) -> Figure:
 
 def _title(settings: SwarmSettings) -> str:
     """Parameters and faults in words."""
-    deployment = {"asdf-plus": "ASDF+", "asdf-minus": "ASDF-", "none": "no filter"}
     flawed = f"{settings.flawed} flawed"
     if settings.flawed:
         flawed += rf" with $\hat{{b}}$ = {settings.flawed_accuracy:g}"
-    words = f"{settings.robots} robots, {flawed}, {deployment[settings.filter]}"
+    words = f"{settings.robots} robots, {flawed}, {FILTER_NAMES[settings.filter]}"
     if settings.filter != "none":
         words += rf", $\tau$ = {settings.filter_period}"
     words += f", {_topology(settings)}, seed {settings.seed}"

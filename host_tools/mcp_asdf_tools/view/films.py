@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
-from mcp_asdf_tools.robots.population import Population, parameter_names
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population, parameter_names
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_SAMPLES, QUANTITIES, Film, LiveFilm, Sample, Samples, Stage
@@ -34,11 +34,6 @@ from mcp_asdf_tools.world.world import World
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
-_MODES = {
-    "asdf-plus": "ASDF+",
-    "asdf-minus": "ASDF\N{MINUS SIGN}",
-    "none": "no filter",
-}
 
 
 def stage_of(population: Population, trial: int = 0) -> Stage:
@@ -71,7 +66,7 @@ def _title(settings: Population, trial: int) -> str:
     words = [
         f"{settings.robots} robots",
         f"{settings.flawed} flawed",
-        _MODES[settings.filter],
+        TYPESET_FILTER_NAMES[settings.filter],
         f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}",
         _topology(settings),
         f"seed {settings.seed}" + (f", trial {trial}" if trial else ""),
