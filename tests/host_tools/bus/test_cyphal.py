@@ -14,15 +14,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, alpha_units, alpha_word, word_to_alpha
+from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     MAX_B_HAT,
-    MIN_B_HAT,
     Action,
     Command,
-    FrameFormat,
     Health,
     Heartbeat,
     Message,
@@ -31,6 +29,7 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     float_of,
 )
+from messages import DEFAULT, encoded, estimates, messages
 from support import PATIENCE, ROOT, draws
 
 pytestmark = pytest.mark.random
@@ -41,7 +40,6 @@ media = importlib.import_module("pycyphal.transport.can.media")
 pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
 cyphal_can = importlib.import_module("pycyphal.transport.can")
 
-DEFAULT = FrameFormat()
 LARGEST_BITS = 0x7F7FFFFF
 fixed = settings(derandomize=True, deadline=None, max_examples=draws(200))
 
@@ -130,31 +128,6 @@ def seen_by_pycyphal(frame: can.Message) -> Seen | None:
     )
 
 
-nodes, transfers, words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
-bytes_, ratios = st.integers(0, 255), st.integers(0, 2**23)
-alphas = words.map(lambda word: alpha_word(alpha_units(word)))
-"""Words with the smallest shift, as decoding gives them."""
-estimates = st.builds(Message, nodes, ratios, alphas, transfers)
-messages = st.one_of(
-    estimates,
-    st.builds(Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), bytes_),
-    st.builds(Telemetry, nodes, ratios, st.integers(MIN_B_HAT, MAX_B_HAT), bytes_, transfers),
-    st.builds(Command, nodes, words, nodes | st.just(EVERY_ROBOT), st.sampled_from(Action), transfers),
-)
-
-
-def encode(message: Any) -> can.Message:
-    match message:
-        case Message():
-            return frames.encode(message, DEFAULT)
-        case Heartbeat():
-            return frames.encode_heartbeat(message)
-        case Telemetry():
-            return frames.encode_telemetry(message)
-        case _:
-            return frames.encode_command(message)
-
-
 def dsdl_of(types: Types, message: Any) -> tuple[int, Any, tuple[Any, ...]]:
     """Subject of a message, its DSDL type, and what an object of that has to hold."""
     match message:
@@ -182,7 +155,7 @@ def content_of(found: Any) -> tuple[Any, ...]:
 @example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
 def test_pycyphal_reads_our_frames(types: Types, message: Any) -> None:
-    seen, (subject, kind, expected) = seen_by_pycyphal(encode(message)), dsdl_of(types, message)
+    seen, (subject, kind, expected) = seen_by_pycyphal(encoded(message)), dsdl_of(types, message)
     assert seen is not None
     assert (seen.subject, seen.sender, seen.transfer_id) == (subject, message.sender, message.transfer_id)
     assert content_of(pycyphal.dsdl.deserialize(kind, [memoryview(seen.payload)])) == expected

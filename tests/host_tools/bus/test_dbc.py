@@ -16,9 +16,8 @@ from typing import Any
 import can
 import pytest
 from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_units, alpha_word, word_to_alpha
+from mcp_asdf.fixed_point import ALPHA_MAX, word_to_alpha
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_entries, dbc_text
 from mcp_asdf_tools.bus.frames import (
@@ -37,6 +36,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.recording import Recording
+from messages import DEFAULT, encoded, messages
 from robots import ALPHA_ONE
 from support import draws
 
@@ -44,20 +44,9 @@ pytestmark = pytest.mark.random
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed (pip install cantools)")
 
-DEFAULT = FrameFormat()
 UNITS = {"x_hat": 2.0**-23, "x": 2.0**-23, "b_hat": 2.0**-24}
 fixed = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
-nodes, transfers, words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
-bytes_, ratios = st.integers(0, 255), st.integers(0, 2**23)
-alphas = words.map(lambda word: alpha_word(alpha_units(word)))
-"""Words with the smallest shift, as decoding gives them."""
-messages = st.one_of(
-    st.builds(Message, nodes, ratios, alphas, transfers),
-    st.builds(Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), bytes_),
-    st.builds(Telemetry, nodes, ratios, st.integers(MIN_B_HAT, MAX_B_HAT), bytes_, transfers),
-    st.builds(Command, nodes, words, st.integers(0, 127) | st.just(255), st.sampled_from(Action), transfers),
-)
 NAMES = {Message: "Estimate", Heartbeat: "Heartbeat", Telemetry: "Telemetry", Command: "Command"}
 
 
@@ -68,18 +57,6 @@ def load(text: str) -> Any:
 @pytest.fixture(scope="module")
 def database() -> Any:
     return load(dbc_text(dbc_entries(DEFAULT)))
-
-
-def encode(message: Any) -> can.Message:
-    match message:
-        case Message():
-            return frames.encode(message, DEFAULT)
-        case Heartbeat():
-            return frames.encode_heartbeat(message)
-        case Telemetry():
-            return frames.encode_telemetry(message)
-        case _:
-            return frames.encode_command(message)
 
 
 def decode(frame: can.Message, name: str) -> Any:
@@ -119,7 +96,7 @@ def frame_of(database: Any, name: str, values: dict[str, float], node: int = 0, 
 @example(Telemetry(0, 0, MIN_B_HAT, 0, 0))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
 def test_cantools_and_we_read_each_other(database: Any, message: Any) -> None:
-    name, frame = NAMES[type(message)], encode(message)
+    name, frame = NAMES[type(message)], encoded(message)
     kind = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
     assert kind.name == name
     assert kind.is_extended_frame
@@ -188,7 +165,7 @@ def test_messages_of_each_node() -> None:
         kind = database.get_message_by_frame_id(frame.arbitration_id)  # no mask
         assert (kind.name, kind.senders) == (f"Estimate_{node}", [f"Robot_{node}"])
         assert kind.decode(frame.data, decode_choices=False) == physical(Message(node, 5, 0x600, 7))
-        beat = encode(Heartbeat(node, 1, 2))
+        beat = encoded(Heartbeat(node, 1, 2))
         assert database.get_message_by_frame_id(beat.arbitration_id).name == f"Heartbeat_{node}"
 
 
@@ -210,7 +187,7 @@ def test_the_command_line_of_cantools_decodes_our_log(tmp_path: Path) -> None:
     with Recording(tmp_path / "run.log", None, print) as (write, _):
         assert write is not None
         for message in sent:
-            write(encode(message))
+            write(encoded(message))
     assert decoded_by_the_command_line((tmp_path / "run.log").read_text(), tmp_path) == [
         "Estimate(x_hat: 0.5, alpha: 1.0, transfer_id: 0, start_end_toggle: 7)",
         "Telemetry(x: 0.75, b_hat: 0.5, updates: 7, transfer_id: 5, start_end_toggle: 7)",
