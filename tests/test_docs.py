@@ -372,12 +372,20 @@ def test_the_readme_names_every_exit_code() -> None:
     )
 
 
-def test_the_c_program_of_the_readme_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("source", ["copied", "written"])
+def test_the_c_program_of_the_readme_runs(source: str, tmp_path: Path) -> None:
+    """With the core and a table copied by hand, and as the command of the README writes them."""
     (code,) = blocks(ROOT / "README.md", "c")
     (tmp_path / "cli.c").write_text(code)
-    sources = [tmp_path / "cli.c", ROOT / "c_ref/src/mcp_asdf.c", ROOT / "tables/t_table_omega05_q30.c"]
+    core, tables = ROOT / "c_ref/src", ROOT / "tables"
+    if source == "written":
+        text = (ROOT / "README.md").read_text(encoding="utf-8")
+        (arguments,) = re.findall(r"`mcp-asdf (firmware [^`]*)`", text)
+        run("mcp-asdf", *arguments.split(), cwd=tmp_path)
+        core = tables = tmp_path / arguments.split()[1]
+    sources = [tmp_path / "cli.c", core / "mcp_asdf.c", tables / "t_table_omega05_q30.c"]
     compiler = shutil.which("cc") or "gcc"
-    flags = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-I", str(ROOT / "c_ref/src")]
+    flags = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-I", str(core)]
     subprocess.run([compiler, *flags, *map(str, sources), "-o", str(tmp_path / "robot")], check=True)
     shown = subprocess.run([tmp_path / "robot"], capture_output=True, text=True, check=True).stdout
     assert shown == "fill ratio 0.685\n"  # (2/3 + 0.95 - 1) / (2 0.95 - 1) = 0.6852
