@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-from can.interfaces import virtual
 
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import (
@@ -43,19 +40,10 @@ from node_thread import join, live_robot, meanwhile
 from support import PATIENCE
 from wire import Wire, record
 
+pytestmark = pytest.mark.usefixtures("private_setup")
+
 ID = 3
 TICKS = 25
-
-
-@pytest.fixture(autouse=True)
-def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Keep the user's bus configuration out, and fail if a test leaves a bus open."""
-    for name in [name for name in os.environ if name.startswith("CAN_")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(can, "rc", {})
-    yield
-    assert not virtual.channels
 
 
 def settings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-from can.interfaces import virtual
 
 from mcp_asdf.mirror import MirrorRobot, reestimate, rejects
 from mcp_asdf.robot import Filter, Observation, Status
@@ -48,20 +46,11 @@ from support import PATIENCE, slow
 from wire import EndlessWire, Wire, record, still
 from wrong_robots import B_HAT, ID, WRONG, Wrong, right
 
+pytestmark = pytest.mark.usefixtures("private_setup")
+
 TICKS = 25
 QUICK = tuple(phase for phase in PHASES if phase.name not in ("long run", "flood"))
 """All phases but the two that take long."""
-
-
-@pytest.fixture(autouse=True)
-def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Keep the user's bus configuration out, and fail if a test leaves a bus open."""
-    for name in [name for name in os.environ if name.startswith("CAN_")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(can, "rc", {})
-    yield
-    assert not virtual.channels
 
 
 def settings(controller: RobotRecord | None = None, faults: str = "", seed: int = 6) -> RadioSettings:

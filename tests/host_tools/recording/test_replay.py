@@ -6,12 +6,10 @@ import json
 import random
 import shlex
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import pytest
-from can.interfaces import virtual
 
 from input_logs import input_log_in
 from mcp_asdf.robot import Observation
@@ -25,14 +23,10 @@ from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
 from wire import record
 
+pytestmark = pytest.mark.usefixtures("no_bus_is_left")
+
 SMALL = "--robots 4 --steps 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
 BROADCASTS = 4 * 40
-
-
-@pytest.fixture(autouse=True)
-def no_bus_is_left() -> Iterator[None]:
-    yield
-    assert not virtual.channels
 
 
 def swarm(log: Path, options: str = "") -> list[can.Message]:

@@ -10,13 +10,11 @@ import random
 import shlex
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-from can.interfaces import virtual
 
 from mcp_asdf.robot import FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import COMMANDS, FrameFormat, Message, decode, encode
@@ -29,18 +27,9 @@ from node_thread import join, meanwhile
 from support import PATIENCE, interruptible
 from wire import node, record
 
+pytestmark = pytest.mark.usefixtures("private_setup")
+
 WHITE, BLACK = Observation
-
-
-@pytest.fixture(autouse=True)
-def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Keep the user's bus configuration out, and fail if a test leaves a bus open."""
-    for name in [name for name in os.environ if name.startswith("CAN_")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(can, "rc", {})
-    yield
-    assert not virtual.channels
 
 
 def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:

@@ -8,7 +8,7 @@ import os
 import resource
 import shlex
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from decimal import Decimal
@@ -56,19 +56,10 @@ from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES, QUANTITIES, Swarm, SwarmHook
 from mcp_asdf_tools.tables.thresholds import generate
 from support import interruptible, slow
 
+pytestmark = pytest.mark.usefixtures("private_setup")
+
 SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
 EXACT = ("native", "mirror")
-
-
-@pytest.fixture(autouse=True)
-def private_setup(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Keep the user's bus configuration out, and fail if a test leaves a bus open."""
-    for name in [name for name in os.environ if name.startswith("CAN_")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(can, "rc", {})
-    yield
-    assert not virtual.channels
 
 
 def open_bus(robot: int = 0) -> can.BusABC:

@@ -6,7 +6,6 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,16 +38,12 @@ from mcp_asdf_tools.world.arena import Arena
 from multicast import multicast
 from support import slow
 
+pytestmark = pytest.mark.usefixtures("no_bus_is_left")
+
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """And some more: of this process, for tests in others run at the same time."""
 
 Content = tuple[int, bytes, bool]
-
-
-@pytest.fixture(autouse=True)
-def no_bus_is_left_open() -> Iterator[None]:
-    yield
-    assert not virtual.channels
 
 
 def one_bus(robot: int) -> can.BusABC:
