@@ -1,4 +1,4 @@
-"""Put the results of a study into docs/reproduce.md: its overview and the list of verdicts.
+"""Put the overview of a study into docs/reproduce.md, and its verdicts into tests/data/study_verdicts.csv.
 
     python tests/benchmarks/study_page.py FOLDER
 
@@ -10,10 +10,10 @@ from __future__ import annotations
 import csv
 import re
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/reproduce.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, VERDICTS = ROOT / "docs/reproduce.md", ROOT / "tests/data/study_verdicts.csv"
 START, END = "<!-- results -->", "<!-- end of results -->"
 
 Row = tuple[str, str, str, int, int]
@@ -39,25 +39,18 @@ def rows_of(comparisons: Path) -> list[Row]:
     return [(*key, sum(holds), len(holds)) for key, holds in found.items()]  # type: ignore[misc]
 
 
-def list_of(rows: Iterable[Row]) -> str:
-    """A line for each claim, with its verdicts about each part."""
-    lines: dict[str, list[str]] = {}
-    for claim, part, verdict, holding, total in rows:
-        lines.setdefault(claim, []).append(f"{part} **{verdict}** {holding}/{total}")
-    summary = "<details><summary>Every claim: verdict, and how many comparisons hold</summary>"
-    claims = [f"- {claim.replace('_', ' ')}: {', '.join(words)}" for claim, words in lines.items()]
-    return "\n".join([summary, "", *claims, "", "</details>"])
-
-
 def main() -> int:
-    """Replace what stands between the markers; returns the exit code."""
+    """Write both; returns the exit code."""
     folder = Path(sys.argv[1])
     report = (folder / "report.md").read_text(encoding="utf-8")
     if "Too short for verdicts" in report:
         return 1
-    results = f"{overview_of(report)}\n\n{list_of(rows_of(folder / 'comparisons.csv'))}"
+    with VERDICTS.open("w", encoding="utf-8", newline="") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(("claim", "part", "verdict", "holds", "of"))
+        lines.writerows(rows_of(folder / "comparisons.csv"))
     head, _, rest = PAGE.read_text(encoding="utf-8").partition(START)
-    PAGE.write_text(f"{head}{START}\n{results}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+    PAGE.write_text(f"{head}{START}\n{overview_of(report)}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
     return 0
 
 

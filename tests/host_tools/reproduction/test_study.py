@@ -94,6 +94,7 @@ def test_efforts_count_their_looks() -> None:
 def test_the_page_has_the_figures_of_the_study() -> None:
     """Some verdicts and the gain of ASDF+ in docs/reproduce.md, with a fifth of its trials."""
     page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
+    verdicts = (ROOT / "tests/data/study_verdicts.csv").read_text(encoding="utf-8")
     names = ["plus_improves_few_overconfident", "minus_still_improves_where_clear"]
     names += ["overconfident_are_accurate_where_easy", "plus_is_worse_than_minus_where_clear"]
     claims, scale = [claim for claim in CLAIMS if claim.name in names], Scale(trials=60)
@@ -102,8 +103,8 @@ def test_the_page_has_the_figures_of_the_study() -> None:
     found = decide(Study(results), scale, claims)
     for each in found:
         finding = each.finding
-        words = f"**{finding.verdict.value}** {finding.count(True)}/{len(finding.comparisons)}"
-        assert f"- {each.claim.name.replace('_', ' ')}: fully connected {words}\n" in page
+        numbers = f"{finding.count(True)},{len(finding.comparisons)}"
+        assert f"{each.claim.name},fully connected,{finding.verdict.value},{numbers}\n" in verdicts
     (gain,) = [each.finding for each in found if each.claim.name == names[0]]
     printed = re.search(
         r"ASDF\+ helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page
