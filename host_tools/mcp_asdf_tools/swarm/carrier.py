@@ -265,9 +265,6 @@ class Carrier:
     def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
         """Put ``frames`` on the robot's bus; returns what it reads there."""
         radio, end = self._radios.get(robot), self.ends[robot]
-        if radio is None:
-            # An error frame is a driver's report: it cannot be sent on a real bus.
-            frames = [frame for frame in frames if not frame.is_error_frame]
         for frame in frames:
             end.send(frame)
         if radio is None:

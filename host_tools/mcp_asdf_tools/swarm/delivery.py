@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Mask = NDArray[np.bool_]
 """One value for each frame of a tick and each receiver, by id, shape (frames, receivers)."""
 
-Content = tuple[int, bytes, bool]
-"""Identifier and data of a frame, and whether it is an error frame."""
+Content = tuple[int, bytes]
+"""Identifier and data of a frame."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class SentFrame:
 
 def content_of(frame: can.Message) -> Content:
     """What tells a frame on a bus from others."""
-    return frame.arbitration_id, bytes(frame.data), frame.is_error_frame
+    return frame.arbitration_id, bytes(frame.data)
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,6 @@ class Paths:
         reach: Whether a frame reaches a receiver on such a path.
         delay: Ticks that it takes.
         version: Number that tells copies for one receiver apart.
-        places: Where in its tick a frame arrives, above 0 up to 1, shape (frames, receivers); None for
-            its turn.
         flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,
             receivers); None if none do.
     """
@@ -64,23 +62,17 @@ class Paths:
     reach: Mask
     delay: int = 0
     version: int = 0
-    places: NDArray[np.float64] | None = None
     flips: NDArray[np.uint64] | None = None
 
     def arrivals(self, sent: Sequence[SentFrame]) -> Arrivals:
         """The arrivals of ``sent`` on these paths, in the order of sending."""
         frames = [each.frame for each in sent]
-        if self.flips is None and self.places is None:
+        if self.flips is None:
             return Arrivals(frames, np.zeros(len(frames), np.uint64), self.reach)
         numbers, receivers = self.reach.nonzero()
         own = np.zeros((len(numbers), self.reach.shape[1]), np.bool_)
         own[np.arange(len(numbers)), receivers] = True
-        flips = np.zeros(len(numbers), np.uint64) if self.flips is None else self.flips[self.reach]
-        return Arrivals([frames[number] for number in numbers.tolist()], flips, own)
-
-    def places_of(self, arrivals: Arrivals) -> NDArray[np.float64]:
-        """Place in its tick of each of these arrivals, 0 for its turn."""
-        return np.zeros(len(arrivals.sent)) if self.places is None else self.places[self.reach]
+        return Arrivals([frames[number] for number in numbers.tolist()], self.flips[self.reach], own)
 
 
 @dataclass(frozen=True)
@@ -145,7 +137,7 @@ class Delivery:
         self._faults = faults
         self._is_late = latency > 0
         self._held: Sequence[SentFrame] = ()
-        self._due: defaultdict[int, list[tuple[Paths, Arrivals]]] = defaultdict(list)
+        self._due: defaultdict[int, list[Arrivals]] = defaultdict(list)
 
     def arrivals(self, tick: int, sent: Sequence[SentFrame]) -> Arrivals:
         """The frames that robots hear in this tick, of those ``sent`` in it and late ones.
@@ -156,19 +148,16 @@ class Delivery:
             sent, self._held = self._held, sent
         in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
         for paths in self._faults.paths(tick, sent, in_range):
-            self._due[tick + paths.delay].append((paths, paths.arrivals(sent)))
-        due = self._due.pop(tick, [])
+            self._due[tick + paths.delay].append(paths.arrivals(sent))
+        due = _joined(self._due.pop(tick, []), in_range.shape[1])
         self.in_range += int(np.count_nonzero(in_range))
-        self.arrived += sum(int(np.count_nonzero(paths.reach)) for paths, _ in due)
-        return _joined(due, in_range.shape[1])
+        self.arrived += int(np.count_nonzero(due.reach))
+        return due
 
 
-def _joined(due: Sequence[tuple[Paths, Arrivals]], robots: int) -> Arrivals:
-    """Those in their turn as they come, then those that fall behind, by rising place."""
-    sent = [frame for _, each in due for frame in each.sent]
-    flips = np.concatenate([np.zeros(0, np.uint64), *(each.flips for _, each in due)])
-    reach = np.concatenate([np.zeros((0, robots), np.bool_), *(each.reach for _, each in due)])
-    if all(paths.places is None for paths, _ in due):
-        return Arrivals(sent, flips, reach)
-    order = np.concatenate([paths.places_of(each) for paths, each in due]).argsort(kind="stable")
-    return Arrivals([sent[number] for number in order.tolist()], flips[order], reach[order])
+def _joined(due: Sequence[Arrivals], robots: int) -> Arrivals:
+    """All of these arrivals, in this order."""
+    sent = [frame for each in due for frame in each.sent]
+    flips = np.concatenate([np.zeros(0, np.uint64), *(each.flips for each in due)])
+    reach = np.concatenate([np.zeros((0, robots), np.bool_), *(each.reach for each in due)])
+    return Arrivals(sent, flips, reach)

@@ -9,12 +9,12 @@ bus with a real controller. It is used in every tick as follows:
         ...
     for frame in [*own_frames, *faults.babble(robot.id, tick)]:
         sent += faults.leave(frame, robot.id, tick)            # frames that get onto the bus
-    paths = faults.paths(tick, sent, in_range)                   # what becomes of them at each neighbour
+    paths = faults.paths(tick, sent, in_range)                 # what becomes of them at each neighbour
 
 Randomness: whether a fault strikes is decided by a draw that is a function of the seed, the fault, the tick,
 the sender, the receiver and which of the sender's frames in this tick it is, and of nothing else: not of
 what else is on the bus, nor of when frames come. It does not depend on the rate either: a larger rate strikes
-wherever a smaller one does (except for bursts). A draw is SHAKE-128 of those numbers, the seed before them.
+wherever a smaller one does. A draw is SHAKE-128 of those numbers, the seed before them.
 
 Faults act in the order given, each on the frames left by those before it.
 """
@@ -22,10 +22,9 @@ Faults act in the order given, each on the frames left by those before it.
 from __future__ import annotations
 
 import copy
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import can
 import numpy as np
@@ -46,49 +45,27 @@ from mcp_asdf_tools.swarm.delivery import Mask, Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 from mcp_asdf_tools.swarm.link_faults import LINK_FAULTS, Draws, Injector, LinkFault, below
 
-_BUS_ERROR = 0x88
-"""Linux's code of a protocol violation and bus error (CAN_ERR_PROT | CAN_ERR_BUSERROR)."""
-
-_Subject = TypeVar("_Subject")
-
-
-class _Course(dict[_Subject, tuple[int, int]]):
-    """Number of each key that ``step`` (of key, tick and number) carries from tick to tick."""
-
-    def __init__(self, start: int, step: Callable[[_Subject, int, int], int]) -> None:
-        super().__init__()
-        self._start = start
-        self._step = step
-
-    def at(self, key: _Subject, tick: int) -> int:
-        """The number of ``key`` in this tick; 0 before the start. Raises ValueError if the tick decreases."""
-        known, number = self.get(key, (self._start - 1, 0))
-        if tick < known and tick >= self._start:
-            raise ValueError(f"tick {tick} comes after tick {known}; ticks must not decrease")
-        for now in range(known + 1, tick + 1):
-            number = self._step(key, now, number)
-        if tick > known:
-            self[key] = tick, number
-        return number
-
 
 class Spells(Injector):
     """Crash and busoff: spells of several ticks, of a node. Each tick counts."""
 
     def __init__(self, fault: Fault, draws: Draws) -> None:
         super().__init__(fault, draws)
-        self._left: _Course[int] = _Course(fault.start, self._step)
+        self._left: dict[int, tuple[int, int]] = {}
+        """The last tick asked for, and the ticks that a spell then had left, by node."""
 
     def lasts(self, node: int, tick: int) -> bool:
         """True if a spell of the node lasts in this tick. O(ticks since the last call for it)."""
-        return self._left.at(node, tick) > 0
-
-    def _step(self, node: int, tick: int, left: int) -> int:
-        left = max(left - 1, 0)
-        if left == 0 and self.fault.is_on(tick, node):
-            left = self.fault.ticks * below(self._draws.of_node(node, tick), self.fault.rate)
-        self.injected += left > 0
-        return left
+        known, left = self._left.get(node, (self.fault.start - 1, 0))
+        if node in self._left and tick < known:
+            raise ValueError(f"tick {tick} comes after tick {known}; ticks must not decrease")
+        for now in range(known + 1, tick + 1):
+            left = max(left - 1, 0)
+            if left == 0 and self.fault.is_on(now, node):
+                left = self.fault.ticks * below(self._draws.of_node(node, now), self.fault.rate)
+            self.injected += left > 0
+            self._left[node] = now, left
+        return left > 0
 
 
 class Babbler(Injector):
@@ -103,119 +80,55 @@ class Babbler(Injector):
         return [word.to_bytes(FRAME_BYTES, "little") for word in words]
 
 
-class AtSender(Injector, ABC):
-    """Fault that acts on a frame before it is on the bus."""
+class SenderFault(Injector):
+    """Freeze, liar and collide: they change a frame before it is on the bus."""
 
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws)
         self._frames = frames
-
-    @abstractmethod
-    def act(self, sent: SentFrame) -> list[SentFrame]:
-        """Frames that replace the frame. Error frames stay unchanged."""
-
-    def _say(self, sent: SentFrame, own: Message, x_hat: int, alpha: int) -> list[SentFrame]:
-        """The estimate ``own`` with other content."""
-        message = replace(own, x_hat=x_hat, alpha=alpha)
-        return [replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))]
-
-
-class _InItsTicks(AtSender):
-    """Fault that ignores frames outside its schedule."""
-
-    def act(self, sent: SentFrame) -> list[SentFrame]:
-        if sent.frame.is_error_frame or not self.fault.is_on(sent.tick, sent.sender):
-            return [sent]
-        return self._act(sent)
-
-    @abstractmethod
-    def _act(self, sent: SentFrame) -> list[SentFrame]:
-        """Frames that replace a frame in the fault's schedule."""
-
-
-class _Freeze(AtSender):
-    """Freeze: strikes only where there is an estimate to repeat."""
-
-    def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
-        super().__init__(fault, draws, frames)
         self._regular: dict[int, Message] = {}
+        """The last estimate of each sender that was not frozen."""
 
-    def act(self, sent: SentFrame) -> list[SentFrame]:
+    def act(self, sent: SentFrame) -> SentFrame:
+        """The frame that replaces ``sent``, which may be itself."""
+        if self.fault.kind is FaultKind.COLLIDE:
+            return self._collide(sent)
         own = decode(sent.frame, self._frames)
         if not isinstance(own, Message):
-            return [sent]
-        held = self._regular.setdefault(sent.sender, own)
-        may_strike = held is not own and self.fault.is_on(sent.tick, sent.sender)
-        if may_strike and self._strikes(self._draws.of_frame(sent)):
-            return self._say(sent, own, held.x_hat, held.alpha)
-        self._regular[sent.sender] = own
-        return [sent]
+            return sent
+        return self._lie(sent, own) if self.fault.kind is FaultKind.LIAR else self._freeze(sent, own)
 
-
-class _Liar(_InItsTicks):
-    def _act(self, sent: SentFrame) -> list[SentFrame]:
-        own = decode(sent.frame, self._frames)
-        if not (isinstance(own, Message) and self._strikes(self._draws.of_frame(sent))):
-            return [sent]
-        (lie,) = self._say(sent, own, round(self.fault.x * ONE), 0)
-        # As claimed; the codec would round it to the firmware's grid.
-        lie.frame.data[3:7] = bits_of(self.fault.alpha).to_bytes(4, "little")
-        return [lie]
-
-
-class _Collide(_InItsTicks):
-    def _act(self, sent: SentFrame) -> list[SentFrame]:
-        if self.fault.id is None or not self._strikes(self._draws.of_frame(sent)):
-            return [sent]
+    def _collide(self, sent: SentFrame) -> SentFrame:
+        if self.fault.id is None or not self._strikes(sent):
+            return sent
         frame = copy.copy(sent.frame)
         frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.fault.id
-        return [replace(sent, frame=frame)]
+        return replace(sent, frame=frame)
 
+    def _lie(self, sent: SentFrame, own: Message) -> SentFrame:
+        if not self._strikes(sent):
+            return sent
+        lie = self._say(sent, replace(own, x_hat=round(self.fault.x * ONE), alpha=0))
+        # As claimed; the codec would round it to the firmware's grid.
+        lie.frame.data[3:7] = bits_of(self.fault.alpha).to_bytes(4, "little")
+        return lie
 
-class _Error(_InItsTicks):
-    def _act(self, sent: SentFrame) -> list[SentFrame]:
-        if not self._strikes(self._draws.of_frame(sent)):
-            return [sent]
-        error = can.Message(
-            timestamp=sent.frame.timestamp,
-            arbitration_id=_BUS_ERROR,
-            is_error_frame=True,
-            dlc=FRAME_BYTES,
-            data=bytes(FRAME_BYTES),
-            is_rx=False,
-        )
-        return [replace(sent, frame=error), sent]
+    def _freeze(self, sent: SentFrame, own: Message) -> SentFrame:
+        """Strikes only where there is an estimate to repeat."""
+        held = self._regular.setdefault(sent.sender, own)
+        if held is not own and self._strikes(sent):
+            return self._say(sent, replace(own, x_hat=held.x_hat, alpha=held.alpha))
+        self._regular[sent.sender] = own
+        return sent
 
-
-class _Queue(_InItsTicks):
-    def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
-        super().__init__(fault, draws, frames)
-        self._taken: dict[int, tuple[int, int]] = {}
-
-    def _act(self, sent: SentFrame) -> list[SentFrame]:
-        tick, taken = self._taken.get(sent.sender, (sent.tick, 0))
-        taken = taken if tick == sent.tick else 0
-        is_short = below(self._draws.of_node(sent.sender, sent.tick), self.fault.rate)
-        if is_short and taken >= self.fault.frames:
-            self.injected += 1
-            return []
-        self._taken[sent.sender] = sent.tick, taken + 1
-        return [sent]
-
-
-AT_SENDERS: dict[FaultKind, Callable[[Fault, Draws, FrameFormat], AtSender]] = {
-    FaultKind.FREEZE: _Freeze,
-    FaultKind.LIAR: _Liar,
-    FaultKind.COLLIDE: _Collide,
-    FaultKind.ERROR: _Error,
-    FaultKind.QUEUE: _Queue,
-}
+    def _say(self, sent: SentFrame, message: Message) -> SentFrame:
+        return replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))
 
 
 class Faults:
     """Faults at work. Ticks are 0 .. 2**32 - 1, and must not decrease from call to call.
 
-    Calls for one frame or node are O(faults), with crash, busoff and burst O(ticks since the last).
+    Calls for one frame or node are O(faults), with crash and busoff O(ticks since the last).
 
     Attributes:
         faults: The faults, in the order in which they act.
@@ -235,7 +148,7 @@ class Faults:
         self._all = [self._injector(*each) for each in zip(self.faults, draws, strict=True)]
         self._spells = [each for each in self._all if isinstance(each, Spells)]
         self._babblers = [each for each in self._all if isinstance(each, Babbler)]
-        self._at_senders = [each for each in self._all if isinstance(each, AtSender)]
+        self._sender_faults = [each for each in self._all if isinstance(each, SenderFault)]
         self._link_faults = [each for each in self._all if isinstance(each, LinkFault)]
         self._numbers: dict[int, tuple[int, dict[int, int]]] = {}
 
@@ -280,21 +193,24 @@ class Faults:
         ]
 
     def leave(self, frame: can.Message, sender: int, tick: int) -> list[SentFrame]:
-        """Frames that get onto the bus when a node sends ``frame``. Call once per frame, in sending order."""
+        """What gets onto the bus when a node sends ``frame``: one frame, or none while the node is off.
+
+        Call once per frame, in sending order.
+        """
         if not self.faults:
             return [SentFrame(frame, sender, tick)]
         if self.is_off(sender, tick):
             return []
-        leaving = [SentFrame(frame, sender, tick, self._number(frame, sender, tick))]
-        for each in self._at_senders:
-            leaving = [after for sent in leaving for after in each.act(sent)]
-        return leaving
+        sent = SentFrame(frame, sender, tick, self._number(frame, sender, tick))
+        for each in self._sender_faults:
+            sent = each.act(sent)
+        return [sent]
 
     def paths(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Paths]:
         """Paths of the frames that arrive in this tick, if undisturbed, at the receivers in range.
 
         ``in_range`` has shape (frames, receivers), and receivers are numbered by id. Call once per tick with
-        all frames; error frames reach every node. O(faults frames receivers).
+        all frames. O(faults frames receivers).
         """
         reach = in_range.copy()
         if self._spells:
@@ -317,9 +233,9 @@ class Faults:
             return Spells(fault, draws)
         if fault.kind is FaultKind.BABBLE:
             return Babbler(fault, draws)
-        if fault.kind in AT_SENDERS:
-            return AT_SENDERS[fault.kind](fault, draws, self._frames)
-        return LINK_FAULTS[fault.kind](fault, draws)
+        if fault.kind in LINK_FAULTS:
+            return LinkFault(fault, draws)
+        return SenderFault(fault, draws, self._frames)
 
     def _number(self, frame: can.Message, sender: int, tick: int) -> int:
         """Number of frames with its identifier that the sender has sent before in this tick."""

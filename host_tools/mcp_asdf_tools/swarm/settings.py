@@ -41,8 +41,7 @@ class SwarmSettings(Population):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
-        faults = tuple(parse_fault(each) if isinstance(each, str) else each for each in self.faults)
-        object.__setattr__(self, "faults", faults)
+        object.__setattr__(self, "faults", tuple(parse_fault(str(each)) for each in self.faults))
         if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
             raise ParameterError(
                 "frames", f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"

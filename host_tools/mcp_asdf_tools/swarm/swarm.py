@@ -166,19 +166,24 @@ class Swarm:
         self.traffic.sent += len(due)
         return due
 
-    def _send(self, node: BusRobot, frame: can.Message, is_own: bool = True) -> list[SentFrame]:
-        """Let a robot send the frames that the faults make of one, its own or one that it babbles."""
+    def _send(self, node: BusRobot, frame: can.Message) -> list[SentFrame]:
+        """Let a robot send what the faults make of its frame."""
         leaving = self.faults.leave(frame, node.id, self.ticks)
         # A frame of a robot elsewhere is on its bus already, unchanged by faults.
         if self._input_log is not None and node.id not in self._remote:
-            _note_fate(self._input_log, node.id, frame if is_own else None, leaving, self.settings.frames)
+            _note_fate(self._input_log, node.id, frame, leaving, self.settings.frames)
         for sent in leaving:
             self._carrier.send(sent)
         return leaving
 
     def _babble(self, node: BusRobot) -> list[SentFrame]:
         frames = self.faults.babble(node.id, self.ticks, self._now)
-        return [sent for frame in frames for sent in self._send(node, frame, is_own=False)]
+        leaving = [sent for frame in frames for sent in self.faults.leave(frame, node.id, self.ticks)]
+        for sent in leaving:
+            if self._input_log is not None and node.id not in self._remote:
+                self._input_log.injected(sent.frame)
+            self._carrier.send(sent)
+        return leaving
 
     @property
     def _now(self) -> float:
@@ -216,24 +221,22 @@ def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
 def _note_fate(
     input_log: InputLogWriter,
     robot: int,
-    frame: can.Message | None,
+    frame: can.Message,
     leaving: Sequence[SentFrame],
     frames: FrameFormat,
 ) -> None:
-    """Record how the frames ``leaving`` the robot differ from its own ``frame``, None if it babbles."""
-    if [sent.frame for sent in leaving] == [frame]:
+    """Record how what leaves the robot, a frame or none, differs from its own ``frame``."""
+    after = leaving[0].frame if leaving else None
+    if after is frame:
         return
-    own = None if frame is None else decode(frame, frames)
-    is_heard = False
-    for sent in leaving:
-        said = decode(sent.frame, frames)
-        if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
-            is_heard = True
-            if frame is not None and sent.frame.data != frame.data:
-                input_log.robots[robot].falsified(said.x_hat, alpha_bits(sent.frame))
-        elif sent.frame is not frame:
-            input_log.injected(sent.frame)
-    if isinstance(own, Message) and not is_heard:
+    own, said = (None if each is None else decode(each, frames) for each in (frame, after))
+    if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
+        if after is not None and after.data != frame.data:
+            input_log.robots[robot].falsified(said.x_hat, alpha_bits(after))
+        return
+    if after is not None:
+        input_log.injected(after)
+    if isinstance(own, Message):
         input_log.robots[robot].silent()
 
 

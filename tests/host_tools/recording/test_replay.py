@@ -71,7 +71,7 @@ def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
     assert verdict.reproduced == BROADCASTS // (5 if "comms" in options else 1)
 
 
-FAULTS = {kind: kind.value + ("=0.9,frames=0" if kind is FaultKind.QUEUE else "=0.3") for kind in FaultKind}
+FAULTS = {kind: f"{kind.value}=0.3" for kind in FaultKind}
 FAULTS[FaultKind.COLLIDE] += ",id=2"
 
 
