@@ -25,7 +25,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 21 of 40",
+    "FAILED: 21 of 37",
     "(0.000000) vcan0",
     "PASS scenarios",
     "scenario 6",
