@@ -5,20 +5,21 @@ Most are mistakes that one makes when porting the firmware or writing a node fro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from functools import partial
+from math import sqrt
+from typing import Any
 
 import can
-from mpmath import mp  # type: ignore[import-untyped]
+from scipy.stats import t as student_t  # type: ignore[import-untyped]
 
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
 from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, rejects
 from mcp_asdf.robot import Filter, Observation, Status
 from mcp_asdf.table import FRACTION_BITS, Table
 from mcp_asdf_tools.bus.frames import (
-    COMMANDS,
     EVERY_ROBOT,
     Action,
     Command,
@@ -35,11 +36,12 @@ from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.rounds import TickedRobot
-from mcp_asdf_tools.tables.thresholds import _t_score, generate, parse_omega
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import TABLE, record
 
 ID, B_HAT = 3, 0.55
-Frames = list[can.Message]
+Act = Callable[..., Any]
+"""What a method does instead: it takes the object, the right method and the arguments."""
 
 
 def right(**config: Any) -> RobotRecord:
@@ -47,42 +49,8 @@ def right(**config: Any) -> RobotRecord:
     return record(ID, "mirror", B_HAT, **config)
 
 
-@dataclass(frozen=True)
-class Wrong:
-    """A wrong controller.
-
-    Attributes:
-        phase: Phase that finds it.
-        node: Its node.
-        firmware: Its firmware.
-        config: Its settings where they differ from the default.
-        actual: Settings that it really has, other than said.
-        robot: Its id, if another than said.
-    """
-
-    phase: str
-    node: type[RobotNode] = RobotNode
-    firmware: type[MirrorRobot] = MirrorRobot
-    config: dict[str, Any] = field(default_factory=dict)
-    actual: dict[str, Any] = field(default_factory=dict)
-    robot: int = ID
-    b_hat: float = B_HAT
-    prepare: Callable[[RobotNode], object] = lambda node: None
-
-    def make(self) -> RobotNode:
-        """The controller."""
-        own = record(self.robot, "mirror", self.b_hat, **{**self.config, **self.actual}).config
-        robot = self.firmware(own.in_rounds(), self.robot, self.b_hat)
-        node = self.node(TickedRobot(robot, own.comms_period), NodeSettings(self.robot))
-        self.prepare(node)
-        return node
-
-
-# --- Wrong firmwares: the method ---
-
-
-class Hooked(MirrorRobot):
-    """The right filter, in parts that others replace."""
+class Firmware(MirrorRobot):
+    """The right firmware, with the parts of its filter as methods, which a mistake can replace."""
 
     def decides(self) -> bool:
         """The test (eq. 12)."""
@@ -99,6 +67,8 @@ class Hooked(MirrorRobot):
 
     def _filter(self) -> bool:
         s = self.s
+        if self.config.filter is not Filter.ADAPTIVE:
+            return super()._filter()
         if s.t == 0 or s.open.count < self.least() or not self.decides():
             return False
         b_hat = self.new_b_hat()
@@ -109,720 +79,512 @@ class Hooked(MirrorRobot):
         return True
 
 
-def eq_8(wrong: Callable[[int | None], int | None]) -> type[Hooked]:
-    """A firmware that makes something else of the right new b_hat; None is none."""
+def _replaced(kind: type, acts: dict[str, Act]) -> type:
+    """A class of which some methods do something else."""
 
-    def new_b_hat(self: Hooked) -> int | None:
-        return wrong(Hooked.new_b_hat(self))
+    def method(name: str, act: Act) -> Act:
+        return lambda self, *args: act(self, partial(getattr(kind, name), self), *args)
 
-    return type("WrongEq8", (Hooked,), {"new_b_hat": new_b_hat})
-
-
-def always(name: str, result: object) -> type[Hooked]:
-    """A firmware of which one part has always the same result."""
-    return type("Always", (Hooked,), {name: lambda self: result})
+    return type("Wrong", (kind,), {name: method(name, act) for name, act in acts.items()})
 
 
-def hearing(
-    wrong: Callable[[MirrorRobot, int, int, int], tuple[int, int, int] | None],
-) -> type[MirrorRobot]:
-    """A firmware that hears another message than the one received, or none."""
+@dataclass(frozen=True)
+class Wrong:
+    """A wrong controller: the phase that finds it, and how to make it where it has that configuration."""
 
-    def receive(self: MirrorRobot, *message: int) -> Status:
-        heard = wrong(self, *message)
-        return Status.ERR_SENDER if heard is None else MirrorRobot._receive(self, *heard)
-
-    return type("WrongEar", (MirrorRobot,), {"_receive": receive})
+    phase: str
+    config: dict[str, Any]
+    make: Callable[[], RobotNode]
 
 
-def at_most(most: int) -> type[MirrorRobot]:
-    """A firmware with room for so many messages in a round."""
-    return hearing(lambda robot, *message: message if robot.s.open.count < most else None)
+def set_up(
+    phase: str,
+    config: dict[str, Any] | None = None,
+    kind: type = RobotNode,
+    firmware: type = MirrorRobot,
+    **actual: Any,
+) -> Wrong:
+    """A controller that is set up otherwise than said, which is ``config``."""
+    said = config or {}
+
+    def make() -> RobotNode:
+        settings = {"robot": ID, "b_hat": B_HAT, **said, **actual}
+        own = record(firmware="mirror", **settings)
+        robot = TickedRobot(firmware(own.config.in_rounds(), own.id, own.b_hat), own.config.comms_period)
+        return kind(robot, NodeSettings(own.id))  # type: ignore[no-any-return]
+
+    return Wrong(phase, said, make)
 
 
-def below(bound: int) -> type[MirrorRobot]:
-    """A firmware that hears robots with smaller ids only."""
-    return hearing(lambda robot, *message: message if message[0] < bound else None)
+def firmware(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> Wrong:
+    """A controller whose firmware has other methods."""
+    return set_up(phase, config, firmware=_replaced(Firmware, acts))
 
 
-def with_alpha(wrong: Callable[[int], int]) -> type[MirrorRobot]:
-    """A firmware that takes other confidences for those received."""
-    return hearing(lambda robot, sender, x_hat, alpha: (sender, x_hat, wrong(alpha)))
+def node(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> Wrong:
+    """A controller whose node has other methods."""
+    return set_up(phase, config, _replaced(RobotNode, acts))
 
 
-class TestsOneMessage(Hooked):
-    def least(self) -> int:
-        return 1
-
-    def decides(self) -> bool:
-        return self.s.open.count == 1 or super().decides()
+WRONG: dict[str, Wrong] = {}
+"""Wrong controllers, by what is wrong with them."""
 
 
-class VarianceOverM(Hooked):
-    def decides(self) -> bool:
-        m, open_ = self.s.open.count, self.s.open
-        assert self.config.table is not None
-        difference = open_.x - m * self.s.x_hat
-        spread = m * open_.x_squared - open_.x**2
-        return difference**2 * m > (self.config.table.entry(m) * spread * (m - 1)) >> FRACTION_BITS
+def wrong(
+    kind: Callable[..., Wrong], method: str, phase: str, name: str, **config: Any
+) -> Callable[[Act], Act]:
+    """Adds a controller of which one ``method`` does what is decorated; ``kind`` is firmware or node."""
+
+    def add(act: Act) -> Act:
+        WRONG[name] = kind(phase, config, **{method: act})
+        return act
+
+    return add
 
 
-class NotStrict(Hooked):
-    def decides(self) -> bool:
-        m, open_ = self.s.open.count, self.s.open
-        assert self.config.table is not None
-        spread = m * open_.x_squared - open_.x**2
-        return (open_.x - m * self.s.x_hat) ** 2 >= self.config.table.entry(m) * spread >> FRACTION_BITS
+# --- Wrong firmwares: the method ---
 
 
-class TestsInformed(Hooked):
-    """Compares its neighbours with x instead of x_hat."""
+def _sums(robot: Firmware) -> tuple[int, int, int, int]:
+    """Messages of a test, the sum of their differences, m times that of the squares, and the threshold."""
+    m, open_ = robot.s.open.count, robot.s.open
+    assert robot.config.table is not None
+    spread = m * open_.x_squared - open_.x**2
+    return m, open_.x - m * robot.s.x_hat, spread, robot.config.table.entry(m)
 
-    def decides(self) -> bool:
-        assert self.config.table is not None
-        return rejects(self.config.table, self.s.open, self.x_raw)
+
+@wrong(firmware, "decides", "threshold of 2 messages", "variance over m")
+def _(robot: Firmware, right: Act) -> bool:
+    m, difference, spread, k = _sums(robot)
+    return difference**2 * m > (k * spread * (m - 1)) >> FRACTION_BITS
 
 
-class TestsThoseWithoutConfidence(MirrorRobot):
-    """Takes messages with alpha = 0 into m and the sums of the test."""
+@wrong(firmware, "decides", "own estimate", ">= instead of >")
+def _(robot: Firmware, right: Act) -> bool:
+    _, difference, spread, k = _sums(robot)
+    return difference**2 >= k * spread >> FRACTION_BITS
 
-    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        status = super()._receive(sender, x_hat, alpha)
-        if status == Status.OK and alpha_units(alpha) == 0:
-            open_ = self.s.open
-            open_.x, open_.x_squared, open_.count = (
-                open_.x + x_hat,
-                open_.x_squared + x_hat**2,
-                open_.count + 1,
-            )
+
+@wrong(firmware, "new_b_hat", "threshold of 2 messages", "x_bar not weighted in eq. 8")
+def _(robot: Firmware, right: Act) -> int | None:
+    s, open_ = robot.s, robot.s.open
+    closed = type(s.closed)(open_.count << 24, open_.x << 24 & 0xFFFFFFFF, open_.x << 24 >> 32)
+    return reestimate(s.t, s.n, closed)
+
+
+@wrong(firmware, "_receive", "rounds without a test", "counts messages without confidence into m")
+def _(robot: Firmware, right: Act, sender: int, x_hat: int, alpha: int) -> Status:
+    status: Status = right(sender, x_hat, alpha)
+    if status == Status.OK and alpha_units(alpha) == 0:
+        open_ = robot.s.open
+        open_.x, open_.x_squared, open_.count = open_.x + x_hat, open_.x_squared + x_hat**2, open_.count + 1
+    return status
+
+
+@wrong(firmware, "_filter", "no information", "a re-estimate changes x_hat at once")
+def _(robot: Firmware, right: Act) -> bool:
+    is_updated: bool = right()
+    if is_updated:
+        robot.s.x_hat, robot.s.alpha = estimate(robot.s.t, robot.s.n, robot.s.accuracy)
+    return is_updated
+
+
+@wrong(firmware, "settle", "messages and silence", "keeps x_bar in silence")
+def _(robot: Firmware, right: Act) -> Any:
+    is_silent, kept = robot.s.open.count == 0, vars(robot.s.closed).copy()
+    status = right()
+    if is_silent:
+        vars(robot.s.closed).update(kept)
+    return status
+
+
+@wrong(firmware, "settle", "messages and silence", "never empties the round")
+def _(robot: Firmware, right: Act) -> Any:
+    kept = robot.s.open
+    status = right()
+    robot.s.open = kept
+    return status
+
+
+@wrong(firmware, "_receive", "alike ids", "a bitmap of 32 senders")
+def _(robot: Firmware, right: Act, sender: int, *content: int) -> Status:
+    if robot.s.heard[0] >> sender % 32 & 1:
+        return Status.REPEATED
+    status: Status = right(sender, *content)
+    robot.s.heard[0] |= 1 << sender % 32
+    return status
+
+
+def keep_last(robot: Firmware, right: Act, sender: int, x_hat: int, alpha: int) -> Status:
+    """Keeps the last message of a sender until the round ends."""
+    if sender != robot.id and x_hat <= ONE:
+        vars(robot).setdefault("kept", {})[sender] = sender, x_hat, alpha
+    return Status.OK
+
+
+def take_kept(robot: Firmware, right: Act) -> Any:
+    """Takes what was kept, then ends the round."""
+    for message in vars(robot).pop("kept", {}).values():
+        MirrorRobot._receive(robot, *message)
+    return right()
+
+
+def after(name: str, value: Callable[[Any], object]) -> Act:
+    """Puts another value of the state there afterwards."""
+
+    def act(robot: Firmware, right: Act, *args: Any) -> Any:
+        status = right(*args)
+        setattr(robot.s, name, value(robot.s))
         return status
 
-
-class UnweightedMean(Hooked):
-    def new_b_hat(self) -> int | None:
-        s, open_ = self.s, self.s.open
-        closed = type(s.closed)(open_.count << 24, open_.x << 24 & 0xFFFFFFFF, open_.x << 24 >> 32)
-        return reestimate(s.t, s.n, closed)
+    return act
 
 
-class AppliesAtOnce(Hooked):
-    def _filter(self) -> bool:
-        is_updated = super()._filter()
-        if is_updated:
-            self.s.x_hat, self.s.alpha = estimate(self.s.t, self.s.n, self.s.accuracy)
-        return is_updated
+def waits_longer(robot: Firmware, right: Act, *args: Any) -> None:
+    """Waits a round longer for the first test."""
+    right(*args)
+    robot.s.filter_left += 1
 
 
-class NeverAppliesHalf(MirrorRobot):
-    """Divides by 2 b - 1 although it is nearly 0."""
+def halving(half: Callable[[int], int]) -> Act:
+    """Rounds n otherwise when it halves."""
 
-    def observe(self, z: Observation) -> Status:
-        status = super().observe(z)
-        if self.s.alpha == 0:
-            self.s.x_hat = ONE
+    def observe(robot: Firmware, right: Act, z: Observation) -> Any:
+        t, n = robot.s.t, robot.s.n + z
+        status = right(z)
+        if robot.s.t < t:
+            robot.s.n = half(n)
+            robot.s.x_hat, robot.s.alpha = estimate(robot.s.t, robot.s.n, robot.s.accuracy)
         return status
 
-
-class FiltersEveryRound(MirrorRobot):
-    def settle(self) -> Status:
-        self.s.filter_left = 1
-        return super().settle()
+    return observe
 
 
-class FirstTestLate(MirrorRobot):
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.s.filter_left += 1
+def given(change: Callable[[Any], object]) -> Act:
+    """Takes something else for what is given."""
+    return lambda self, right, each: right(change(each))
 
 
-class KeepsTheRound(MirrorRobot):
-    """Forgets to empty the open round when nothing new has come."""
-
-    def settle(self) -> Status:
-        is_silent = self.s.open.count == 0
-        kept = vars(self.s.closed).copy()
-        status = super().settle()
-        if is_silent:
-            vars(self.s.closed).update(kept)
-        return status
+def always(result: object) -> Act:
+    """Has always the same result."""
+    return lambda robot, right: result
 
 
-class NeverEmpties(MirrorRobot):
-    def settle(self) -> Status:
-        kept = self.s.open
-        status = super().settle()
-        self.s.open = kept
-        return status
+def eq_8(wrong: Callable[[int], int]) -> Act:
+    """Makes something else of the new b_hat."""
+    return lambda robot, right: None if (b_hat := right()) is None else wrong(b_hat)
 
 
-class Bitmap(MirrorRobot):
-    """Of 32 bits, for 128 senders."""
-
-    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        if self.s.heard[0] >> sender % 32 & 1:
-            return Status.REPEATED
-        status = super()._receive(sender, x_hat, alpha)
-        self.s.heard[0] |= 1 << sender % 32
-        return status
+def hears(is_heard: Callable[[int, int], bool]) -> Act:
+    """Hears messages by their senders and the number of those before in the round."""
+    return lambda robot, right, sender, *content: (
+        right(sender, *content) if is_heard(sender, robot.s.open.count) else Status.ERR_SENDER
+    )
 
 
-class LastCounts(MirrorRobot):
-    """Takes the last message of a sender instead of the first."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.kept: dict[int, tuple[int, int]] = {}
-
-    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        if sender != self.id and x_hat <= ONE:
-            self.kept[sender] = x_hat, alpha
-        return Status.OK
-
-    def settle(self) -> Status:
-        for sender, content in self.kept.items():
-            super()._receive(sender, *content)
-        self.kept = {}
-        return super().settle()
+def with_alpha(wrong: Callable[[int], int]) -> Act:
+    """Takes other confidences for those received."""
+    return lambda robot, right, sender, x_hat, alpha: right(sender, x_hat, wrong(alpha))
 
 
-class ColoursExchanged(MirrorRobot):
-    def observe(self, z: Observation) -> Status:
-        return super().observe(Observation(1 - z))
+def table_with(freedom: Callable[[int], int]) -> Table:
+    """The t-table with other degrees of freedom."""
+    scores = {m: student_t.ppf(0.525, freedom(m)) for m in range(2, 21)}
+    entries = [round((t / sqrt(m) + 1) ** 2 * m / (m - 1) * 2**26) for m, t in scores.items()]
+    return Table(TABLE.omega_word, (*entries, TABLE.entries[-1]))
 
 
-class RoundsXHat(MirrorRobot):
-    """To nearest instead of down."""
-
-    def observe(self, z: Observation) -> Status:
-        status = super().observe(z)
-        self.s.x_hat = min(self.s.x_hat + (0 < self.s.x_hat < HALF), ONE)
-        return status
+# --- Wrong frames ---
 
 
-class TruncatesAlpha(MirrorRobot):
-    def observe(self, z: Observation) -> Status:
-        status = super().observe(z)
-        self.s.alpha &= 0xFFFF_F01F
-        return status
+def change(**values: Callable[[Any], object]) -> Callable[[can.Message], None]:
+    """Changes members of a frame."""
+
+    def spoil(frame: can.Message) -> None:
+        for name, value in values.items():
+            setattr(frame, name, value(getattr(frame, name)))
+
+    return spoil
 
 
-class BroadcastsX(MirrorRobot):
-    """The informed estimate instead of its own."""
-
-    @property
-    def x_hat_raw(self) -> int:
-        return self.x_raw
+def flip(bits: int) -> Callable[[can.Message], None]:
+    """Flips identifier bits."""
+    return change(arbitration_id=lambda identifier: identifier ^ bits)
 
 
-def halving(half: Callable[[int], int]) -> type[MirrorRobot]:
-    """A firmware that rounds n otherwise when it halves."""
+def put(place: int, value: Callable[[int], int]) -> Callable[[can.Message], None]:
+    """Changes a byte."""
+    return change(data=lambda data: data[:place] + bytes([value(data[place]) & 0xFF]) + data[place + 1 :])
 
-    def observe(self: MirrorRobot, z: Observation) -> Status:
-        t, n = self.s.t, self.s.n + z
-        status = MirrorRobot.observe(self, z)
-        if self.s.t < t:
-            self.s.n = half(n)
-            self.s.x_hat, self.s.alpha = estimate(self.s.t, self.s.n, self.s.accuracy)
-        return status
 
-    return type("Halves", (MirrorRobot,), {"observe": observe})
+def as_subject(mask: int) -> Callable[[can.Message], None]:
+    """Makes an estimate of a frame whose subject has these bits of that of estimates."""
+    return change(
+        arbitration_id=lambda identifier: (
+            identifier if (identifier >> 8 ^ 3000) & mask else identifier & ~(0x1FFF << 8) | 3000 << 8
+        )
+    )
 
 
 # --- Wrong nodes: what they hear ---
 
 
-class HearsItself(RobotNode):
-    def _receive(self, message: Message) -> None:
-        super()._receive(replace(message, sender=99) if message.sender == ID else message)
+@wrong(node, "_receive", "its own id", "restarts after a conflict")
+def _(node: Any, right: Act, message: Message) -> None:
+    if message.sender == ID:
+        node._ticked = record(ID, "mirror", B_HAT).make()
+    right(message)
 
 
-class ForgetsAfterAConflict(RobotNode):
-    def _receive(self, message: Message) -> None:
-        if message.sender == ID:
-            self._ticked = right().make()
-        super()._receive(message)
+@wrong(node, "hear", "growing rounds", "a receive buffer of 60 frames")
+def _(node: Any, right: Act, frame: can.Message) -> list[can.Message]:
+    node.room = getattr(node, "room", 60) - 1
+    is_command = frame.arbitration_id >> 8 & 0x1FFF == 3002
+    answers: list[can.Message] = right(frame) if node.room > 0 or is_command else []
+    node.room = 60 if answers else node.room
+    return answers
 
 
-class StopsListening(RobotNode):
-    """As with a receive buffer that is too small."""
-
-    room = 60
-
-    def hear(self, frame: can.Message) -> Frames:
-        self.room -= 1
-        is_command = frame.arbitration_id >> 8 & 0x1FFF == 3002
-        answers = super().hear(frame) if self.room > 0 or is_command else []
-        self.room = 60 if answers else self.room
-        return answers
+@wrong(node, "_obey", "heartbeats", "a buffer of 4 commands")
+def _(node: Any, right: Act, command: Command) -> list[can.Message]:
+    node.waiting = 0 if command.action is Action.SETTLE else getattr(node, "waiting", 0) + 1
+    return right(command) if node.waiting <= 4 else []
 
 
-class DropsCommandsInARow(RobotNode):
-    """As with a buffer for four commands, emptied when it has time."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.waiting = 0
-
-    def _obey(self, command: Command) -> Frames:
-        self.waiting = 0 if command.action is Action.SETTLE else self.waiting + 1
-        return super()._obey(command) if self.waiting <= 4 else []
+@wrong(node, "_receive", "between ticks", "late messages count at once")
+def _(node: Any, right: Act, message: Message) -> None:
+    if not node.is_settled:
+        right(message)
+    else:
+        node.robot.s.closed.alpha += alpha_units(message.alpha)
 
 
-class DeafBetweenTicks(RobotNode):
-    def _receive(self, message: Message) -> None:
-        if not self.is_settled:
-            super()._receive(message)
+@wrong(node, "_receive", "among neighbours", "drops older transfer ids")
+def _(node: Any, right: Act, message: Message) -> None:
+    last, number = vars(node).setdefault("last", {}), message.transfer_id
+    if (number - last.get(message.sender, number - 1)) % 32 < 16:
+        last[message.sender] = number
+        right(message)
 
 
-class LateCountsNow(RobotNode):
-    """Takes messages after a settle for the round that is over."""
-
-    def _receive(self, message: Message) -> None:
-        if not self.is_settled:
-            super()._receive(message)
-        else:
-            s = self.robot.s  # type: ignore[attr-defined]
-            s.closed.alpha += alpha_units(message.alpha)
+def is_estimate(frame: can.Message) -> bool:
+    """True for a legal one."""
+    return isinstance(decode(frame, FrameFormat()), Message)
 
 
-class RefusesLargeAlphas(RobotNode):
-    """Instead of taking them for the largest."""
-
-    def hear(self, frame: can.Message) -> Frames:
-        is_estimate = isinstance(decode(frame, FrameFormat()), Message)
-        return [] if is_estimate and alpha_bits(frame) >= bits_of(2.0**31) else super().hear(frame)
+def drops(is_dropped: Callable[[Any], bool]) -> Act:
+    """Does not take these frames, or these commands."""
+    return lambda node, right, each: [] if is_dropped(each) else right(each)
 
 
-class DropsOlderTransfers(RobotNode):
-    """Takes a smaller transfer id for an old message, like a stack that removes duplicates."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.last: dict[int, int] = {}
-
-    def _receive(self, message: Message) -> None:
-        sender, number = message.sender, message.transfer_id
-        if (number - self.last.get(sender, number - 1)) % 32 < 16:
-            self.last[sender] = number
-            super()._receive(message)
+def compares(subject: int, bits: int) -> Act:
+    """Takes frames of a kind with no other than the usual ones of these identifier bits."""
+    usual = {3000: 4 << 26 | 3 << 21, 3002: 3 << 26 | 3 << 21}[subject]
+    return drops(
+        lambda frame: (
+            frame.arbitration_id >> 8 & 0x1FFF == subject and bool((frame.arbitration_id ^ usual) & bits)
+        )
+    )
 
 
-class ReadsWhat(RobotNode):
-    """Reads an estimate out of frames that its codec should reject, as a check was left out."""
+def reads(reason: Rejection, mend: Callable[[can.Message], object]) -> Act:
+    """Takes frames that are to be rejected for a reason as if they were mended: a check was left out."""
 
-    def hear(self, frame: can.Message) -> Frames:
-        return super().hear(self.mended(frame))
+    def hear(node: Any, right: Act, frame: can.Message) -> Any:
+        if decode(frame, FrameFormat()) is reason:
+            frame = copy(frame)
+            frame.data = bytearray(frame.data)
+            mend(frame)
+        return right(frame)
 
-    def mended(self, frame: can.Message) -> can.Message:
-        """The frame as a right codec must see it to take what this one takes."""
-        raise NotImplementedError
+    return hear
 
 
-def reading(mend: Callable[[can.Message], None], reason: Rejection) -> type[ReadsWhat]:
-    """A node that reads frames which are rejected for a reason as if they were mended."""
+def accepts(reason: Rejection) -> Act:
+    """Reads an estimate out of anything that is to be rejected for a reason."""
 
-    def mended(self: ReadsWhat, frame: can.Message) -> can.Message:
+    def hear(node: Any, right: Act, frame: can.Message) -> Any:
         if decode(frame, FrameFormat()) is not reason:
-            return frame
-        other = copy(frame)
-        other.data = bytearray(frame.data)
-        mend(other)
-        return other
-
-    return type("Reading", (ReadsWhat,), {"mended": mended})
-
-
-def set_tail(bit: int) -> Callable[[can.Message], None]:
-    """Sets a bit of the tail byte."""
-
-    def mend(frame: can.Message) -> None:
-        frame.data[7] |= bit
-
-    return mend
-
-
-def lengthen(frame: can.Message) -> None:
-    """Add the tail byte that is missing."""
-    if len(frame.data) == 7:
-        frame.data, frame.dlc = frame.data + b"\xe0", 8
-
-
-def lower_x_hat(frame: can.Message) -> None:
-    """Take an estimate one unit above 1 for 1."""
-    if frame.data[:3] == b"\x01\x00\x80":
-        frame.data[0] = 0
-
-
-def as_subject(mask: int) -> Callable[[can.Message], None]:
-    """Compares these bits of the subject alone."""
-
-    def mend(frame: can.Message) -> None:
-        if (frame.arbitration_id >> 8 & 0x1FFF ^ 3000) & mask == 0:
-            frame.arbitration_id = frame.arbitration_id & ~(0x1FFF << 8) | 3000 << 8
-
-    return mend
-
-
-class Lenient(RobotNode):
-    """Reads an estimate out of anything with 8 bytes that it should reject for these reasons."""
-
-    reasons: tuple[Rejection, ...] = ()
-
-    def hear(self, frame: can.Message) -> Frames:
-        if decode(frame, FrameFormat()) not in self.reasons:
-            return super().hear(frame)
+            return right(frame)
         content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
         alpha = word_of(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
-        x_hat = min(content & 0xFF_FFFF, ONE)
-        cast(MirrorRobot, self.robot).receive_raw(frame.arbitration_id & 0x7F, x_hat, alpha)
+        node.robot.receive_raw(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), alpha)
         return []
 
-
-def accepting(reason: Rejection) -> type[Lenient]:
-    """A node whose codec lets through what it should reject for this reason."""
-    return type("Accepting", (Lenient,), {"reasons": (reason,)})
+    return hear
 
 
 # --- Wrong nodes: commands ---
 
 
-class SettlesInAnyTick(RobotNode):
-    def _obey(self, command: Command) -> Frames:
-        if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
-            self._tick_of_command = command.tick
-        return super()._obey(command)
+@wrong(node, "_obey", "stray commands", "settles in any tick")
+def _(node: Any, right: Act, command: Command) -> Any:
+    if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
+        node._tick_of_command = command.tick
+    return right(command)
 
 
-class StaysInATick(RobotNode):
-    """Waits for the settle of the open tick, ignoring everything else."""
-
-    def _obey(self, command: Command) -> Frames:
-        is_stuck = not self.is_settled and command.tick != self._tick_of_command
-        return [] if is_stuck else super()._obey(command)
+@wrong(node, "_obey", "lost commands", "stays in a tick")
+def _(node: Any, right: Act, command: Command) -> Any:
+    return [] if not node.is_settled and command.tick != node._tick_of_command else right(command)
 
 
-class AnswersLate(RobotNode):
-    """Answers a settle that has not come."""
-
-    def observe(self, z: Observation | None) -> Frames:
-        return ([] if self.is_settled else self.settle()) + super().observe(z)
-
-
-class ForgetsARound(RobotNode):
-    """Begins the next tick without ending the last."""
-
-    def observe(self, z: Observation | None) -> Frames:
-        self.is_settled = True
-        return super().observe(z)
+@wrong(node, "observe", "lost commands", "forgets a round")
+def _(node: Any, right: Act, z: Observation | None) -> Any:
+    node.is_settled = True
+    return right(z)
 
 
-class ObeysOthers(RobotNode):
-    def _obey(self, command: Command) -> Frames:
-        return super()._obey(Command(command.sender, command.tick, ID, command.action, 0))
+@wrong(node, "_obey", "stray commands", "observes twice")
+def _(node: Any, right: Act, command: Command) -> Any:
+    is_repeated = not node.is_settled and command.tick == node._tick_of_command
+    if is_repeated and command.action is not Action.SETTLE and command.target == ID:
+        node._ticked.observe(command.action.observation)
+    return right(command)
 
 
-class ObservesTwice(RobotNode):
-    def _obey(self, command: Command) -> Frames:
-        is_repeated = not self.is_settled and command.tick == self._tick_of_command
-        if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-            self._ticked.observe(command.action.observation)
-        return super()._obey(command)
+@wrong(node, "settle", "messages and silence", "closes a round in every tick", comms_period=5)
+def _(node: Any, right: Act) -> Any:
+    node.robot.settle()
+    return right()
 
 
-class IgnoresCommandsForAll(RobotNode):
-    action: tuple[Action, ...] = tuple(Action)
-
-    def _obey(self, command: Command) -> Frames:
-        is_ignored = command.target == EVERY_ROBOT and command.action in self.action
-        return [] if is_ignored else super()._obey(command)
-
-
-class IgnoresSettlesForAll(IgnoresCommandsForAll):
-    action = (Action.SETTLE,)
-
-
-class ObeysOneNode(RobotNode):
-    def _obey(self, command: Command) -> Frames:
-        return super()._obey(command) if command.sender == DRIVER_ID else []
-
-
-class ChecksTheSpareByte(RobotNode):
-    def hear(self, frame: can.Message) -> Frames:
-        is_command = not isinstance(decode_command(frame, COMMANDS), Rejection)
-        return [] if is_command and frame.data[6] else super().hear(frame)
-
-
-class ComparesIdentifiers(RobotNode):
-    """Takes frames of a kind with no other than the usual bits of the identifier."""
-
-    subject, bits = 0, 0
-
-    def hear(self, frame: can.Message) -> Frames:
-        usual = {3000: 4 << 26 | 3 << 21, 3002: 3 << 26 | 3 << 21}[self.subject]
-        is_meant = frame.arbitration_id >> 8 & 0x1FFF == self.subject
-        return [] if is_meant and (frame.arbitration_id ^ usual) & self.bits else super().hear(frame)
-
-
-def comparing(subject: int, bits: int) -> type[ComparesIdentifiers]:
-    """A node that compares these bits, too, in the identifiers of a kind."""
-    return type("Comparing", (ComparesIdentifiers,), {"subject": subject, "bits": bits})
-
-
-def numbers_of(bits: int) -> type[RobotNode]:
-    """A node that keeps so many bits of the number of a tick."""
-
-    def obey(self: RobotNode, command: Command) -> Frames:
-        return RobotNode._obey(self, replace(command, tick=command.tick % 2**bits))
-
-    return type("ShortNumbers", (RobotNode,), {"_obey": obey})
-
-
-class CountsNothingAsWhite(RobotNode):
-    def observe(self, z: Observation | None) -> Frames:
-        return super().observe(Observation.WHITE if z is None else z)
-
-
-class Hangs(RobotNode):
-    def hear(self, frame: can.Message) -> Frames:
-        return super().hear(frame) if self.ticks < 200 else []
-
-
-class ClosesEveryTick(RobotNode):
-    def settle(self) -> Frames:
-        self.robot.settle()
-        return super().settle()
+def has_run(node: Any, right: Act) -> Any:
+    """Does a tick of its own before it starts."""
+    node.observe(Observation.BLACK)
+    node.settle()
+    return right()
 
 
 # --- Wrong nodes: the wire ---
 
 
-class Spoils(RobotNode):
-    """Spoils every frame of a kind that it sends."""
+def sends(subject: int, spoil: Callable[[can.Message], list[can.Message] | object]) -> Wrong:
+    """A controller that sends the frames that ``spoil`` returns for each of a subject, or else changes it."""
 
-    subject = 3000
-
-    def spoil(self, frame: can.Message) -> Sequence[can.Message]:
-        """Frames that are sent instead."""
-        raise NotImplementedError
-
-    def spoiled(self, frames: Sequence[can.Message]) -> Frames:
-        """Frames of the subject spoiled, others as they are."""
-        sent: Frames = []
-        for frame in frames:
-            sent += self.spoil(frame) if frame.arbitration_id >> 8 & 0x1FFF == self.subject else [frame]
+    def spoiled(node: Any, right: Act, *args: Any) -> list[can.Message]:
+        sent: list[can.Message] = []
+        for frame in right(*args):
+            instead = spoil(frame) if frame.arbitration_id >> 8 & 0x1FFF == subject else None
+            sent += instead if isinstance(instead, list) else [frame]
         return sent
 
-    def observe(self, z: Observation | None) -> Frames:
-        return self.spoiled(super().observe(z))
-
-    def settle(self) -> Frames:
-        return self.spoiled(super().settle())
+    return node("alone", observe=spoiled, settle=spoiled)
 
 
-def spoiling(subject: int, spoil: Callable[[can.Message], Sequence[can.Message] | None]) -> type[Spoils]:
-    """A node that sends what ``spoil`` makes of a subject's frames; None is the frame itself, changed."""
-
-    def instead(self: Spoils, frame: can.Message) -> Sequence[can.Message]:
-        frames = spoil(frame)
-        return [frame] if frames is None else frames
-
-    return type("Spoiling", (Spoils,), {"subject": subject, "spoil": instead})
+@wrong(node, "settle", "alone", "one count of transfer ids")
+def _(node: Any, right: Act) -> Any:
+    node.sent.telemetry = node.sent.estimates
+    frames = right()
+    node.sent.estimates += 1
+    return frames
 
 
-def flip(bits: int) -> Callable[[can.Message], None]:
-    """Flips identifier bits."""
-
-    def spoil(frame: can.Message) -> None:
-        frame.arbitration_id ^= bits
-
-    return spoil
+@wrong(node, "observe", "alone", "heartbeats a tick late")
+def _(node: Any, right: Act, z: Observation | None) -> list[can.Message]:
+    *heartbeats, broadcast = right(z)
+    late, node.due = getattr(node, "due", []), heartbeats
+    return [*late, broadcast]
 
 
-def put(place: int, value: Callable[[int], int]) -> Callable[[can.Message], None]:
-    """Changes a byte."""
-
-    def spoil(frame: can.Message) -> None:
-        frame.data[place] = value(frame.data[place]) & 0xFF
-
-    return spoil
+def numbers_of(bits: int) -> Wrong:
+    """A controller that keeps so many bits of the number of a tick."""
+    return node(
+        "unusual commands", _obey=given(lambda command: replace(command, tick=command.tick % 2**bits))
+    )
 
 
-def more_of_alpha(frame: can.Message) -> None:
-    """As the firmware has it before it is rounded to the grid."""
-    frame.data[3] |= alpha_bits(frame) < bits_of(0.25)
+HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
+UNFILTERED = {"filter": Filter.OFF, "table": None, "filter_period": 1}
 
-
-def shorten(frame: can.Message) -> None:
-    """Send 7 bytes."""
-    frame.data, frame.dlc = frame.data[:7], 7
-
-
-def as_fd(frame: can.Message) -> None:
-    """Send a CAN FD frame."""
-    frame.is_fd = True
-
-
-def standard(frame: can.Message) -> None:
-    """Send an 11-bit identifier."""
-    frame.is_extended_id, frame.arbitration_id = False, frame.arbitration_id & 0x7FF
-
-
-class OneCountForAll(RobotNode):
-    """Transfer ids count the frames of all kinds."""
-
-    def settle(self) -> Frames:
-        self.sent.telemetry = self.sent.estimates
-        frames = super().settle()
-        self.sent.estimates += 1
-        return frames
-
-
-class HeartbeatTwiceAsOften(RobotNode):
-    def observe(self, z: Observation | None) -> Frames:
-        return (self.start() if self.ticks % 10 == 5 else []) + super().observe(z)
-
-
-class HeartbeatLate(RobotNode):
-    """In the tick after the one in which it is due."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.due: Frames = []
-
-    def observe(self, z: Observation | None) -> Frames:
-        *heartbeats, estimate_ = super().observe(z)
-        late, self.due = self.due, heartbeats
-        return [*late, estimate_]
-
-
-# --- The table ---
-
-
-def table_with(freedom: Callable[[int], int]) -> Table:
-    """The t-table with other degrees of freedom."""
-    with mp.workdps(40):
-        entries = [
-            round(
-                (_t_score(mp.mpf("0.05"), freedom(m), mp.mpf(0)) / mp.sqrt(m) + 1) ** 2 * m / (m - 1) * 2**26
-            )
-            for m in range(2, 21)
-        ]
-    return Table(TABLE.omega_word, (*entries, TABLE.entries[-1]))
-
-
-def _has_run(node: RobotNode) -> None:
-    node.observe(Observation.BLACK)
-    node.settle()
-
-
-WRONG: dict[str, Wrong] = {
+WRONG |= {
     # How it is set up
-    "another b_hat": Wrong("alone", b_hat=0.56),
-    "another broadcast period": Wrong("alone", actual={"comms_period": 2}),
-    "broadcasts in every tick": Wrong(
-        "alone",
-        config={"comms_period": 5},
-        actual={"comms_period": 1},
-    ),
-    "another id": Wrong("alone", robot=4),
-    "has run before": Wrong("alone", prepare=_has_run),
-    "another filter period": Wrong("", actual={"filter_period": 9}),
-    "filters always": Wrong("rounds without a test", actual={"filter": Filter.ALWAYS}),
-    "never filters": Wrong("no information", actual={"filter": Filter.OFF}),
-    "filters though it should not": Wrong(
-        "",
-        config={"filter": Filter.OFF, "table": None, "filter_period": 1},
-        actual={"filter": Filter.ALWAYS},
-    ),
-    "memory 8192": Wrong("long run", actual={"memory": 8192}),
-    "memory 64": Wrong("alone", actual={"memory": 64}),
-    "t-table of omega 0.25": Wrong(
-        "threshold of 2 messages", actual={"table": generate(parse_omega("0.25"), 20)}
-    ),
-    "t-table of omega 0.04": Wrong(
-        "threshold of 2 messages", actual={"table": generate(parse_omega("0.04"), 20)}
-    ),
-    "t-table of q = 9": Wrong("threshold of 10 messages", actual={"table": generate(parse_omega("0.05"), 9)}),
-    "t-table with m degrees of freedom": Wrong(
-        "threshold of 2 messages", actual={"table": table_with(lambda m: m)}
-    ),
-    "t-table with m - 2 degrees of freedom": Wrong(
-        "threshold of 2 messages",
-        actual={"table": table_with(lambda m: max(m - 2, 1) if m > 2 else 3)},
+    "another b_hat": set_up("alone", b_hat=0.56),
+    "another broadcast period": set_up("alone", comms_period=2),
+    "broadcasts in every tick": set_up("alone", SLOW, comms_period=1),
+    "another id": set_up("alone", robot=4),
+    "has run before": node("alone", start=has_run),
+    "another filter period": set_up("", filter_period=9),
+    "filters always": set_up("rounds without a test", filter=Filter.ALWAYS),
+    "never filters": set_up("no information", filter=Filter.OFF),
+    "filters though it should not": set_up("", UNFILTERED, filter=Filter.ALWAYS),
+    "memory 8192": set_up("long run", memory=8192),
+    "memory 64": set_up("alone", memory=64),
+    "t-table of omega 0.25": set_up("threshold of 2 messages", table=generate(parse_omega("0.25"), 20)),
+    "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 20)),
+    "t-table of q = 9": set_up("threshold of 10 messages", table=generate(parse_omega("0.05"), 9)),
+    "t-table with m degrees of freedom": set_up("threshold of 2 messages", table=table_with(lambda m: m)),
+    "t-table with m - 2 degrees of freedom": set_up(
+        "threshold of 2 messages", table=table_with(lambda m: max(m - 2, 1) if m > 2 else 3)
     ),
     # The method
-    "variance over m": Wrong("threshold of 2 messages", firmware=VarianceOverM),
-    ">= instead of >": Wrong("own estimate", firmware=NotStrict),
-    "tests its informed estimate": Wrong("", firmware=TestsInformed),
-    "tests one message": Wrong("rounds without a test", firmware=TestsOneMessage),
-    "counts messages without confidence into m": Wrong(
-        "rounds without a test", firmware=TestsThoseWithoutConfidence
+    "tests its informed estimate": firmware(
+        "", decides=lambda robot, right: rejects(robot.config.table, robot.s.open, robot.x_raw)
     ),
-    "never updates": Wrong("no information", firmware=always("new_b_hat", None)),
-    "never rejects": Wrong("no information", firmware=always("decides", False)),
-    "always rejects": Wrong("threshold of 2 messages", firmware=always("decides", True)),
-    "b_hat is the maximum": Wrong("no information", firmware=eq_8(lambda right: B_HAT_MAX)),
-    "eq. 8 wrong by 0.1 %": Wrong(
-        "no information", firmware=eq_8(lambda right: right and min(right + right // 1000, B_HAT_MAX))
+    "tests one message": firmware(
+        "rounds without a test",
+        least=always(1),
+        decides=lambda robot, right: robot.s.open.count == 1 or right(),
     ),
-    "eq. 8 in float32": Wrong(
-        "no information", firmware=eq_8(lambda right: right and max(right >> 10 << 10, B_HAT_MIN))
+    "never updates": firmware("no information", new_b_hat=always(None)),
+    "never rejects": firmware("no information", decides=always(False)),
+    "always rejects": firmware("threshold of 2 messages", decides=always(True)),
+    "b_hat is the maximum": firmware("no information", new_b_hat=always(B_HAT_MAX)),
+    "eq. 8 wrong by 0.1 %": firmware(
+        "no information", new_b_hat=eq_8(lambda b: min(b + b // 1000, B_HAT_MAX))
     ),
-    "b_hat never below 1/2": Wrong(
-        "no information", firmware=eq_8(lambda right: right and max(right, 1 << 31))
+    "eq. 8 in float32": firmware("no information", new_b_hat=eq_8(lambda b: max(b >> 10 << 10, B_HAT_MIN))),
+    "b_hat never below 1/2": firmware("no information", new_b_hat=eq_8(lambda b: max(b, 1 << 31))),
+    "b_hat clamped elsewhere": firmware(
+        "threshold of 5 messages", new_b_hat=eq_8(lambda b: min(max(b, 42950), 2**32 - 42950))
     ),
-    "b_hat clamped elsewhere": Wrong(
-        "threshold of 5 messages",
-        firmware=eq_8(lambda right: right and min(max(right, 42950), 2**32 - 42950)),
+    "updates at x_bar = 1/2": firmware("re-estimates", new_b_hat=lambda robot, right: right() or B_HAT_MAX),
+    "divides by 2 b - 1 = 0": firmware(
+        "no information", observe=after("x_hat", lambda s: s.x_hat if s.alpha else ONE)
     ),
-    "x_bar not weighted in eq. 8": Wrong("threshold of 2 messages", firmware=UnweightedMean),
-    "updates at x_bar = 1/2": Wrong(
-        "re-estimates", firmware=eq_8(lambda right: B_HAT_MAX if right is None else right)
+    "filters every round": firmware("", settle=after("filter_left", lambda s: 1)),
+    "first test a round late": firmware("", __init__=waits_longer),
+    "hears ids below 8 only": firmware("every sender", _receive=hears(lambda sender, _: sender < 8)),
+    "hears ids below 100 only": firmware("every sender", _receive=hears(lambda sender, _: sender < 100)),
+    "does not hear robot 127": firmware("every sender", _receive=hears(lambda sender, _: sender < 127)),
+    "at most 5 messages": firmware("growing rounds", _receive=hears(lambda _, count: count < 5)),
+    "at most 100 messages": firmware("growing rounds", _receive=hears(lambda _, count: count < 100)),
+    "takes the last message of a sender": firmware("same sender", _receive=keep_last, settle=take_kept),
+    "saturates alpha at 2^20": firmware(
+        "extreme messages", _receive=with_alpha(lambda alpha: alpha_word(min(alpha_units(alpha), 1 << 44)))
     ),
-    "a re-estimate changes x_hat at once": Wrong("no information", firmware=AppliesAtOnce),
-    "divides by 2 b - 1 = 0": Wrong("no information", firmware=NeverAppliesHalf),
-    "filters every round": Wrong("", firmware=FiltersEveryRound),
-    "first test a round late": Wrong("", firmware=FirstTestLate),
-    "keeps x_bar in silence": Wrong("messages and silence", firmware=KeepsTheRound),
-    "never empties the round": Wrong("messages and silence", firmware=NeverEmpties),
-    "hears ids below 8 only": Wrong("every sender", firmware=below(8)),
-    "hears ids below 100 only": Wrong("every sender", firmware=below(100)),
-    "does not hear robot 127": Wrong("every sender", firmware=below(127)),
-    "compares the priority of estimates": Wrong("unusual identifiers", node=comparing(3000, 7 << 26)),
-    "compares ignored bits of estimates": Wrong("unusual identifiers", node=comparing(3000, 3 << 21)),
-    "a bitmap of 32 senders": Wrong("alike ids", firmware=Bitmap),
-    "at most 5 messages": Wrong("growing rounds", firmware=at_most(5)),
-    "at most 100 messages": Wrong("growing rounds", firmware=at_most(100)),
-    "takes the last message of a sender": Wrong("same sender", firmware=LastCounts),
-    "saturates alpha at 2^20": Wrong(
-        "extreme messages", firmware=with_alpha(lambda alpha: alpha_word(min(alpha_units(alpha), 1 << 44)))
+    "loses low bits of alpha": firmware(
+        "messages and silence", _receive=with_alpha(lambda alpha: alpha_word(alpha_units(alpha) >> 8 << 8))
     ),
-    "loses low bits of alpha": Wrong(
-        "messages and silence", firmware=with_alpha(lambda alpha: alpha_word(alpha_units(alpha) >> 8 << 8))
+    "takes alpha = 0 for a little": firmware(
+        "extreme messages", _receive=with_alpha(lambda alpha: alpha or 0x100)
     ),
-    "takes alpha = 0 for a little": Wrong(
-        "extreme messages", firmware=with_alpha(lambda alpha: alpha or 0x100)
+    "all neighbours count alike": firmware(
+        "messages and silence", _receive=with_alpha(lambda alpha: 0x80000001)
     ),
-    "all neighbours count alike": Wrong(
-        "messages and silence", firmware=with_alpha(lambda alpha: 0x80000001)
+    "colours exchanged": firmware("alone", observe=given(lambda z: Observation(1 - z))),
+    "rounds x_hat up": firmware("", observe=after("x_hat", lambda s: s.x_hat + (0 < s.x_hat < HALF))),
+    "alpha of 20 bits": firmware("alone", observe=after("alpha", lambda s: s.alpha & 0xFFFF_F01F)),
+    "halves down": firmware("halvings", HALVED, observe=halving(lambda n: n >> 1)),
+    "halves up": firmware("halvings", HALVED, observe=halving(lambda n: n + 1 >> 1)),
+    "broadcasts x": set_up(
+        "messages and silence", firmware=type("X", (MirrorRobot,), {"x_hat_raw": MirrorRobot.x_raw})
     ),
-    "colours exchanged": Wrong("alone", firmware=ColoursExchanged),
-    "rounds x_hat up": Wrong("", firmware=RoundsXHat),
-    "alpha of 20 bits": Wrong("alone", firmware=TruncatesAlpha),
-    "halves down": Wrong("halvings", firmware=halving(lambda n: n >> 1), config={"memory": 512}),
-    "halves up": Wrong("halvings", firmware=halving(lambda n: n + 1 >> 1), config={"memory": 512}),
-    "broadcasts x": Wrong("messages and silence", firmware=BroadcastsX),
     # What it hears
-    "refuses large alphas": Wrong("extreme messages", node=RefusesLargeAlphas),
-    "drops older transfer ids": Wrong("among neighbours", node=DropsOlderTransfers),
-    "hears itself": Wrong("its own id", node=HearsItself),
-    "restarts after a conflict": Wrong("its own id", node=ForgetsAfterAConflict),
-    "a receive buffer of 60 frames": Wrong("growing rounds", node=StopsListening),
-    "a buffer of 4 commands": Wrong("heartbeats", node=DropsCommandsInARow),
-    "deaf between ticks": Wrong("between ticks", node=DeafBetweenTicks),
-    "late messages count at once": Wrong("between ticks", node=LateCountsNow),
+    "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
+    "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),
+    "refuses large alphas": node(
+        "extreme messages",
+        hear=drops(lambda frame: is_estimate(frame) and alpha_bits(frame) >= bits_of(2.0**31)),
+    ),
+    "hears itself": node(
+        "its own id", _receive=given(lambda each: replace(each, sender=99) if each.sender == ID else each)
+    ),
+    "deaf between ticks": node(
+        "between ticks", _receive=lambda node, right, message: None if node.is_settled else right(message)
+    ),
     **{
-        f"accepts {doing}": Wrong("invalid frames", node=accepting(reason))
+        f"accepts {doing}": node("invalid frames", hear=accepts(reason))
         for reason, doing in (
             (Rejection.X_HAT, "x_hat above 1"),
             (Rejection.ALPHA, "alpha"),
@@ -835,71 +597,74 @@ WRONG: dict[str, Wrong] = {
             (Rejection.RESERVED_BITS, "reserved bit"),
         )
     },
-    "does not look at the start bit": Wrong(
-        "invalid frames", node=reading(set_tail(1 << 7), Rejection.MULTI_FRAME)
-    ),
-    "does not look at the end bit": Wrong(
-        "invalid frames", node=reading(set_tail(1 << 6), Rejection.MULTI_FRAME)
-    ),
-    "does not look at the toggle bit": Wrong(
-        "invalid frames", node=reading(set_tail(1 << 5), Rejection.MULTI_FRAME)
-    ),
-    "takes 7 bytes": Wrong("invalid frames", node=reading(lengthen, Rejection.LENGTH)),
-    "x_hat one unit too large": Wrong("invalid frames", node=reading(lower_x_hat, Rejection.X_HAT)),
-    "subjects of 8 bits": Wrong("invalid frames", node=reading(as_subject(0xFF), Rejection.SUBJECT)),
-    "leaves out bit 4 of subjects": Wrong(
-        "invalid frames", node=reading(as_subject(0x1FEF), Rejection.SUBJECT)
-    ),
-    "leaves out bit 8 of subjects": Wrong(
-        "invalid frames", node=reading(as_subject(0x1EFF), Rejection.SUBJECT)
-    ),
+    **{
+        name: node("invalid frames", hear=reads(reason, mend))
+        for name, reason, mend in (
+            ("does not look at the start bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 7)),
+            ("does not look at the end bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 6)),
+            ("does not look at the toggle bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 5)),
+            ("takes 7 bytes", Rejection.LENGTH, change(data=lambda data: data + b"\xe0" * (len(data) == 7))),
+            ("x_hat one unit too large", Rejection.X_HAT, put(0, lambda byte: byte - (byte == 1))),
+            ("subjects of 8 bits", Rejection.SUBJECT, as_subject(0xFF)),
+            ("leaves out bit 4 of subjects", Rejection.SUBJECT, as_subject(0x1FEF)),
+            ("leaves out bit 8 of subjects", Rejection.SUBJECT, as_subject(0x1EFF)),
+        )
+    },
     # Commands
-    "takes no observation for white": Wrong("alone", node=CountsNothingAsWhite),
-    "stays in a tick": Wrong("lost commands", node=StaysInATick),
-    "answers late": Wrong("lost commands", node=AnswersLate),
-    "forgets a round": Wrong("lost commands", node=ForgetsARound),
-    "settles in any tick": Wrong("stray commands", node=SettlesInAnyTick),
-    "obeys others": Wrong("stray commands", node=ObeysOthers),
-    "ignores commands for every robot": Wrong("unusual commands", node=IgnoresCommandsForAll),
-    "ignores settles for every robot": Wrong("unusual commands", node=IgnoresSettlesForAll),
-    "obeys one node": Wrong("unusual commands", node=ObeysOneNode),
-    "checks the spare byte": Wrong("unusual commands", node=ChecksTheSpareByte),
-    "compares the priority of commands": Wrong("unusual commands", node=comparing(3002, 7 << 26)),
-    "compares ignored bits of commands": Wrong("unusual commands", node=comparing(3002, 3 << 21)),
-    "numbers of 8 bits": Wrong("unusual commands", node=numbers_of(8)),
-    "numbers of 16 bits": Wrong("unusual commands", node=numbers_of(16)),
-    "numbers of 31 bits": Wrong("unusual commands", node=numbers_of(31)),
-    "observes twice": Wrong("stray commands", node=ObservesTwice),
-    "hangs": Wrong("every sender", node=Hangs),
-    "closes a round in every tick": Wrong(
-        "messages and silence", node=ClosesEveryTick, config={"comms_period": 5}
+    "takes no observation for white": node(
+        "alone", observe=given(lambda z: Observation.WHITE if z is None else z)
     ),
+    "answers late": node(
+        "lost commands", observe=lambda node, right, z: ([] if node.is_settled else node.settle()) + right(z)
+    ),
+    "obeys others": node("stray commands", _obey=given(lambda command: replace(command, target=ID))),
+    "ignores commands for every robot": node(
+        "unusual commands", _obey=drops(lambda command: command.target == EVERY_ROBOT)
+    ),
+    "ignores settles for every robot": node(
+        "unusual commands",
+        _obey=drops(lambda command: command.target == EVERY_ROBOT and command.action is Action.SETTLE),
+    ),
+    "obeys one node": node("unusual commands", _obey=drops(lambda command: command.sender != DRIVER_ID)),
+    "checks the spare byte": node(
+        "unusual commands",
+        hear=drops(lambda frame: isinstance(decode_command(frame), Command) and frame.data[6] != 0),
+    ),
+    "compares the priority of commands": node("unusual commands", hear=compares(3002, 7 << 26)),
+    "compares ignored bits of commands": node("unusual commands", hear=compares(3002, 3 << 21)),
+    "numbers of 8 bits": numbers_of(8),
+    "numbers of 16 bits": numbers_of(16),
+    "numbers of 31 bits": numbers_of(31),
+    "hangs": node("every sender", hear=lambda node, right, frame: right(frame) if node.ticks < 200 else []),
     # The wire
-    "another priority": Wrong("alone", node=spoiling(3000, flip(1 << 26))),
-    "another priority of telemetry": Wrong("alone", node=spoiling(3001, flip(1 << 27))),
-    "another priority of heartbeats": Wrong("alone", node=spoiling(7509, flip(1 << 28))),
-    "bits 21 and 22 not set": Wrong("alone", node=spoiling(3000, flip(3 << 21))),
-    "bit 23 set": Wrong("alone", node=spoiling(3000, flip(1 << 23))),
-    "bit 7 set": Wrong("alone", node=spoiling(3001, flip(1 << 7))),
-    "a service": Wrong("alone", node=spoiling(3000, flip(1 << 25))),
-    "11-bit identifiers": Wrong("alone", node=spoiling(3000, standard)),
-    "CAN FD": Wrong("alone", node=spoiling(3000, as_fd)),
-    "7 bytes": Wrong("alone", node=spoiling(3001, shorten)),
-    "another tail": Wrong("alone", node=spoiling(3000, put(7, lambda byte: byte & 0x3F))),
-    "transfer ids modulo 16": Wrong("alone", node=spoiling(3000, put(7, lambda byte: byte & 0xEF))),
-    "transfer ids stand still": Wrong("alone", node=spoiling(7509, put(7, lambda byte: 0xE0))),
-    "one count of transfer ids": Wrong("alone", node=OneCountForAll),
-    "x rounded in telemetry": Wrong("alone", node=spoiling(3001, put(0, lambda b: b ^ 1))),
-    "b_hat cut in telemetry": Wrong("alone", node=spoiling(3001, put(3, lambda byte: byte + 1))),
-    "more of alpha": Wrong("alone", node=spoiling(3000, more_of_alpha)),
-    "another subject of telemetry": Wrong("alone", node=spoiling(3001, flip(1 << 11))),
-    "says it twice": Wrong("alone", node=spoiling(3000, lambda frame: [frame, frame])),
-    "answers twice": Wrong("alone", node=spoiling(3001, lambda frame: [frame, frame])),
-    "no heartbeats": Wrong("alone", node=spoiling(7509, lambda frame: [])),
-    "uptime in ticks": Wrong("alone", node=spoiling(7509, put(0, lambda byte: 10 * byte))),
-    "health caution": Wrong("alone", node=spoiling(7509, put(4, lambda byte: byte | 2))),
-    "mode maintenance": Wrong("alone", node=spoiling(7509, put(5, lambda byte: byte | 2))),
-    "heartbeats twice as often": Wrong("alone", node=HeartbeatTwiceAsOften),
-    "heartbeats a tick late": Wrong("alone", node=HeartbeatLate),
+    "another priority": sends(3000, flip(1 << 26)),
+    "another priority of telemetry": sends(3001, flip(1 << 27)),
+    "another priority of heartbeats": sends(7509, flip(1 << 28)),
+    "bits 21 and 22 not set": sends(3000, flip(3 << 21)),
+    "bit 23 set": sends(3000, flip(1 << 23)),
+    "bit 7 set": sends(3001, flip(1 << 7)),
+    "a service": sends(3000, flip(1 << 25)),
+    "11-bit identifiers": sends(
+        3000, change(is_extended_id=lambda _: False, arbitration_id=lambda bits: bits & 0x7FF)
+    ),
+    "CAN FD": sends(3000, change(is_fd=lambda is_fd: True)),
+    "7 bytes": sends(3001, change(data=lambda data: data[:7])),
+    "another tail": sends(3000, put(7, lambda byte: byte & 0x3F)),
+    "transfer ids modulo 16": sends(3000, put(7, lambda byte: byte & 0xEF)),
+    "transfer ids stand still": sends(7509, put(7, lambda byte: 0xE0)),
+    "x rounded in telemetry": sends(3001, put(0, lambda byte: byte ^ 1)),
+    "b_hat cut in telemetry": sends(3001, put(3, lambda byte: byte + 1)),
+    "more of alpha": sends(
+        3000, lambda frame: put(3, lambda byte: byte | (alpha_bits(frame) < bits_of(0.25)))(frame)
+    ),
+    "another subject of telemetry": sends(3001, flip(1 << 11)),
+    "says it twice": sends(3000, lambda frame: [frame, frame]),
+    "answers twice": sends(3001, lambda frame: [frame, frame]),
+    "no heartbeats": sends(7509, lambda frame: []),
+    "uptime in ticks": sends(7509, put(0, lambda byte: 10 * byte)),
+    "health caution": sends(7509, put(4, lambda byte: byte | 2)),
+    "mode maintenance": sends(7509, put(5, lambda byte: byte | 2)),
+    "heartbeats twice as often": node(
+        "alone", observe=lambda node, right, z: (node.start() if node.ticks % 10 == 5 else []) + right(z)
+    ),
 }
-"""Wrong controllers, by what is wrong with them."""

@@ -25,9 +25,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
 from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.test_bench import BenchOptions
 from mcp_asdf_tools.radio.verification import (
     COLUMNS,
     ControllerVerdict,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mcp_asdf.robot import Filter, Observation
+from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.rounds import (
     CRAFTED_SIZES,
     Update,
@@ -13,7 +14,6 @@ from mcp_asdf_tools.radio.rounds import (
     for_update,
     ordinary_alpha,
 )
-from mcp_asdf_tools.radio.test_bench import Bench
 
 LONG_RUN = 10_000
 """Observations after which a controller must not have forgotten any, unless its memory is shorter."""

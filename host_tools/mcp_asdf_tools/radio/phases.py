@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
-from mcp_asdf_tools.radio.test_bench import Bench
+from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.robots.rounds import TickConfig
 
 _TESTS = 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import Action
+from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.odd_frames import (
     DISTANT_NUMBERS,
     STRAY,
@@ -14,7 +15,6 @@ from mcp_asdf_tools.radio.odd_frames import (
     unusual_command,
 )
 from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content
-from mcp_asdf_tools.radio.test_bench import Bench
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 _PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)

@@ -18,13 +18,13 @@ import can
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
+from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs
 from mcp_asdf_tools.radio.comparison import BUS, ESTIMATE, TELEMETRY, Symptom, cause_of
 from mcp_asdf_tools.radio.filter_phases import LONG_RUN
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.other_nodes import Disturbed
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
-from mcp_asdf_tools.radio.test_bench import Bench, BenchOptions, Differs
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.rounds import TickConfig
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault

@@ -29,10 +29,10 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
 )
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids, configured_like
 from mcp_asdf_tools.radio.phases import PHASES, Phase
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES, Update, update_of
-from mcp_asdf_tools.radio.test_bench import BenchOptions
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, markdown
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
@@ -143,7 +143,7 @@ class WatchedMirror(MirrorRobot):
 @pytest.mark.parametrize("memory", [2**31, 64])
 def test_a_right_controller_passes_every_phase(memory: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """And is taken through all that the verdict claims."""
-    monkeypatch.setattr("mcp_asdf_tools.radio.test_bench.MirrorRobot", WatchedMirror)
+    monkeypatch.setattr("mcp_asdf_tools.radio.bench.MirrorRobot", WatchedMirror)
     controller = obedient(memory=memory)
     done = verification(controller, settings(right(memory=memory)))
     verdict, run = done.verdict, done.bench.firmware
