@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -94,25 +95,10 @@ def _summary(omega: Decimal, facts: dict[str, Any]) -> str:
 def _report(findings: Sequence[TableCheck], as_json: bool) -> int:
     ok = all(finding.problem is None for finding in findings)
     if as_json:
-        print(json.dumps({"ok": ok, "tables": [_as_dict(finding) for finding in findings]}, indent=2))
+        tables = [asdict(finding) for finding in findings]
+        print(json.dumps({"ok": ok, "tables": tables}, indent=2, default=float))
     else:
-        print("\n".join(_as_line(finding) for finding in findings))
+        for finding in findings:
+            claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""
+            print(f"{finding.place}: {claim}{finding.problem or 'ok'}")
     return 0 if ok else 1
-
-
-def _as_line(finding: TableCheck) -> str:
-    claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""
-    return f"{finding.place}: {claim}{finding.problem or 'ok'}"
-
-
-def _as_dict(finding: TableCheck) -> dict[str, Any]:
-    difference = finding.difference
-    return {
-        "place": finding.place,
-        "omega": None if finding.omega is None else float(finding.omega),
-        "q": finding.q,
-        "problem": finding.problem,
-        "difference": None
-        if difference is None
-        else {"word": difference.word, "found": difference.found, "expected": difference.expected},
-    }

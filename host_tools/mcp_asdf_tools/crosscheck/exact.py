@@ -84,7 +84,7 @@ def _x_bar_error(x_bar: Fraction) -> Fraction:
 @lru_cache(maxsize=512)
 def true_threshold(choice: TableChoice, m: int) -> int:
     """k_m for the omega of a table, in units of 2**-THRESHOLD_SCALE, from 40 digits."""
-    k = true_thresholds(parse_omega(choice.omega)).of_m[m - 2]
+    k = true_thresholds(parse_omega(choice.omega))[m - 2]
     return int(mp.nint(mp.ldexp(k, THRESHOLD_SCALE)))
 
 

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO, StringIO
+from itertools import zip_longest
 from pathlib import Path
 
 from elftools.common.exceptions import ELFError
@@ -17,15 +18,20 @@ from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
 
 from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.tables.table_files import TableCheck, compare
-from mcp_asdf_tools.tables.thresholds import omega_from_word
+from mcp_asdf_tools.tables.table_files import TableCheck
+from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
 
 _BYTE_ORDERS = {"<": "little-endian", ">": "big-endian"}
+_MAGIC_BYTES = MAGIC.to_bytes(4, "big")[:3]
+_FIRST_WORDS = {
+    "<": re.compile(b"(?=." + _MAGIC_BYTES[::-1] + b")", re.DOTALL),
+    ">": re.compile(b"(?=" + _MAGIC_BYTES + b".)", re.DOTALL),
+}
+"""Places where the magic stands beside a byte for q, in each byte order; two such places may overlap."""
 _DAMAGE = (ELFError, IntelHexError, UnicodeDecodeError, OverflowError, zlib.error)
 """Exceptions of the two libraries when a file is damaged."""
-_HEX_SUFFIXES = {".hex", ".ihex", ".ihx"}
 _HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
-_TEXT_BYTES = b"\t\r\n" + bytes(range(0x20, 0x7F))
+_NOT_FOUND = "no t-table found; is one linked in and used, and is this ELF, Intel HEX or plain binary?"
 
 
 @dataclass(frozen=True)
@@ -41,47 +47,28 @@ def verify_image(path: Path) -> list[TableCheck]:
     """Find every table in the image ``path`` and compare it with the one made anew.
 
     Returns one finding per table, and at least one: an image without a table is a finding with a problem.
-    ELF is recognised by its first bytes, Intel HEX by its first record or the suffix (.hex, .ihex, .ihx);
-    other files count as plain binary, unless the bytes of an image cannot lie there as they are: in lines
-    of text, such as S-records, and in UF2. A table is the magic and a possible q, in either byte order and
-    at any alignment, with either the right checksum or, for a damaged one, at least half of its entries in
-    the range of such entries: the magic alone also stands in the firmware's code, and in texts such as
-    "ITCM". Raises UsageError if the file cannot be read or is in another format.
+    ELF is recognised by its first bytes, Intel HEX by its first record; all else counts as plain binary. A
+    table is the magic and a possible q, in either byte order and at any alignment, with either the right
+    checksum or, for a damaged one, at least half of its entries in the range of such entries: the magic alone
+    also stands in the firmware's code, and in texts such as "ITCM". Raises UsageError if the file cannot be
+    read or is damaged.
     """
     findings = [_finding(path, chunk, *hit) for chunk in _chunks(path) for hit in _hits(chunk.data)]
-    return findings or [TableCheck(str(path), problem="no t-table found; is one linked in, and used?")]
+    return findings or [TableCheck(str(path), problem=_NOT_FOUND)]
 
 
 def _chunks(path: Path) -> list[_Chunk]:
     try:
         data = path.read_bytes()
-        return _chunks_of(data, path)
+        if data.startswith(b"\x7fELF"):
+            return _elf_chunks(data)
+        if _HEX_RECORD.match(data):
+            return _hex_chunks(data)
+        return [_Chunk("", 0, data)]
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except _DAMAGE as error:
         raise UsageError(f"cannot read {path}: {error}; the file is damaged, build it again") from error
-
-
-def _chunks_of(data: bytes, path: Path) -> list[_Chunk]:
-    if data.startswith(b"\x7fELF"):
-        return _elf_chunks(data)
-    if _HEX_RECORD.match(data):
-        return _hex_chunks(data)
-    foreign = _foreign_format(data)
-    if foreign:
-        raise UsageError(
-            f"{path} is {foreign}; give the ELF, Intel HEX or plain binary file of the same build "
-            "(of S-records, objcopy -I srec -O binary makes one)"
-        )
-    return _hex_chunks(data) if path.suffix.lower() in _HEX_SUFFIXES else [_Chunk("", 0, data)]
-
-
-def _foreign_format(data: bytes) -> str | None:
-    """A name for ``data`` if it is no image: a table, were there one, would not be found in it."""
-    if data.startswith(b"UF2\n"):
-        return "in UF2"
-    is_text = b"\n" in data and not data.translate(None, _TEXT_BYTES)
-    return "text, but not Intel HEX" if is_text else None
 
 
 def _elf_chunks(data: bytes) -> list[_Chunk]:
@@ -105,18 +92,13 @@ def _hex_chunks(data: bytes) -> list[_Chunk]:
 
 def _hits(data: bytes) -> Iterator[tuple[str, int, tuple[int, ...]]]:
     """Byte order, offset and words of every table; fewer words than it should have at the end of the data."""
-    for order in _BYTE_ORDERS:
-        magic = struct.pack(order + "I", MAGIC).strip(b"\0")
-        before = 1 if order == "<" else 0  # bytes of word 0 in front of the magic: q
-        found = data.find(magic, before)
-        while found >= 0:
-            start = found - before
+    for order, first_word in _FIRST_WORDS.items():
+        for start in (each.start() for each in first_word.finditer(data)):
             words = _words(data[start : start + 4 * (EXTRA_WORDS + MAX_Q)], order)
-            q = words[0] & 0xFF if words else 0
+            q = words[0] & 0xFF
             words = words[: EXTRA_WORDS + q]
             if MIN_Q <= q <= MAX_Q and _is_table(words, q):
                 yield order, start, words
-            found = data.find(magic, found + 1)
 
 
 def _words(data: bytes, order: str) -> tuple[int, ...]:
@@ -143,4 +125,15 @@ def _finding(path: Path, chunk: _Chunk, order: str, offset: int, words: tuple[in
     omega = omega_from_word(words[1])
     if omega is None:
         return TableCheck(place, q=q, problem=f"word 1 (omega) is {words[1]:#010x}, which no omega gives")
-    return compare(place, omega, words, q)
+    return TableCheck(place, omega, q, _first_difference(words, generate(omega, q).words()))
+
+
+def _first_difference(found: tuple[int, ...], expected: tuple[int, ...]) -> str | None:
+    q = len(expected) - EXTRA_WORDS
+    names = ["the magic", "omega", *(f"entry {m - 2} (m = {m})" for m in range(2, q + 1))]
+    names += [f"entry {q - 1} (m > {q})", "the checksum"]
+    for name, left, right in zip_longest(names, found, expected):
+        if left != right:
+            shown = "nothing" if left is None else f"{left} ({left:#010x})"
+            return f"{name}: found {shown}, expected {right} ({right:#010x})"
+    return None

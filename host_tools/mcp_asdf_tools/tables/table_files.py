@@ -9,7 +9,6 @@ import hashlib
 import json
 import re
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import zip_longest
@@ -22,22 +21,13 @@ from mcp_asdf_tools.common.files import write_files
 from mcp_asdf_tools.tables.thresholds import (
     GENERATOR_VERSION,
     MAX_MESSAGES,
-    Difference,
     check_q,
-    first_difference,
-    first_different_entry,
     generate,
     parse_omega,
     worst_threshold_error,
 )
 
-_SYMBOL = re.compile(
-    r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\[[0-9]+\] MCP_ASDF_ROM = \{(.*?)(?:\};|\Z)",
-    re.DOTALL,
-)
-_COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
-"""Without an end it takes the rest: to look for one anew behind each beginning would take quadratic time."""
-_C_WORD = re.compile(r"0x[0-9A-Fa-f]+")
+_SYMBOL = re.compile(r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\b")
 
 
 def stem(omega: Decimal, q: int) -> str:
@@ -151,38 +141,32 @@ class TableCheck:
         place: The file, and where in it if it is an image.
         omega, q: The table that it claims to be; None if it is unknown.
         problem: What is wrong; None if nothing is.
-        difference: The word that differs, if that is what is wrong.
     """
 
     place: str
     omega: Decimal | None = None
     q: int | None = None
     problem: str | None = None
-    difference: Difference | None = None
-
-
-def compare(place: str, omega: Decimal, words: Sequence[int], q: int) -> TableCheck:
-    """Check a table's words against the table made anew."""
-    difference = first_difference(words, generate(omega, q))
-    return TableCheck(place, omega, q, str(difference) if difference else None, difference)
 
 
 def check_file(path: Path) -> TableCheck:
-    """Compare a generated ``.c`` or ``.json`` file with the one made anew.
+    """Compare a generated ``.c`` or ``.json`` file with the one made anew, line ends aside.
 
-    Entries are compared first, then the text line by line, line ends aside. Raises UsageError if the file
-    cannot be read or does not say which table it is.
+    The name of its array says which table it is. Raises UsageError if the file cannot be read or has no such
+    name.
     """
-    readers = {".json": (_read_json, json_text), ".c": (_read_c, c_text)}
-    if path.suffix not in readers:
+    makers = {".json": json_text, ".c": c_text}
+    if path.suffix not in makers:
         raise UsageError(f"{path} is neither .c nor .json; for a built image use --verify")
-    read, render = readers[path.suffix]
     text = _read_text(path)
-    omega, q, entries = read(path, text)
-    expected = generate(omega, q)
-    difference = first_different_entry((*expected.words()[:2], *entries), expected)
-    problem = str(difference) if difference else _first_changed_line(text, render(omega, q))
-    return TableCheck(str(path), omega, q, problem, difference)
+    symbol = _SYMBOL.search(text)
+    if symbol is None:
+        raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
+    try:
+        omega, q = parse_omega(f"0.{symbol[1]}"), check_q(int(symbol[2]))
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return TableCheck(str(path), omega, q, _first_changed_line(text, makers[path.suffix](omega, q)))
 
 
 def _read_text(path: Path) -> str:
@@ -192,37 +176,6 @@ def _read_text(path: Path) -> str:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError:
         raise UsageError(f"{path} is not a text file; for a built image use --verify") from None
-
-
-def _read_json(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
-    """Read omega, q and the entries."""
-    try:
-        data = json.loads(text, parse_float=str)
-        omega, q, entries = str(data["omega"]), data["q"], data["entries"]
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        raise UsageError(
-            f"{path} is not a t-table in JSON ({error!r}); make it anew with --output"
-        ) from error
-    if type(q) is not int or not (isinstance(entries, list) and all(type(k) is int for k in entries)):
-        raise UsageError(f"{path}: 'q' and all 'entries' must be whole numbers; make it anew with --output")
-    return (*_claim(path, omega, q), entries)
-
-
-def _read_c(path: Path, text: str) -> tuple[Decimal, int, list[int]]:
-    """Read omega and q from the array's name, and the entries between two words and the checksum."""
-    match = _SYMBOL.search(text)
-    if match is None:
-        raise UsageError(f"{path} defines no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
-    places, q, body = match.groups()
-    words = [int(word, 16) for word in _C_WORD.findall(_COMMENT.sub("", body))]
-    return (*_claim(path, f"0.{places}", int(q)), words[2:-1])
-
-
-def _claim(path: Path, omega: str, q: int) -> tuple[Decimal, int]:
-    try:
-        return parse_omega(omega), check_q(q)
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
 
 
 def _first_changed_line(found: str, expected: str) -> str | None:
