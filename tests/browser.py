@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mcp_asdf_tools.view.film import Film, LiveFilm
 from support import PATIENCE
 
 if TYPE_CHECKING:
@@ -56,10 +55,3 @@ def until(page: Page, condition: str) -> Any:
             return value
         time.sleep(0.02)
     raise AssertionError(f"the page never came to {condition}")
-
-
-def developed(film: LiveFilm) -> Film:
-    """All that was filmed so far."""
-    _, stage, samples = film.since(-1, 0)
-    assert samples is not None
-    return Film(stage, samples)

@@ -201,7 +201,7 @@ def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack
 
 def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -> None:
     """The run is over; its page stays until Ctrl-C, unless an error ended it."""
-    camera.film.end()
+    camera.film.has_ended = True
     sys.stdout.flush()
     if is_regular:
         with stopping() as should_stop:

@@ -29,7 +29,7 @@ EPILOG = """\
 examples:
   mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
   mcp-asdf view grid.parquet --where filter=none --trial 3
-  mcp-asdf view run.log                             # a log of swarm or node, beside run.log.events
+  mcp-asdf view run.log                             # a log of swarm, beside run.log.events
   mcp-asdf view run.log --export run.html           # one file that needs nothing else
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
 mcp-asdf swarm --view shows a swarm as it runs.
@@ -93,7 +93,7 @@ def _film_of(args: argparse.Namespace) -> Film:
     if args.trial or args.where:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
-        raise UsageError(f"there is no log {args.file}; give one that swarm --log or node --log wrote")
+        raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
     return film_of_log(args.file, args.events)
 
 
@@ -113,17 +113,16 @@ def _export(args: argparse.Namespace, film: Film) -> int:
 
     content = page(film).encode()
     write_atomically(args.export, content)
-    report = {"export": str(args.export), "bytes": len(content), "samples": len(film.samples.ticks)}
+    report = {"export": str(args.export), "bytes": len(content), "states": len(film.since()[2])}
     print(json.dumps(report) if args.json else args.export)
     return 0
 
 
 def _serve(args: argparse.Namespace, film: Film) -> int:
     """Serve a film until Ctrl-C."""
-    from mcp_asdf_tools.view.film import LiveFilm  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    with stopping() as should_stop, serving(LiveFilm.of(film), args.port) as url:
+    with stopping() as should_stop, serving(film, args.port) as url:
         announce(args, url)
         wait(should_stop)
     return 0

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import count, repeat
 from pathlib import Path
 from typing import Any
 
@@ -20,38 +22,35 @@ from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, deco
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
+from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population, parameter_names
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.film import MAX_SAMPLES, QUANTITIES, Film, LiveFilm, Sample, Samples, Stage
+from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.topology import Graph
 from mcp_asdf_tools.world.world import World
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
 
 
-def stage_of(population: Population, trial: int = 0) -> Stage:
+def stage_of(settings: Population, trial: int = 0) -> Stage:
     """The stage of a trial. Raises UsageError if its arena cannot be made."""
-    settings = population
-    moves = settings.is_dynamic
-    return Stage(
+    stage = Stage(
         _title(settings, trial),
-        range(settings.robots),
+        list(range(settings.robots)),
         range(settings.flawed),
         settings.fill_ratio,
         settings.steps,
         settings.steps_per_second,
-        settings.comms_period,
-        settings.sides if moves else None,
-        settings.radio_range if moves else None,
-        floor_of(Arena(settings, trial)) if moves else None,
     )
+    if not settings.is_dynamic:
+        return stage
+    floor = floor_of(Arena(settings, trial))
+    return replace(stage, sides=settings.sides, radio_range=settings.radio_range, floor=floor)
 
 
 def floor_of(arena: Arena) -> NDArray[np.bool_]:
@@ -63,38 +62,23 @@ def floor_of(arena: Arena) -> NDArray[np.bool_]:
 
 
 def _title(settings: Population, trial: int) -> str:
-    words = [
-        f"{settings.robots} robots",
-        f"{settings.flawed} flawed",
-        TYPESET_FILTER_NAMES[settings.filter],
-        f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}",
-        _topology(settings),
-        f"seed {settings.seed}" + (f", trial {trial}" if trial else ""),
-    ]
-    if settings.filter == "none":
-        del words[3]
-    return ", ".join(words)
-
-
-def _topology(settings: Population) -> str:
-    if isinstance(settings.graph, Graph):
-        return Path(settings.graph.source).name
-    if settings.is_dynamic:
-        return "moving"
-    return str(settings.topology).replace("-", " ")
+    words = [f"{settings.robots} robots", f"{settings.flawed} flawed", TYPESET_FILTER_NAMES[settings.filter]]
+    if settings.filter != "none":
+        words.append(f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}")
+    words += [str(settings.topology).replace("-", " "), f"seed {settings.seed}"]
+    return ", ".join([*words, f"trial {trial}"] if trial else words)
 
 
 # --- Runs that are over -------------------------------------------------------------------------------
 
 _STEPS_AT_ONCE = 512
 _MOST_LINKS = 4_000_000
-"""Bits of who hears whom in all samples, which bounds the size of a page of many robots."""
+"""Bits of who hears whom in all states, which bounds the size of a page of many robots."""
 
 
 def spacing_of(steps: int, robots: int) -> int:
-    """Steps between the samples of a film, so that a page of it has a few megabytes at most."""
-    samples = min(MAX_SAMPLES, max(1, _MOST_LINKS // robots**2))
-    return -(-steps // samples)
+    """Steps between the states of a film, so that a page of it has a few megabytes at most."""
+    return -(-steps // min(MAX_STATES, max(1, _MOST_LINKS // robots**2)))
 
 
 def film_of_trial(trials: Trials, trial: int) -> Film:
@@ -114,84 +98,74 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
             "made: run mcp-asdf simulate again"
         )
     values = np.stack([again.records[name][0] for name in QUANTITIES[:3]], axis=1)
-    ticks = np.arange(len(values)) * spacing
-    return Film(stage_of(experiment, trial), _in_the_world(experiment, trial, ticks, values))
+    return Film(stage_of(experiment, trial), _in_the_world(experiment, trial, values, spacing))
 
 
 def film_of_log(log: Path, events: Path | None = None) -> Film:
-    """The film of a log's robots, which run again on what its input log says that they saw and heard.
+    """The film of a swarm's log, whose robots run again on what its input log says that they saw and heard.
 
-    Raises UsageError if the input log cannot be read or contradicts itself.
+    Raises UsageError if the input log cannot be read, contradicts itself, or is of robots without a world.
     """
     with InputLogReader(events or input_log_path(log)) as input_log:
-        header = input_log.header
-        settings = _settings_of(header)
-        ticks, values = _states(input_log)
-    if settings is not None:
-        return Film(stage_of(settings), _in_the_world(settings, 0, ticks, values))
-    robots = [record.id for record in header.robots]
-    stage = Stage(f"robots of {log.name}", robots, steps=int(ticks[-1]))
-    unknown = np.full((len(ticks), 1, len(robots)), np.nan)
-    hears = np.zeros((len(ticks), len(robots), len(robots)), np.bool_)
-    return Film(stage, Samples(ticks, np.concatenate([values, unknown], axis=1), hears, None))
+        parameters, names = input_log.header.parameters, parameter_names(Population)
+        if not set(names) <= set(parameters):
+            raise UsageError(
+                f"{log} is not of a swarm, so there is nothing to see; mcp-asdf replay checks it"
+            )
+        settings = Population.from_parameters({name: parameters[name] for name in names})
+        spacing = spacing_of(settings.steps, settings.robots)
+        values = np.stack([*_values_of_log(input_log, spacing)])
+    return Film(stage_of(settings), _in_the_world(settings, 0, values, spacing))
 
 
-def _settings_of(header: InputLogHeader) -> Population | None:
-    """The swarm that an input log is of; None if it is of single robots."""
-    names = parameter_names(Population)
-    if not set(names) <= set(header.parameters):
-        return None
-    return Population.from_parameters({name: header.parameters[name] for name in names})
-
-
-def _states(input_log: InputLogReader) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Ticks and values of a film of all robots of an input log.
+def _values_of_log(input_log: InputLogReader, spacing: int) -> Iterator[NDArray[np.float64]]:
+    """Estimates of all robots of an input log after every ``spacing`` steps.
 
     An input log has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
     A robot that was dead keeps the values that it had.
     """
     places = {record.id: place for place, record in enumerate(input_log.header.robots)}
-    steps = input_log.header.parameters.get("steps") or 1
-    spacing = spacing_of(steps, len(places))
-    now = np.array([_values(record.make().robot) for record in input_log.header.robots]).T
-    rows, ticks, settled = [now.copy()], 0, set[int]()
+    now = _estimates(record.make().robot for record in input_log.header.robots)
+    ticks, settled = 0, {*places}  # as if all had settled before the first
     for robot_id, robot in rerun(input_log):
         if robot_id in settled:
+            if ticks % spacing == 0:
+                yield now.copy()
             settled.clear()
             ticks += 1
-            if ticks % spacing == 0:
-                rows.append(now.copy())
         settled.add(robot_id)
-        now[:, places[robot_id]] = _values(robot)
-    if (ticks + 1) % spacing == 0:
-        rows.append(now.copy())
-    return np.arange(len(rows)) * spacing, np.stack(rows)
+        now[:, places[robot_id]] = _estimates([robot])[:, 0]
+    if ticks % spacing == 0:
+        yield now
 
 
-def _values(robot: Robot) -> tuple[float, float, float]:
-    return robot.x, robot.x_hat, robot.b_hat
+def _estimates(robots: Iterable[Robot]) -> NDArray[np.float64]:
+    """x, x_hat and b_hat of robots, shape (3, N)."""
+    return np.array([[robot.x, robot.x_hat, robot.b_hat] for robot in robots]).T
 
 
 def _in_the_world(
-    settings: WorldSettings, trial: int, ticks: NDArray[np.int64], values: NDArray[np.float64]
-) -> Samples:
-    """Samples of robots whose estimates are known, shape (samples, 3, N), with all else from the world."""
-    parts = list(_scenes(settings, trial, ticks))
-    hears, truth = (np.concatenate([each[index] for each in parts]) for index in (0, 1))
-    positions = np.concatenate([each[2] for each in parts]) if settings.is_dynamic else None
-    return Samples(ticks, np.concatenate([values, truth[:, np.newaxis]], axis=1), hears, positions)
+    settings: WorldSettings, trial: int, estimates: NDArray[np.float64], spacing: int
+) -> Iterator[State]:
+    """States of robots whose estimates are known, shape (states, 3, N), with all else from the world.
+
+    Before the first step the world is as in it.
+    """
+    scenes, step = _scenes(World(settings, trial)), 1
+    hears, accuracy, positions = next(scenes)
+    for tick, values in zip(count(0, spacing), estimates):  # noqa: B905 (the ticks have no end)
+        while step < tick:
+            hears, accuracy, positions = next(scenes)
+            step += 1
+        yield State(tick, np.vstack([values, accuracy]), hears.copy(), positions)
 
 
-def _scenes(
-    settings: WorldSettings, trial: int, ticks: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[Any], ...]]:
-    """Links, accuracies and positions in the wanted ticks; before the first tick those of the first."""
-    world, wanted = World(settings, trial), np.maximum(ticks - 1, 0)
-    for first in range(0, int(wanted[-1]) + 1, _STEPS_AT_ONCE):
+def _scenes(world: World) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Who hears whom, accuracies and positions in every step."""
+    while True:
         scene = world.advance(_STEPS_AT_ONCE)
-        chosen = wanted[(wanted >= first) & (wanted < first + _STEPS_AT_ONCE)] - first
-        known = (scene.hears, scene.accuracy, scene.positions)
-        yield tuple(each[chosen] for each in known if each is not None)
+        positions = repeat(None) if scene.positions is None else scene.positions
+        yield from zip(scene.hears, scene.accuracy, positions)  # noqa: B905
 
 
 # --- Runs that go on ----------------------------------------------------------------------------------
@@ -206,22 +180,18 @@ class SwarmCamera:
 
     def __init__(self, settings: SwarmSettings) -> None:
         """Prepare for a run. Raises UsageError if its arena cannot be made."""
-        self.film = LiveFilm(stage_of(settings))
+        self.film = Film(stage_of(settings))
         self._spacing = spacing_of(settings.steps, settings.robots)
 
     def __call__(self, swarm: Swarm) -> None:
         """Take the present state if it is due. O(robots^2)."""
         if swarm.ticks % self._spacing == 0:
             world = swarm.world
-            self.film.add(Sample(swarm.ticks, _values_of(swarm), world.hears.copy(), world.positions))
+            values = np.vstack([_estimates(node.robot for node in swarm.nodes), world.accuracy])
+            self.film.add(State(swarm.ticks, values, world.hears.copy(), world.positions))
 
 
-def _values_of(swarm: Swarm) -> NDArray[np.float64]:
-    states = [[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES[:3]]
-    return np.array([*states, swarm.world.accuracy])
-
-
-SAMPLES_PER_SECOND = 10
+STATES_PER_SECOND = 10
 _X, _X_HAT, _B_HAT, _ = range(len(QUANTITIES))
 
 
@@ -239,7 +209,7 @@ class BusFilm:
         self, bus: can.BusABC, frames: FrameFormat, title: str, f: float | None = None, b: float | None = None
     ) -> None:
         """Listen on ``bus`` for these estimates; the true ``f`` and ``b`` are drawn if they are known."""
-        self.film = LiveFilm(Stage(title, [], fill_ratio=f, steps_per_second=SAMPLES_PER_SECOND))
+        self.film = Film(Stage(title, [], fill_ratio=f, steps_per_second=STATES_PER_SECOND))
         self.has_telemetry = False
         self._bus = bus
         self._frames = frames
@@ -250,13 +220,13 @@ class BusFilm:
         """Film until asked to stop. Raises can.CanError if the bus fails."""
         began, tick = time.monotonic(), 0
         while not should_stop():
-            left = began + tick / SAMPLES_PER_SECOND - time.monotonic()
+            left = began + tick / STATES_PER_SECOND - time.monotonic()
             frame = self._bus.recv(max(left, 0.0))
             if frame is not None:
                 self.hear(frame)
             if left <= 0:
                 self._take(tick)
-                tick = int((time.monotonic() - began) * SAMPLES_PER_SECOND) + 1
+                tick = int((time.monotonic() - began) * STATES_PER_SECOND) + 1
 
     def hear(self, frame: can.Message) -> None:
         """Take a frame of any node. O(1)."""
@@ -276,6 +246,6 @@ class BusFilm:
 
     def _take(self, tick: int) -> None:
         if self._states:
-            count = len(self._states)
             values = np.array(list(self._states.values())).T
-            self.film.add(Sample(tick, values, np.zeros((count, count), np.bool_), None))
+            deaf = np.zeros((len(self._states), len(self._states)), np.bool_)
+            self.film.add(State(tick, values, deaf, None))

@@ -1,6 +1,6 @@
 """The page: one HTML file with its style, its scripts and, if it is sent to somebody, the film as JSON.
 
-A film is a stage and blocks of samples in base64 (``page/film.js`` reads them).
+A film is a stage and blocks of states in base64 (``page/film.js`` reads them).
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.view.film import QUANTITIES, Film, Samples, Stage
+from mcp_asdf_tools.view.film import QUANTITIES, Film, Stage, State
 
 _FOLDER = Path(__file__).parent / "page"
 _MODULES = ("arena", "charts", "colours", "film", "main", "panels", "player")
@@ -26,7 +27,8 @@ def page(film: Film | None = None) -> str:
     """The page with a film in it; without one it asks the server that it comes from."""
     data = "null"
     if film is not None:
-        content = {"stage": stage_as_plain(film.stage), "block": samples_as_plain(film.samples, film.stage)}
+        _, stage, states = film.since()
+        content = {"stage": stage_as_plain(stage), "block": states_as_plain(states, stage)}
         data = json.dumps(content).replace("<", "\\u003c")  # no text in it can end the script
     return _empty_page().replace("__FILM__", data)
 
@@ -69,38 +71,28 @@ def stage_as_plain(stage: Stage) -> dict[str, Any]:
         rows, columns = stage.floor.shape
         bits = _text(np.packbits(stage.floor, axis=1).tobytes())
         floor = {"rows": rows, "columns": columns, "bits": bits}
-    return {
-        "title": stage.title,
-        "robots": list(stage.robots),
-        "flawed": list(stage.flawed),
-        "fillRatio": stage.fill_ratio,
-        "steps": stage.steps,
-        "stepsPerSecond": stage.steps_per_second,
-        "commsPeriod": stage.comms_period,
-        "sides": stage.sides,
-        "radioRange": stage.radio_range,
-        "quantities": QUANTITIES,
-        "floor": floor,
-    }
+    return vars(stage) | {"flawed": [*stage.flawed], "floor": floor, "quantities": QUANTITIES}
 
 
-def samples_as_plain(samples: Samples, stage: Stage) -> dict[str, Any]:
-    """A block of samples: ticks (32 bits), quantities and positions (16 bits), links (1 bit), deflated.
+def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:
+    """A block of states: ticks (32 bits), quantities and positions (16 bits), links (1 bit), deflated.
 
-    Each series is stored as its differences, which are mostly small or 0. O(samples N^2).
+    Each series is stored as its differences, which are mostly small or 0. O(states N^2).
     """
-    count = len(samples.ticks)
-    parts = [samples.ticks.astype("<u4").tobytes()]
-    parts += [_series(samples.values[:, index]) for index in range(len(QUANTITIES))]
-    if samples.positions is not None and stage.sides is not None:
-        places = samples.positions / np.array(stage.sides) + 0.5
+    parts = [np.array([each.tick for each in states], "<u4").tobytes()]
+    values = np.stack([each.values for each in states])
+    parts += [_series(values[:, index]) for index in range(len(QUANTITIES))]
+    positions = [each.positions for each in states if each.positions is not None]
+    if stage.sides is not None:
+        places = np.stack(positions) / np.array(stage.sides) + 0.5
         parts += [_series(places[..., axis]) for axis in (0, 1)]
-    parts.append(np.packbits(samples.hears.reshape(count, -1), axis=1, bitorder="little").tobytes())
-    return {"count": count, "data": _text(b"".join(parts))}
+    links = np.stack([each.hears.ravel() for each in states])
+    parts.append(np.packbits(links, axis=1, bitorder="little").tobytes())
+    return {"count": len(states), "data": _text(b"".join(parts))}
 
 
 def _series(values: NDArray[np.float64]) -> bytes:
-    """Series of values 0 .. 1, shape (samples, N), one robot after the other."""
+    """Series of values 0 .. 1, shape (states, N), one robot after the other."""
     known = np.nan_to_num(np.rint(np.clip(values, 0.0, 1.0) * _SCALE), nan=_UNKNOWN).astype(np.uint16)
     return np.diff(known.T, axis=1, prepend=np.uint16(0)).astype("<u2").tobytes()
 

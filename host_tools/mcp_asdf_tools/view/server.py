@@ -8,16 +8,19 @@ import socket
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING, Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, StreamingResponse
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mcp_asdf_tools.bus.slcan_server import HOST
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.view.film import LiveFilm
-from mcp_asdf_tools.view.page import page, samples_as_plain, stage_as_plain
-
-if TYPE_CHECKING:
-    from starlette.applications import Starlette
-    from starlette.types import ASGIApp, Receive, Scope, Send
+from mcp_asdf_tools.view.film import Film
+from mcp_asdf_tools.view.page import page, states_as_plain, stage_as_plain
 
 _SECONDS_BETWEEN_BLOCKS = 0.1
 _ENDING_SECONDS = 2.0
@@ -30,15 +33,11 @@ _HEADERS = {
 
 
 @contextmanager
-def serving(film: LiveFilm, port: int = 0) -> Iterator[str]:
+def serving(film: Film, port: int = 0) -> Iterator[str]:
     """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. Port 0 is any free one.
 
-    Raises UsageError if the port is taken or the packages of the extra ``view`` are missing.
+    Raises UsageError if the port is taken.
     """
-    try:
-        import uvicorn  # noqa: PLC0415 (an extra)
-    except ImportError as error:
-        raise _missing(error) from error
     with closing(_listen(port)) as listener:
         port = listener.getsockname()[1]
         application = _application(film, port)
@@ -51,16 +50,9 @@ def serving(film: LiveFilm, port: int = 0) -> Iterator[str]:
         try:
             yield f"http://{HOST}:{port}/"
         finally:
-            film.end()
+            film.has_ended = True
             server.should_exit = True
             thread.join(_ENDING_SECONDS)
-
-
-def _missing(error: ImportError) -> UsageError:
-    return UsageError(
-        f"the page needs the package {error.name}: pip install 'mcp-asdf[view]'; mcp-asdf view --export "
-        "writes one that needs no server"
-    )
 
 
 def _listen(port: int) -> socket.socket:
@@ -79,16 +71,7 @@ def _listen(port: int) -> socket.socket:
     return listener
 
 
-def _application(film: LiveFilm, port: int) -> Starlette:
-    try:
-        from starlette.applications import Starlette  # noqa: PLC0415 (an extra)
-        from starlette.middleware import Middleware  # noqa: PLC0415
-        from starlette.requests import Request  # noqa: PLC0415
-        from starlette.responses import HTMLResponse, StreamingResponse  # noqa: PLC0415
-        from starlette.routing import Route  # noqa: PLC0415
-    except ImportError as error:
-        raise _missing(error) from error
-
+def _application(film: Film, port: int) -> Starlette:
     async def show(request: Request) -> HTMLResponse:
         return HTMLResponse(page(), headers=_HEADERS)
 
@@ -109,33 +92,31 @@ class OwnPagesOnly:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or answer 403."""
-        from starlette.responses import PlainTextResponse  # noqa: PLC0415 (an extra)
-
         headers = dict(scope.get("headers", []))
         is_own = (
             headers.get(b"host") in self._hosts
             and headers.get(b"origin", next(iter(self._origins))) in self._origins
             and headers.get(b"sec-fetch-site", b"none") in (b"none", b"same-origin")
         )
-        answer: Any = self._app if is_own else PlainTextResponse("this page is for this computer alone", 403)
+        answer = self._app if is_own else PlainTextResponse("this page is for this computer alone", 403)
         await answer(scope, receive, send)
 
 
-async def _events(film: LiveFilm) -> AsyncIterator[str]:
+async def _events(film: Film) -> AsyncIterator[str]:
     """Server-sent events: a ``stage``, again after each generation, its ``block``s, at last ``end``."""
     generation, index, has_begun, has_ended = 0, 0, False, False
     while not has_ended:
-        has_ended = film.has_ended  # read before the samples, so that none is left behind
-        before, (generation, stage, samples) = generation, film.since(generation, index)
+        has_ended = film.has_ended  # read before the states, so that none is left behind
+        before, (generation, stage, states) = generation, film.since(generation, index)
         if not has_begun or generation != before:
             yield _event("stage", stage_as_plain(stage))
             has_begun, index = True, 0
-        if samples is not None:
-            index += len(samples.ticks)
-            yield _event("block", await asyncio.to_thread(samples_as_plain, samples, stage))
+        if states:
+            index += len(states)
+            yield _event("block", await asyncio.to_thread(states_as_plain, states, stage))
         await asyncio.sleep(0 if has_ended else _SECONDS_BETWEEN_BLOCKS)
     yield _event("end", None)
 
 
-def _event(name: str, content: Any) -> str:
+def _event(name: str, content: object) -> str:
     return f"event: {name}\ndata: {json.dumps(content)}\n\n"

@@ -217,7 +217,7 @@ def test_a_flipped_bit_in_any_word_is_noticed(tmp_path: Path) -> None:
     for word, bit in [(0, bit) for bit in range(32)] + [(word, source.randrange(32)) for word in range(33)]:
         flipped = bytearray(data)
         flipped[4 * word + bit // 8] ^= 1 << bit % 8
-        assert all(problems(tmp_path / "image.bin", flipped)), (word, bit)
+        assert all(problems(tmp_path / "image.bin", bytes(flipped))), (word, bit)
 
 
 @pytest.mark.parametrize(

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import base64
-import threading
-import zlib
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from browser import developed
-from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Telemetry, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view import film as films
-from mcp_asdf_tools.view.film import Film, LiveFilm, Sample, Stage, rows_of
+from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of
-from mcp_asdf_tools.view.page import samples_as_plain, stage_as_plain
+from mcp_asdf_tools.view.page import stage_as_plain
 from mcp_asdf_tools.world.arena import Arena
-from node_thread import node_in_a_thread
-from support import PATIENCE
 
 PARAMETERS: dict[str, Any] = {
     "robots": 7,
@@ -54,7 +47,12 @@ def filmed(**more: Any) -> Film:
     camera = SwarmCamera(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [camera])
-    return developed(camera.film)
+    return camera.film
+
+
+def states(film: Film) -> dict[int, list[Any]]:
+    """All but the tick of each state, by the tick."""
+    return {each.tick: [*each[1:]] for each in film.since()[2]}
 
 
 def trials_of(**more: Any) -> Trials:
@@ -62,53 +60,41 @@ def trials_of(**more: Any) -> Trials:
     return experiments_in(table_of(run_trials(experiment, 0, 2)))[0]
 
 
-def equal(left: Film, right: Film) -> bool:
-    """True if the films agree in all ticks that both have."""
-    both = np.intersect1d(left.samples.ticks, right.samples.ticks)
-    assert len(both) > 200
-    columns = []
-    for film in (left, right):
-        rows, samples = np.isin(film.samples.ticks, both), film.samples
-        places = np.zeros(0) if samples.positions is None else samples.positions[rows]
-        columns.append((samples.values[rows], samples.hears[rows], places))
-    return all(np.array_equal(*pair) for pair in zip(*columns, strict=True))
+def plain(stage: Stage) -> dict[str, Any]:
+    return stage_as_plain(stage) | {"title": stage.title.partition(", trial")[0]}
 
 
 @pytest.mark.parametrize("world", WORLDS, ids=["dynamic", "graph", "fully-connected"])
-def test_a_swarm_its_log_and_its_trial_make_one_film(world: dict[str, Any], tmp_path: Path) -> None:
+def test_a_swarm_its_log_and_its_trial_make_one_film(
+    world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     live, log = filmed(**world), tmp_path / "run.log"
     given = (PARAMETERS | world).items()
     words = [f"--{name.replace('_', '-')}={getattr(value, 'value', value)}" for name, value in given]
     assert main(["swarm", *words, "--log", str(log), "--quiet"]) == 0
     logged, trial = film_of_log(log), film_of_trial(trials_of(**world), 0)
-    assert equal(live, logged)
-    assert equal(live, trial)
-    assert live.stage == logged.stage == trial.stage
-    assert len(logged.samples.ticks) == len(trial.samples.ticks) == 251
+    assert plain(live.stage) == plain(logged.stage) == plain(trial.stage)
+    assert logged.has_ended and trial.has_ended and not live.has_ended
+    assert list(states(logged)) == list(states(trial)) == [*range(251)]
+    assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
+    for other in (logged, trial):
+        for tick, state in states(live).items():
+            assert all(map(np.array_equal, state, states(other)[tick])), tick
+    monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 50)
+    for sparse in (film_of_log(log), film_of_trial(trials_of(**world), 0)):
+        assert list(states(sparse)) == [*range(0, 251, 5)]
+        for tick, state in states(sparse).items():
+            assert all(map(np.array_equal, state, states(logged)[tick])), tick
 
 
 def test_dead_robots_keep_their_values(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     words = ["swarm", "--robots", "4", "--steps", "60", "--fault", "crash=1,robots=2,from=20,ticks=40"]
     assert main([*words, "--log", str(log), "--quiet"]) == 0
-    values = film_of_log(log).samples.values
+    values = np.stack([state[0] for state in states(film_of_log(log)).values()])
     assert len(values) == 61
     assert (values[21:, :3, 2] == values[21, :3, 2]).all()
     assert (values[30, 1, [0, 1, 3]] != values[60, 1, [0, 1, 3]]).all()
-
-
-def test_a_node_has_a_film_without_a_world(tmp_path: Path) -> None:
-    log = tmp_path / "node.log"
-    with node_in_a_thread(f"--id 9 --log {log}") as bus:
-        lockstep = Lockstep(bus, timeout=PATIENCE)
-        for _ in range(30):
-            lockstep.observe({9: Observation.BLACK})
-            lockstep.settle({9})
-    film = film_of_log(log)
-    assert list(film.stage.robots) == [9]
-    assert film.stage.floor is None and film.stage.sides is None
-    assert np.isnan(film.samples.quantity("b")).all()
-    assert film.samples.quantity("x_hat")[-1] != 0.5
 
 
 def test_results_that_do_not_come_out_again_are_refused() -> None:
@@ -116,105 +102,70 @@ def test_results_that_do_not_come_out_again_are_refused() -> None:
     wrong = replace(trials, errors=trials.errors + 1e-9)
     with pytest.raises(UsageError, match="trial 1 does not come out again"):
         film_of_trial(wrong, 1)
-    with pytest.raises(UsageError, match="no trial 2; choose one of 0 to 1"):
-        film_of_trial(trials, 2)
+    assert ", trial 1" in film_of_trial(trials, 1).stage.title
 
 
-def test_the_floor_is_the_one_that_the_robots_see() -> None:
+@pytest.mark.parametrize("floor", ["tiles", "code"])
+def test_the_floor_is_the_one_that_the_robots_see(floor: str) -> None:
     """Of each pixel the middle, and of more tiles than a page shows only as many pixels."""
-    settings = SwarmSettings(robots=3, topology="dynamic", width=1.0, height=0.5)
-    camera, arena = SwarmCamera(settings), Arena(settings, 0)
-    floor = camera.film.stage.floor
-    assert floor is not None and floor.shape == (50, 100)
-    for row, column in ((0, 0), (0, 99), (49, 0), (17, 31)):
-        x, y = (column + 0.5) / 100 - 0.5, 0.25 - (row + 0.5) / 100
-        assert arena.is_black(x, y) == floor[row, column]
-    assert 0.5 < floor.mean() < 0.6
-    small = SwarmCamera(replace(settings, tile=0.0005)).film.stage.floor
-    assert small is not None and small.shape == (800, 800)
+    size = {"width": 1.0, "height": 0.5} if floor == "tiles" else {}
+    settings = SwarmSettings(robots=3, topology="dynamic", floor=floor, **size)  # type: ignore[arg-type]
+    arena, pixels = Arena(settings, 0), SwarmCamera(settings).film.stage.floor
+    assert pixels is not None
+    rows, columns = pixels.shape
+    width, height = settings.sides
+    for row, column in ((0, 0), (0, columns - 1), (rows - 1, 0), (17, 31)):
+        x, y = ((column + 0.5) / columns - 0.5) * width, (0.5 - (row + 0.5) / rows) * height
+        assert arena.is_black(x, y) == pixels[row, column]
+    if floor == "tiles":
+        assert (rows, columns) == (50, 100) and 0.5 < pixels.mean() < 0.6
+        small = SwarmCamera(replace(settings, tile=0.0005)).film.stage.floor
+        assert small is not None and small.shape == (800, 800)
 
 
 def test_a_long_film_of_many_robots_stays_small() -> None:
     assert spacing_of(10_000, 20) == 1
     assert spacing_of(40_000, 20) == 4
     for steps, robots in ((10**9, 1), (10**6, 128), (1, 128), (20_000, 60)):
-        samples = steps / spacing_of(steps, robots)
-        assert samples * robots**2 <= 4_000_000 and samples <= 10_000
+        count = steps / spacing_of(steps, robots)
+        assert count * robots**2 <= 4_000_000 and count <= 10_000
 
 
-def series(content: bytes, count: int, robots: int) -> NDArray[np.float64]:
-    raw = np.cumsum(np.frombuffer(content, "<u2").reshape(robots, count), axis=1, dtype=np.uint16).T
-    return np.where(raw == 65535, np.nan, raw / 65534)
-
-
-def test_what_goes_to_a_page_is_the_film() -> None:
-    """Decoded by a few lines that follow the description of the format."""
-    film = filmed(topology="dynamic")
-    count, robots = film.samples.values.shape[::2]
-    plain = samples_as_plain(film.samples, film.stage)
-    content = zlib.decompress(base64.b64decode(plain["data"]))
-    assert plain["count"] == count
-    assert np.array_equal(np.frombuffer(content[: 4 * count], "<u4"), film.samples.ticks)
-    size, at = 2 * count * robots, 4 * count
-    for index in range(4):
-        found = series(content[at + index * size : at + (index + 1) * size], count, robots)
-        assert np.abs(found - film.samples.values[:, index]).max() <= 0.5 / 65534
-    links = np.unpackbits(
-        np.frombuffer(content[at + 6 * size :], np.uint8).reshape(count, -1), axis=1, bitorder="little"
-    )
-    assert np.array_equal(links[:, : robots**2].reshape(count, robots, robots), film.samples.hears)
-    assert stage_as_plain(film.stage)["flawed"] == [0, 1, 2, 3]
-
-
-def sample(tick: int, robots: int = 2) -> Sample:
-    return Sample(tick, np.full((4, robots), tick / 1e5), np.zeros((robots, robots), np.bool_), None)
+def state(tick: int) -> State:
+    return State(tick, np.full((4, 2), tick / 1e5), np.zeros((2, 2), np.bool_), None)
 
 
 def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(films, "MAX_SAMPLES", 100)
-    live = LiveFilm(Stage("endless", [0, 1]))
+    monkeypatch.setattr(films, "MAX_STATES", 100)
+    live = Film(Stage("endless", [0, 1]))
     for tick in range(1000):
-        live.add(sample(tick))
-        generation, _, samples = live.since(0, 0)
-        assert samples is not None and len(samples.ticks) <= 100
-    assert generation == 4 and samples is not None
-    assert samples.ticks.tolist() == list(range(0, 1000, 16))
-    assert live.since(generation, len(samples.ticks))[2] is None
+        live.add(state(tick))
+        generation, _, taken = live.since()
+        assert len(taken) <= 100
+    assert generation == 4
+    assert [each.tick for each in taken] == list(range(0, 1000, 16))
+    assert live.since(generation, len(taken))[2] == []
 
 
-def test_readers_and_the_writer_do_not_disturb_each_other() -> None:
-    live, read = LiveFilm(Stage("film", [0, 1])), list[int]()
+def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The film takes a state every 0.1 s; a frame comes after 0.05 s, and one after 0.25 s."""
+    frames = {0.05: Telemetry(7, 1 << 22, 1 << 23, 0, 0), 0.25: Telemetry(3, 1 << 21, 1 << 22, 0, 0)}
+    now = [0.0]
 
-    def write() -> None:
-        for tick in range(3000):
-            live.add(sample(tick))
+    def recv(timeout: float) -> can.Message | None:
+        due = next((at for at in frames if at <= now[0] + timeout), None)
+        now[0] = round(now[0] + timeout, 9) if due is None else due
+        return None if due is None else encode_telemetry(frames.pop(due))
 
-    writer = threading.Thread(target=write)
-    writer.start()
-    while writer.is_alive() or len(read) < 3000:
-        _, _, samples = live.since(0, len(read))
-        read += [] if samples is None else samples.ticks.tolist()
-    assert read == list(range(3000))
-
-
-def test_a_bus_is_filmed_as_robots_join() -> None:
-    with can.Bus("films", "virtual") as bus:
-        watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
-        watch.hear(encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)))
-        watch._take(0)
-        watch.hear(encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)))
-        watch._take(1)
-    film = developed(watch.film)
-    assert list(film.stage.robots) == [7, 3]
-    expected = [[[0.5, np.nan], [np.nan] * 2, [0.5, np.nan], [0.9, np.nan]]]
-    expected += [[[0.5, 0.25], [np.nan] * 2, [0.5, 0.25], [0.9, 0.9]]]
-    assert np.array_equal(film.samples.values, expected, equal_nan=True)
-    assert watch.has_telemetry
-
-
-def test_rows_are_the_samples() -> None:
-    film = filmed()
-    live = LiveFilm(film.stage)
-    for row in rows_of(film.samples):
-        live.add(row)
-    assert equal(developed(live), film)
+    bus: Any = SimpleNamespace(recv=recv)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
+    watch.record(lambda: now[0] >= 0.4)
+    _, stage, taken = watch.film.since()
+    assert stage.robots == [7, 3] and watch.has_telemetry
+    unknown = [np.nan, np.nan]
+    first = [[0.5, np.nan], unknown, [0.5, np.nan], [0.9, np.nan]]
+    last = [[0.5, 0.25], unknown, [0.5, 0.25], [0.9, 0.9]]
+    assert [each.tick for each in taken] == [1, 2, 3]
+    for each, expected in zip(taken, (first, first, last), strict=True):
+        assert np.array_equal(each.values, expected, equal_nan=True)

@@ -1,13 +1,10 @@
-// The arena: floor, robots, their radio range, who hears whom, and messages as they pass.
+// The arena: floor, robots, their radio range, and who hears whom.
 
 import { colour, colourOfError } from "view/colours";
 
 const BODY_RADIUS = 0.0704;
 const TURN = 2 * Math.PI;
-const SLOW = 3;
-const FLIGHTS_PER_SECOND = 1.2;
-const MOST_FLIGHTS = 240;
-const TRAIL_SAMPLES = 120;
+const MANY_LINKS = 240;
 
 export class Arena {
   constructor(canvas) {
@@ -22,11 +19,6 @@ export class Arena {
     this.film = film;
     this.floor = null;
     this.flawed = new Set(film.stage.flawed);
-  }
-
-  /** The floor is painted anew, in the colours of the present theme. */
-  repaint() {
-    this.floor = null;
   }
 
   #resize() {
@@ -71,30 +63,19 @@ export class Arena {
     return sample;
   }
 
-  /** Draws the state at a tick. `flow` counts messages' flights, `chosen` is the robot followed, or null. */
-  draw(tick, { flow, stepsPerSecond, chosen, recent }) {
+  /** Draws the state at a tick; `chosen` is the robot followed, or null. */
+  draw(tick, chosen) {
     const { context, film } = this;
     this.#fit();
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.#drawFloor();
-    if (film.length === 0) return;
     const sample = this.#place(tick);
     this.radius = film.moves
       ? Math.max(BODY_RADIUS * this.scale, 6 * this.ratio)
       : Math.min((this.scale * Math.PI) / film.robots / 1.6, 15 * this.ratio);
-    const links = this.#links(sample);
-    this.#drawRanges(sample, chosen);
-    if (chosen !== null && film.moves) this.#drawTrail(sample, chosen);
-    this.#drawLinks(links, chosen);
-    this.#drawMessages(links, sample, this.#phase(tick, flow, stepsPerSecond), chosen);
-    for (const { robot, age } of recent) this.#drawUpdate(robot, age, sample);
+    if (film.moves) this.#drawRanges(sample, chosen);
+    this.#drawLinks(this.#links(sample), chosen);
     for (let robot = film.robots - 1; robot >= 0; robot--) this.#drawRobot(robot, sample, chosen);
-  }
-
-  /** Slow films show each broadcast, and fast ones so many that the eye can follow. */
-  #phase(tick, flow, stepsPerSecond) {
-    const period = this.film.stage.commsPeriod;
-    return stepsPerSecond / period <= SLOW ? tick / period : flow * FLIGHTS_PER_SECOND;
   }
 
   #links(sample) {
@@ -127,7 +108,6 @@ export class Arena {
 
   #drawRanges(sample, chosen) {
     const { context, film } = this;
-    if (!film.moves) return;
     const [width, height] = this.size;
     context.save();
     context.beginPath();
@@ -136,7 +116,7 @@ export class Arena {
     context.lineWidth = this.ratio;
     this.places.forEach(([x, y], robot) => {
       context.beginPath();
-      context.arc(x, y, film.stage.radioRange * this.scale, 0, TURN);
+      context.arc(x, y, film.stage.radio_range * this.scale, 0, TURN);
       context.strokeStyle = context.fillStyle = colourOfError(film.wrongness(robot, sample));
       context.globalAlpha = robot === chosen ? 0.16 : 0.035;
       context.fill();
@@ -146,64 +126,28 @@ export class Arena {
     context.restore();
   }
 
-  #drawTrail(sample, chosen) {
-    const { context, film } = this;
-    context.beginPath();
-    for (let i = Math.max(0, sample - TRAIL_SAMPLES); i <= sample; i++) {
-      context.lineTo(...this.#toPixels(film.position(chosen, i)));
-    }
-    context.lineTo(...this.places[chosen]);
-    context.strokeStyle = colour("focus");
-    context.lineWidth = 2 * this.ratio;
-    context.stroke();
-  }
-
   #drawLinks(links, chosen) {
     const { context } = this;
-    context.lineWidth = 1.4 * this.ratio;
-    context.strokeStyle = colour("link");
-    context.globalAlpha = links.length > MOST_FLIGHTS ? 0.16 : 0.75;
-    context.beginPath();
-    for (const [sender, receiver] of links) {
-      if (sender === chosen || receiver === chosen) continue;
-      context.moveTo(...this.places[sender]);
-      context.lineTo(...this.places[receiver]);
-    }
-    context.stroke();
+    const isOfChosen = (pair) => pair.includes(chosen);
+    this.#drawLines(
+      links.filter((pair) => !isOfChosen(pair)),
+      colour("link"),
+      links.length > MANY_LINKS ? 0.16 : 0.75,
+    );
+    this.#drawLines(links.filter(isOfChosen), colour("focus"), 1);
     context.globalAlpha = 1;
-    context.strokeStyle = colour("focus");
+  }
+
+  #drawLines(pairs, style, alpha) {
+    const { context } = this;
+    context.lineWidth = 1.4 * this.ratio;
+    context.strokeStyle = style;
+    context.globalAlpha = alpha;
     context.beginPath();
-    for (const [sender, receiver] of links) {
-      if (sender !== chosen && receiver !== chosen) continue;
+    for (const [sender, receiver] of pairs) {
       context.moveTo(...this.places[sender]);
       context.lineTo(...this.places[receiver]);
     }
-    context.stroke();
-  }
-
-  /** A dot on its way from sender to receiver, coloured as the sender; all of a robot leave together. */
-  #drawMessages(links, sample, phase, chosen) {
-    const { context, film } = this;
-    const isCrowded = links.length > MOST_FLIGHTS;
-    for (const [sender, receiver] of links) {
-      if (isCrowded && receiver !== (chosen ?? 0)) continue;
-      const share = (phase + 0.37 * sender) % 1;
-      const [from, to] = [this.places[sender], this.places[receiver]];
-      context.beginPath();
-      const [x, y] = [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1])];
-      context.arc(x, y, 3 * this.ratio, 0, TURN);
-      context.fillStyle = colourOfError(film.wrongness(sender, sample));
-      context.fill();
-    }
-  }
-
-  /** A ring that grows from a robot that has just changed its mind about its sensor. */
-  #drawUpdate(robot, age, sample) {
-    const { context } = this;
-    context.beginPath();
-    context.arc(...this.places[robot], this.radius * (1.2 + 2.6 * age), 0, TURN);
-    context.strokeStyle = colourOfError(this.film.wrongness(robot, sample));
-    context.lineWidth = 3 * this.ratio * (1 - age);
     context.stroke();
   }
 
@@ -245,21 +189,15 @@ function paintedFloor({ rows, columns, bits }) {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [columns, rows];
   const context = canvas.getContext("2d");
-  const image = context.createImageData(columns, rows);
-  const pixels = new Uint32Array(image.data.buffer);
-  const [white, black] = ["white-tile", "black-tile"].map((name) => pixelOf(colour(name)));
+  context.fillStyle = colour("white-tile");
+  context.fillRect(0, 0, columns, rows);
+  context.fillStyle = colour("black-tile");
   const stride = Math.ceil(columns / 8);
   for (let row = 0; row < rows; row++) {
     for (let column = 0; column < columns; column++) {
       const isBlack = (bits[row * stride + (column >> 3)] >> (7 - (column & 7))) & 1;
-      pixels[row * columns + column] = isBlack ? black : white;
+      if (isBlack) context.fillRect(column, row, 1, 1);
     }
   }
-  context.putImageData(image, 0, 0);
   return canvas;
-}
-
-function pixelOf(hex) {
-  const value = Number.parseInt(hex.slice(1), 16);
-  return (0xff000000 | ((value & 0xff) << 16) | (value & 0xff00) | (value >> 16)) >>> 0;
 }

@@ -4,13 +4,13 @@ import { colour } from "view/colours";
 
 const COLUMNS = 480;
 const PANELS = [
-  { name: "b_hat", label: "b_hat: how far each robot trusts its sensor", truth: "b", symbol: "b" },
-  { name: "x_hat", label: "x_hat: what each sees by itself", truth: "fillRatio", symbol: "f" },
-  { name: "x", label: "x: what each believes after hearing its neighbours", truth: "fillRatio", symbol: "f" },
+  { name: "b_hat", label: "b_hat: how far each robot trusts its sensor", symbol: "b" },
+  { name: "x_hat", label: "x_hat: what each sees by itself", symbol: "f" },
+  { name: "x", label: "x: what each believes after hearing its neighbours", symbol: "f" },
 ];
 
 /** Smallest and largest value of each column, as data for uPlot: ticks, a row per robot, then the truth. */
-function thinned(film, name, truth) {
+function thinned(film, { name, symbol }) {
   const columns = Math.min(COLUMNS, film.length);
   const ticks = new Float64Array(2 * columns);
   const series = film.stage.robots.map(() => new Array(2 * columns));
@@ -20,7 +20,7 @@ function thinned(film, name, truth) {
     const end = Math.max(first + 1, Math.floor(((column + 1) * film.length) / columns));
     ticks[2 * column] = film.ticks[first];
     ticks[2 * column + 1] = film.ticks[end - 1] + (end - first === 1 ? 1e-6 : 0);
-    truths[2 * column] = truths[2 * column + 1] = truthOf(film, truth, first);
+    truths[2 * column] = truths[2 * column + 1] = truthOf(film, symbol, first);
     series.forEach((values, robot) => {
       const [low, high, lowFirst] = extremes(film, name, robot, first, end);
       values[2 * column] = lowFirst ? low : high;
@@ -30,11 +30,9 @@ function thinned(film, name, truth) {
   return [ticks, ...series, truths];
 }
 
-function truthOf(film, truth, sample) {
-  return truth === "b" ? known(film.value("b", 0, sample)) : film.stage.fillRatio;
-}
-
-function known(value) {
+/** The true b of the first robot or f; null if unknown. */
+function truthOf(film, symbol, sample) {
+  const value = symbol === "b" ? film.value("b", 0, sample) : film.stage.fill_ratio;
   return Number.isNaN(value) ? null : value;
 }
 
@@ -65,32 +63,21 @@ function limits([, ...series]) {
 }
 
 export class Charts {
-  constructor(parent, onScrub) {
+  constructor(parent) {
     this.parent = parent;
-    this.onScrub = onScrub;
     this.plots = [];
+    this.chosen = null;
     new ResizeObserver(() => this.#fit()).observe(parent);
   }
 
   show(film) {
     this.film = film;
     this.drawn = -1;
-    this.#build();
-  }
-
-  /** All charts anew, in the colours of the present theme. */
-  #build() {
     for (const { plot } of this.plots) plot.destroy();
     this.parent.replaceChildren();
     this.plots = PANELS.map((panel, index) => this.#panel(panel, index === PANELS.length - 1));
     this.#fit();
     this.update();
-  }
-
-  repaint() {
-    if (!this.film) return;
-    this.drawn = -1;
-    this.#build();
   }
 
   #panel(panel, isLast) {
@@ -107,7 +94,6 @@ export class Charts {
     const now = document.createElement("div");
     now.className = "now";
     plot.over.append(now);
-    this.#letScrub(plot);
     return { plot, panel, now, truth };
   }
 
@@ -146,24 +132,8 @@ export class Charts {
 
   #stroke(robot, isFlawed) {
     const usual = colour(isFlawed ? "wrong" : "right");
-    if (this.chosen === null || this.chosen === undefined) return `${usual}b0`;
+    if (this.chosen === null) return `${usual}b0`;
     return robot === this.chosen ? colour("focus") : `${usual}40`;
-  }
-
-  /** Dragging along a chart moves the time. */
-  #letScrub(plot) {
-    const { over } = plot;
-    const scrub = (event) => {
-      const { left } = over.getBoundingClientRect();
-      this.onScrub(plot.posToVal(event.clientX - left, "x"));
-    };
-    over.addEventListener("pointerdown", (event) => {
-      over.setPointerCapture(event.pointerId);
-      scrub(event);
-    });
-    over.addEventListener("pointermove", (event) => {
-      if (over.hasPointerCapture(event.pointerId)) scrub(event);
-    });
   }
 
   #fit() {
@@ -180,12 +150,7 @@ export class Charts {
   /** The robot whose lines stand out, or null. */
   follow(robot) {
     this.chosen = robot;
-    for (const { plot } of this.plots) {
-      plot.series.forEach((series, index) => {
-        series.width = index === (robot ?? -2) + 1 ? 2.5 : index > this.film.robots ? 1.5 : 1.2;
-      });
-      plot.redraw(false);
-    }
+    for (const { plot } of this.plots) plot.redraw(false);
   }
 
   /** Takes samples that have come since. O(samples). */
@@ -193,8 +158,8 @@ export class Charts {
     if (!this.film || this.film.length === this.drawn || this.film.length === 0) return;
     this.drawn = this.film.length;
     for (const { plot, panel, truth } of this.plots) {
-      plot.setData(thinned(this.film, panel.name, panel.truth));
-      const value = truthOf(this.film, panel.truth, this.film.length - 1);
+      plot.setData(thinned(this.film, panel));
+      const value = truthOf(this.film, panel.symbol, this.film.length - 1);
       truth.textContent = value === null ? "" : `${panel.symbol} = ${+value.toFixed(3)}`;
     }
   }

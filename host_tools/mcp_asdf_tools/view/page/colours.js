@@ -1,6 +1,6 @@
-// Colours, read from the style so that light and dark are in one place.
+// Colours, read from the style, where those of a light and a dark system are in one place.
 
-let cache = new Map();
+const cache = new Map();
 
 /** A colour of the style by its name. */
 export function colour(name) {
@@ -10,14 +10,6 @@ export function colour(name) {
     cache.set(name, value);
   }
   return value;
-}
-
-/** Takes another theme, or the next one; returns its name. */
-export function setTheme(name) {
-  const root = document.documentElement;
-  root.dataset.theme = name ?? (root.dataset.theme === "dark" ? "light" : "dark");
-  cache = new Map();
-  return root.dataset.theme;
 }
 
 function channels(hex) {

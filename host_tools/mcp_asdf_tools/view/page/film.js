@@ -31,9 +31,10 @@ export class Film {
     }
     this.linkBytes = Math.ceil(this.robots ** 2 / 8);
     this.links = new Uint8Array(0);
+    this.events = [];
   }
 
-  /** An empty film on a stage as view/wire.py writes it. */
+  /** An empty film on a stage as view/page.py writes it. */
   static async on(stage) {
     const { floor } = stage;
     if (floor === null) return new Film(stage);
@@ -41,7 +42,7 @@ export class Film {
     return new Film({ ...stage, floor: { ...floor, bits } });
   }
 
-  /** Takes a block of samples, laid out as view/wire.py writes it. */
+  /** Takes a block of samples, laid out as view/page.py writes it. */
   async append({ count, data }) {
     const buffer = await inflated(data);
     const total = this.length + count;
@@ -56,7 +57,9 @@ export class Film {
     }
     this.links = grown(this.links, total * this.linkBytes);
     this.links.set(new Uint8Array(buffer, offset), this.length * this.linkBytes);
+    const first = Math.max(this.length, 1);
     this.length = total;
+    for (let sample = first; sample < total; sample++) this.#findEvents(sample);
   }
 
   /** Differences along each robot's series become values, the robots of a sample beside each other. */
@@ -109,20 +112,13 @@ export class Film {
     return Math.abs(this.value("b_hat", robot, sample) - this.value("b", robot, sample));
   }
 
-  /** Robot ids that changed their b_hat by more than rounding, with the samples after which they had. */
-  events(from, list) {
-    const column = this.columns.b_hat;
-    const least = 0.002 * SCALE;
-    for (let i = Math.max(from, 1); i < this.length; i++) {
-      for (let robot = 0; robot < this.robots; robot++) {
-        const at = i * this.robots + robot;
-        const [before, after] = [column[at - this.robots], column[at]];
-        if (before === UNKNOWN || after === UNKNOWN) continue;
-        if (Math.abs(after - before) > least) {
-          list.push({ tick: this.ticks[i], sample: i, robot, before: before / SCALE, after: after / SCALE });
-        }
+  /** Notes the robots whose b_hat changed by more than rounding since the sample before. */
+  #findEvents(sample) {
+    this.stage.robots.forEach((_, robot) => {
+      const [before, after] = [sample - 1, sample].map((each) => this.value("b_hat", robot, each));
+      if (Math.abs(after - before) > 0.002) {
+        this.events.push({ tick: this.ticks[sample], sample, robot, before, after });
       }
-    }
-    return list;
+    });
   }
 }

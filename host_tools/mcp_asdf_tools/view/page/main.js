@@ -2,13 +2,11 @@
 
 import { Arena } from "view/arena";
 import { Charts } from "view/charts";
-import { setTheme } from "view/colours";
 import { Film } from "view/film";
-import { showEvents, showFigures, showLegend, showMarks, showRobot } from "view/panels";
+import { showEvents, showFigures, showRobot } from "view/panels";
 import { Player } from "view/player";
 
 const MILLISECONDS_BETWEEN_CHARTS = 250;
-const SECONDS_OF_AN_UPDATE = 0.9;
 
 const find = (id) => document.getElementById(id);
 
@@ -16,11 +14,9 @@ class View {
   constructor() {
     this.player = new Player();
     this.arena = new Arena(find("arena"));
-    this.charts = new Charts(find("charts"), (tick) => this.player.seek(tick));
+    this.charts = new Charts(find("charts"));
     this.film = null;
-    this.events = [];
     this.chosen = null;
-    this.flow = 0;
     this.before = performance.now();
     this.chartsDue = 0;
     this.connectControls();
@@ -29,25 +25,19 @@ class View {
   /** Shows another film, from its start. */
   show(film) {
     this.film = film;
-    this.events = [];
-    this.searched = 0;
     this.arena.show(film);
     this.charts.show(film);
     if (this.chosen !== null && this.chosen >= film.robots) this.chosen = null;
     this.charts.follow(this.chosen);
     find("title").textContent = film.stage.title;
     document.title = `${film.stage.title} – mcp-asdf`;
-    find("events").dataset.end = find("robot").dataset.robot = "";
-    showLegend(find("legend"), film);
+    find("events").dataset.end = "";
   }
 
   /** Takes a block of samples. */
   async append(block) {
     await this.film.append(block);
-    this.film.events(this.searched, this.events);
-    this.searched = this.film.length;
     this.player.end = this.film.lastTick;
-    find("time").max = this.total;
     this.chartsDue = Math.min(this.chartsDue, performance.now() + MILLISECONDS_BETWEEN_CHARTS);
   }
 
@@ -74,16 +64,11 @@ class View {
     const { film, player } = this;
     if (film?.length) {
       player.advance(seconds);
-      if (player.isPlaying || player.isFollowing) this.flow += seconds;
-      const start = performance.now();
       this.draw();
-      this.drawSeconds = (performance.now() - start) / 1000;
       if (now >= this.chartsDue) {
         this.charts.update();
-        showMarks(find("marks"), film, this.events, this.total);
         this.chartsDue = Number.POSITIVE_INFINITY;
       }
-      this.frames = (this.frames ?? 0) + 1;
     }
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -92,56 +77,32 @@ class View {
     const { film, player } = this;
     const { tick } = player;
     const sample = film.sampleAt(tick);
-    const stepsPerSecond = player.isPlaying
-      ? player.speed
-      : player.isFollowing
-        ? Number.POSITIVE_INFINITY
-        : 0;
-    const recent = this.recentUpdates(tick, player.isFollowing ? 200 : player.speed * SECONDS_OF_AN_UPDATE);
-    this.arena.draw(tick, { flow: this.flow, stepsPerSecond, chosen: this.chosen, recent });
+    this.arena.draw(tick, this.chosen);
     this.charts.mark(tick);
-    showFigures(find("figures"), film, sample);
-    showRobot(find("robot"), film, sample, this.chosen, () => this.follow(null));
-    showEvents(find("events"), film, this.events, tick, (event) => {
+    showFigures(film, sample);
+    showRobot(film, sample, this.chosen);
+    showEvents(film, tick, (event) => {
       player.seek(event.tick);
       this.follow(event.robot);
     });
     this.showTime(tick);
   }
 
-  /** Robots that have recalibrated in the last so many steps, with how long ago as a share of these. */
-  recentUpdates(tick, span) {
-    const found = [];
-    for (let i = this.events.findLastIndex((event) => event.tick <= tick); i >= 0; i--) {
-      const age = (tick - this.events[i].tick) / span;
-      if (age > 1) break;
-      found.push({ robot: this.events[i].robot, age });
-    }
-    return found;
-  }
-
   showTime(tick) {
     const { player, film } = this;
-    const { stepsPerSecond } = film.stage;
     find("time").value = tick;
     find("time").max = this.total;
-    const text = `step ${Math.floor(tick)} of ${this.total}, ${(tick / stepsPerSecond).toFixed(1)} s`;
+    const text = `step ${Math.floor(tick)} of ${this.total}, ${(tick / film.stage.steps_per_second).toFixed(1)} s`;
     if (find("clock").textContent !== text) find("clock").textContent = text;
     const sign = player.isPlaying ? "❚❚" : "▶";
     if (find("play").textContent !== sign) find("play").textContent = sign;
     find("live").setAttribute("aria-pressed", String(player.isFollowing));
   }
 
-  togglePlay() {
-    if (this.player.isPlaying) this.player.pause();
-    else this.player.play();
-  }
-
   connectControls() {
-    find("play").addEventListener("click", () => this.togglePlay());
+    find("play").addEventListener("click", () => this.player.toggle());
     find("live").addEventListener("click", () => this.player.follow());
     find("time").addEventListener("input", () => this.player.seek(Number(find("time").value)));
-    find("theme").addEventListener("click", () => this.changeTheme());
     find("arena").addEventListener("click", (event) => this.follow(this.arena.robotAt(event)));
     for (const speed of Player.speeds) {
       find("speed").append(new Option(`${speed} steps/s`, String(speed)));
@@ -153,28 +114,11 @@ class View {
   }
 
   press(event) {
-    if (event.target instanceof HTMLSelectElement || event.target instanceof HTMLInputElement) return;
-    const step = this.film?.length > 1 ? this.film.ticks[1] - this.film.ticks[0] : 1;
-    const actions = {
-      " ": () => this.togglePlay(),
-      ArrowLeft: () => this.player.seek(this.player.tick - step),
-      ArrowRight: () => this.player.seek(this.player.tick + step),
-      Home: () => this.player.seek(0),
-      End: () => (this.isLive ? this.player.follow() : this.player.seek(this.player.end)),
-      Escape: () => this.follow(null),
-    };
-    const action = actions[event.key];
-    if (!action || (event.key === " " && event.target instanceof HTMLButtonElement)) return;
+    const isTyped = event.target instanceof HTMLSelectElement || event.target instanceof HTMLButtonElement;
+    if (event.key === "Escape") this.follow(null);
+    else if (event.key === " " && !isTyped) this.player.toggle();
+    else return;
     event.preventDefault();
-    action();
-  }
-
-  changeTheme(name) {
-    setTheme(name);
-    this.arena.repaint();
-    this.charts.repaint();
-    this.charts.follow(this.chosen);
-    if (this.film) showMarks(find("marks"), this.film, this.events, this.total);
   }
 }
 
@@ -219,7 +163,6 @@ function connect(view) {
       view.isLive = false;
       find("live").hidden = true;
       say("the run has ended");
-      view.chooseSpeed(view.film.lastTick);
       if (view.player.isFollowing) view.player.pause();
     });
   });
@@ -227,7 +170,7 @@ function connect(view) {
 }
 
 async function main() {
-  setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
   const view = new View();
   window.view = view; // for the console, and for tests
   requestAnimationFrame((now) => view.frame(now));

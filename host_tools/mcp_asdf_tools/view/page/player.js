@@ -1,6 +1,5 @@
 // Time: which tick is shown, whether it runs, how fast, and whether it follows a run as it goes.
 
-const SPEEDS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
 const SECONDS_OF_A_FILM = 30;
 
 export class Player {
@@ -13,12 +12,12 @@ export class Player {
   }
 
   /** Speeds to choose from, in steps per second. */
-  static speeds = SPEEDS;
+  static speeds = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
 
   /** The speed at which a film of so many steps takes about half a minute. */
   static speedFor(steps) {
     const wanted = steps / SECONDS_OF_A_FILM;
-    return SPEEDS.find((speed) => speed >= wanted) ?? SPEEDS.at(-1);
+    return Player.speeds.find((speed) => speed >= wanted) ?? Player.speeds.at(-1);
   }
 
   /** Lets time pass. */
@@ -37,6 +36,11 @@ export class Player {
     if (this.tick >= this.end) this.tick = 0;
     this.isPlaying = true;
     this.isFollowing = false;
+  }
+
+  toggle() {
+    if (this.isPlaying) this.pause();
+    else this.play();
   }
 
   pause() {
