@@ -153,7 +153,7 @@ def _in_the_world(
     """
     scenes, step = _scenes(World(settings, trial)), 1
     hears, accuracy, positions = next(scenes)
-    for tick, values in zip(count(0, spacing), estimates):  # noqa: B905 (the ticks have no end)
+    for tick, values in zip(count(0, spacing), estimates):
         while step < tick:
             hears, accuracy, positions = next(scenes)
             step += 1

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from mcp_asdf_tools.bus.slcan_server import HOST
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view.film import Film
-from mcp_asdf_tools.view.page import page, states_as_plain, stage_as_plain
+from mcp_asdf_tools.view.page import page, stage_as_plain, states_as_plain
 
 _SECONDS_BETWEEN_BLOCKS = 0.1
 _ENDING_SECONDS = 2.0

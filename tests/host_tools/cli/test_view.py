@@ -38,7 +38,7 @@ def test_a_log_and_a_trial_are_exported(
     for words, title in (([str(log)], "ASDF+"), ([str(results), *chosen], "no filter")):
         assert main(["view", *words, "--export", str(target), "--json"]) == 0
         report = json.loads(capsys.readouterr().out)
-        assert report == {"export": str(target), "bytes": target.stat().st_size, "samples": 61}
+        assert report == {"export": str(target), "bytes": target.stat().st_size, "states": 61}
         assert f"5 robots, 2 flawed, {title}" in target.read_text()
 
 
