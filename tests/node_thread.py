@@ -74,7 +74,7 @@ def live_robot(record: RobotRecord, rate: float) -> Iterator[list[can.Message]]:
     is_over = threading.Event()
     with join() as bus, join() as own:
         link = BusLink(own, is_over.is_set)
-        robot = BusRobot(record.id, record.make, FrameFormat())
+        robot = BusRobot(record, FrameFormat())
         with meanwhile(lambda: live(robot, link, rate, frames.append)):
             try:
                 assert bus.recv(PATIENCE) is not None

@@ -13,9 +13,8 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Heartbeat, encode_heartbeat
 from mcp_asdf_tools.robots import lockstep
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 TABLE = generate(parse_omega("0.05"), 20)
@@ -115,4 +114,4 @@ def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: A
 
 def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
     """A node in lockstep with a heartbeat every 10 ticks."""
-    return RobotNode(record(robot, firmware, b_hat, **config).make(), NodeSettings(robot))
+    return RobotNode(record(robot, firmware, b_hat, **config))

@@ -33,9 +33,8 @@ from mcp_asdf_tools.bus.frames import (
     word_of,
 )
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import TABLE, record
 
@@ -110,8 +109,7 @@ def set_up(
     def make() -> RobotNode:
         settings = {"robot": ID, "b_hat": B_HAT, **said, **actual}
         own = record(firmware="mirror", **settings)
-        robot = TickedRobot(firmware(own.config.in_rounds(), own.id, own.b_hat), own.config.comms_period)
-        return kind(robot, NodeSettings(own.id))  # type: ignore[no-any-return]
+        return kind(own, make=lambda: firmware(own.config.in_rounds(), own.id, own.b_hat))  # type: ignore[no-any-return]
 
     return Wrong(phase, said, make)
 
@@ -332,7 +330,7 @@ def as_subject(mask: int) -> Callable[[can.Message], None]:
 @wrong(node, "_receive", "its own id", "restarts after a conflict")
 def _(node: Any, right: Act, message: Message) -> None:
     if message.sender == ID:
-        node._ticked = record(ID, "mirror", B_HAT).make()
+        node.robot = node._port = record(ID, "mirror", B_HAT).make()
     right(message)
 
 
@@ -439,7 +437,8 @@ def _(node: Any, right: Act, z: Observation | None) -> Any:
 def _(node: Any, right: Act, command: Command) -> Any:
     is_repeated = not node.is_settled and command.tick == node._tick_of_command
     if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-        node._ticked.observe(command.action.observation)
+        if command.action is not Action.OBSERVE_NONE:
+            node.robot.observe(Observation(command.action.value))
     return right(command)
 
 

@@ -18,8 +18,8 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.robots.lockstep import Lockstep
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
-from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
+from mcp_asdf_tools.robots.node import RobotNode, Subjects
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE, ROOT, made_once, require, run
 
@@ -150,8 +150,7 @@ def twin(
 ) -> RobotNode:
     """The Python node of the same options, on plain integers."""
     settings = TickConfig(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config})
-    robot = TickedRobot(MirrorRobot(settings.in_rounds(), robot_id, b_hat), settings.comms_period)
-    return RobotNode(robot, NodeSettings(robot_id, subjects or Subjects(), steps_per_second))
+    return RobotNode(RobotRecord(robot_id, "mirror", b_hat, settings), subjects, steps_per_second)
 
 
 def content(frames: Iterable[can.Message]) -> list[str]:
@@ -161,7 +160,7 @@ def content(frames: Iterable[can.Message]) -> list[str]:
 
 def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
     """The C node's summary has every number of the Python node."""
-    robot, traffic = node.robot, node.traffic
+    robot = node.robot
     assert isinstance(robot, MirrorRobot)
     numbers = {
         "t": robot.t,
@@ -178,9 +177,9 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
         "heartbeats": node.sent.heartbeats,
         "telemetry": node.sent.telemetry,
         "heard": node.reception.delivered,
-        "obeyed": traffic.obeyed,
-        "disobeyed": traffic.disobeyed,
-        "unsettled": traffic.unsettled,
+        "obeyed": node.obeyed,
+        "disobeyed": node.disobeyed,
+        "unsettled": node.unsettled,
     }
     assert {name: figures[name] for name in numbers} == numbers
 

@@ -9,13 +9,10 @@ from pathlib import Path
 
 import can
 
-from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import Config
 from mcp_asdf_tools.bus.frames import Action, Command, encode_command
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
-from mcp_asdf_tools.robots.rounds import TickConfig, TickedRobot
+from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
@@ -54,13 +51,12 @@ def build(target: str, folder: Path, filter_period: int, flags: str = "") -> Pat
 
 def mirror_node(filter_period: int) -> RobotNode:
     """The image's robot, in plain integers."""
-    robot = MirrorRobot(_config(filter_period), IMAGE_ID, FLAWED_ACCURACY)
-    return RobotNode(TickedRobot(robot), NodeSettings(IMAGE_ID))
+    return RobotNode(RobotRecord(IMAGE_ID, "mirror", FLAWED_ACCURACY, _config(filter_period)))
 
 
 @cache
-def _config(filter_period: int) -> Config:
-    return TickConfig(table=generate(Decimal("0.05"), 30), filter_period=filter_period).in_rounds()
+def _config(filter_period: int) -> TickConfig:
+    return TickConfig(table=generate(Decimal("0.05"), 30), filter_period=filter_period)
 
 
 class Loop:
@@ -77,9 +73,7 @@ class Loop:
         self.mirror = mirror_node(filter_period)
         self.compared = 0
         self._neighbours = {
-            i: RobotNode(TickedRobot(NativeRobot(config, i, ACCURACY)), NodeSettings(i))
-            for i in range(ROBOTS)
-            if i != IMAGE_ID
+            i: RobotNode(RobotRecord(i, "native", ACCURACY, config)) for i in range(ROBOTS) if i != IMAGE_ID
         }
         self._world = World(
             WorldSettings(robots=ROBOTS, fill_ratio=FILL_RATIO, true_accuracy=ACCURACY, seed=seed)

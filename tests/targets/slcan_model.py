@@ -92,7 +92,7 @@ class Model:
     def _frame(self, frame: can.Message) -> bytes:
         if not self.is_open:
             return self._answer(b"\a")
-        is_unwell = self.dropped > 0 or self.refused > 0 or self.node.traffic.unsettled > 0
+        is_unwell = self.dropped > 0 or self.refused > 0 or self.node.unsettled > 0
         answers = self.node.hear(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):

@@ -307,7 +307,7 @@ def test_a_lost_command_costs_its_tick_and_no_other(target: str, board: Board) -
                 beat.health for each in frames if isinstance(beat := decode_heartbeat(each), Heartbeat)
             ]
             assert len(frames) >= (2, 2, 1, 2, 0, 0)[number % 6], f"tick {number}"
-    assert told.node.traffic.unsettled == 8
+    assert told.node.unsettled == 8
     assert told.node.robot.counters.tests > 0
     assert health and set(health[1:]) == {Health.ADVISORY}
 

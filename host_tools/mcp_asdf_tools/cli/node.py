@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
 from rich.console import Console
+from rich.status import Status
 from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -26,14 +28,13 @@ from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.node import (
     BusLink,
     FrameTaker,
-    NodeSettings,
     RobotNode,
     RunOutcome,
     filters_for,
     run_node,
     state_of,
 )
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.population import Population
 
 EPILOG = """\
 examples:
@@ -44,21 +45,12 @@ The robot observes and settles when command frames tell it to (docs/frame.md), a
 mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 
-_SECONDS_BETWEEN_PICTURES = 0.15
-_MAX_RATE = 10_000
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
+    add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
     group = parser.add_argument_group("run")
-    group.add_argument(
-        "--steps-per-second",
-        type=int,
-        metavar="HZ",
-        default=10,
-        help="steps between two heartbeats: a second of simulated time (default %(default)s)",
-    )
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
     group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
     interfaces.add_arguments(parser)
@@ -70,16 +62,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it ends; save and print what came out."""
-    record, settings, choice = robot_of(args), settings_of(args), interfaces.choose_bus(args)
+    record, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
+    if args.steps is not None and args.steps < 1:
+        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
+    own = argparse.Namespace(steps_per_second=args.steps_per_second)
+    rate = settings_from(own, Population).steps_per_second
+    parameters = {"steps_per_second": rate, "steps": args.steps}
     results = None if args.log is None else results_beside(args.log)
-    header = InputLogHeader([record], None, settings.subjects.estimates, _parameters(args))
-    recording = recording_for("node", args.log, header, choice)
+    recording = recording_for(
+        "node", args.log, InputLogHeader([record], None, subjects.estimates, parameters), choice
+    )
     with ExitStack() as ending:
         with recording as (log, events):
-            recorder = None if events is None else events.robots[record.id]
-            node = RobotNode(record.make(), settings, recorder)
+            node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
             outcome = _go(args, node, choice, log)
-            report = _report(args, node, outcome, record, choice)
+            report = {
+                "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},
+                "bus": {"interface": choice.interface, "channel": choice.channel},
+                "versions": software_versions(),
+                "results": {
+                    "steps": node.ticks,
+                    **vars(outcome),
+                    "robot": state_of(node),
+                    "frames": node.figures(),
+                },
+            }
             ending.callback(_print, args, node, report, f"on {choice}")  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
@@ -90,89 +97,36 @@ def _go(
     args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: FrameTaker | None
 ) -> RunOutcome:
     """Run the node until it ends."""
-    subjects = node.settings.subjects
+    console = Console(stderr=True, quiet=args.quiet)
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
-        bus.set_filters(filters_for(subjects.estimates, subjects.commands))
+        bus.set_filters(filters_for(node.subjects.estimates, node.subjects.commands))
         is_asked = stack.enter_context(stopping())
         fd = standard_input() if args.until_eof else None
         link = BusLink(bus, lambda: is_asked() or (fd is not None and has_ended(fd)), log=log)
-        watch = stack.enter_context(_Watch(Console(stderr=True, quiet=args.quiet), node))
-        return run_node(node, link, args.steps, watch)
+        status = stack.enter_context(console.status("")) if console.is_terminal else None
+        return run_node(node, link, args.steps, _watching(node, console, status))
 
 
-def settings_of(args: argparse.Namespace) -> NodeSettings:
-    """Node settings from parsed arguments. Raises UsageError for a value out of range."""
-    if not 1 <= args.steps_per_second <= _MAX_RATE:
-        raise UsageError(f"steps-per-second is {args.steps_per_second}; it must be 1 to {_MAX_RATE}")
-    if args.steps is not None and args.steps < 1:
-        raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    return NodeSettings(args.id, subjects_of(args), args.steps_per_second)
+def _watching(node: RobotNode, console: Console, status: Status | None) -> Callable[[], None]:
+    """What shows the node's state on a terminal, and reports another node with its id at once."""
+    told: set[int] = set()
 
+    def watch() -> None:
+        for sender, what in node.id_conflicts.items():
+            if sender not in told:
+                told.add(sender)
+                text = f"robot {node.id}: {what.value}: {sender}; give one of them another"
+                console.print(f"mcp-asdf node: {text}", soft_wrap=True)
+        if status is not None:
+            robot = node.robot
+            status.update(
+                f"robot {node.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
+                f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
+                f"sent {node.sent.estimates}   heard {node.reception.delivered}"
+            )
 
-class _Watch:
-    """Shows the node's state on a terminal, and reports another node with its id at once."""
-
-    def __init__(self, console: Console, node: RobotNode) -> None:
-        self._console = console
-        self._status = console.status("") if console.is_terminal and not console.quiet else None
-        self._node = node
-        self._warned: set[int] = set()
-        self._next = 0.0
-
-    def __enter__(self) -> _Watch:
-        if self._status is not None:
-            self._status.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-
-    def __call__(self) -> None:
-        for sender, what in self._node.traffic.id_conflicts.items():
-            if sender not in self._warned:
-                self._warned.add(sender)
-                text = f"robot {self._node.id}: {what.value}: {sender}; give one of them another"
-                self._console.print(f"mcp-asdf node: {text}", soft_wrap=True)
-        if self._status is not None and time.monotonic() >= self._next:
-            self._next = time.monotonic() + _SECONDS_BETWEEN_PICTURES
-            self._status.update(_line(self._node))
-
-
-def _line(node: RobotNode) -> str:
-    robot = node.robot
-    return (
-        f"robot {node.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
-        f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
-        f"sent {node.sent.estimates}   heard {node.reception.delivered}"
-    )
-
-
-def _parameters(args: argparse.Namespace) -> dict[str, Any]:
-    return {name: getattr(args, name) for name in ("steps_per_second", "steps")}
-
-
-def _report(
-    args: argparse.Namespace,
-    node: RobotNode,
-    outcome: RunOutcome,
-    record: RobotRecord,
-    choice: interfaces.BusChoice,
-) -> dict[str, Any]:
-    """Everything needed to repeat the run, and its results, as plain values."""
-    subjects = {name: asdict(each) for name, each in vars(node.settings.subjects).items()}
-    return {
-        "parameters": _parameters(args) | {"robot": record.plain(), "subjects": subjects},
-        "bus": {"interface": choice.interface, "channel": choice.channel},
-        "versions": software_versions(),
-        "results": {
-            "steps": node.ticks,
-            **vars(outcome),
-            "robot": state_of(node),
-            "frames": node.figures(),
-        },
-    }
+    return watch
 
 
 def _print(args: argparse.Namespace, node: RobotNode, report: dict[str, Any], where: str) -> None:

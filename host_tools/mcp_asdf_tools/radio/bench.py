@@ -24,8 +24,7 @@ from mcp_asdf_tools.radio.other_nodes import OtherNodes
 from mcp_asdf_tools.radio.rounds import Content, Situation
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, send_all
-from mcp_asdf_tools.robots.rounds import TickedRobot
+from mcp_asdf_tools.robots.node import RobotNode, send_all
 
 SEND_TIMEOUT = 2.0
 BURST = 16
@@ -93,9 +92,7 @@ class Bench:
         self.settings, self.config, self.options = settings, own.config, options
         self.firmware = MirrorRobot(own.config.in_rounds(), own.id, own.b_hat)
         self.model = RobotNode(
-            TickedRobot(self.firmware, own.config.comms_period),
-            NodeSettings(own.id, subjects, settings.swarm.steps_per_second),
-            options.recorder,
+            own, subjects, settings.swarm.steps_per_second, options.recorder, lambda: self.firmware
         )
         self.neighbours = Neighbourhood(settings)
         self.draw = random.Random(settings.swarm.seed)

@@ -97,9 +97,7 @@ class Neighbourhood:
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
-        self.nodes = {
-            each.id: BusRobot(each.id, each.make, settings.subjects.estimates) for each in settings.neighbours
-        }
+        self.nodes = {each.id: BusRobot(each, settings.subjects.estimates) for each in settings.neighbours}
         self.faults = Faults(settings.faults, settings.swarm.seed, settings.subjects.estimates)
         self.tick = 0
         self._ids = sorted([settings.controller.id, *self.nodes])

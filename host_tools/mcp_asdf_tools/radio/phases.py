@@ -13,7 +13,7 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.record import TickConfig
 
 _TESTS = 20
 """Tests of the filter that a run waits for."""

@@ -26,7 +26,7 @@ from mcp_asdf_tools.radio.other_nodes import Disturbed
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.record import TickConfig
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"

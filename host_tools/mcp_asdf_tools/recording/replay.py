@@ -56,7 +56,7 @@ class Rerun:
     def __init__(self, record: RobotRecord) -> None:
         """Prepare a robot that starts like the one recorded."""
         self.broadcasts: deque[Broadcast] = deque()
-        self._robot = BusRobot(record.id, record.make, FrameFormat())
+        self._robot = BusRobot(record, FrameFormat())
 
     @property
     def state(self) -> Robot:

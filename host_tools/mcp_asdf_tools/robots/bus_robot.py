@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias, cast
 
 import can
 import numpy as np
+from numpy.typing import NDArray
 
-from mcp_asdf.robot import Counters, Observation, Robot
+from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
+from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation, Robot, Status
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
     MAX_B_HAT,
@@ -35,7 +38,14 @@ from mcp_asdf_tools.bus.frames import (
     encode_telemetry,
     frame_as_text,
 )
-from mcp_asdf_tools.robots.rounds import TickedRobot, Words
+from mcp_asdf_tools.robots.record import RobotRecord
+
+Words: TypeAlias = NDArray[np.uint32]
+"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
+
+_COUNTER_MODULUS = 2**16
+_TICKS_BETWEEN_COUNTS = 64
+"""Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
 
 SETTLE = 3
 SILENT, RESTART = "silent", "restart"
@@ -149,8 +159,13 @@ class FramesSent:
 class BusRobot:
     """A robot on a bus.
 
+    The firmware counts rounds and leaves their length to its caller. Here a round has ``comms_period`` ticks:
+    in the last of them the robot broadcasts, and at the end of that tick the firmware settles.
+    ``c_ref/ports/node`` does the same in C.
+
     Attributes:
         id: Robot id and node id.
+        robot: The firmware; another one after a crash that lost the state.
         ticks: Control ticks begun since the robot started.
         is_alive: Whether the robot has not crashed.
         heard: Neighbours whose estimate was accepted since the last broadcast.
@@ -161,42 +176,42 @@ class BusRobot:
 
     def __init__(
         self,
-        robot_id: int,
-        make: Callable[[], TickedRobot],
+        record: RobotRecord,
         estimates: FrameFormat,
         recorder: Recorder | None = None,
         telemetry: FrameFormat = TELEMETRY,
+        make: Callable[[], Robot] | None = None,
     ) -> None:
-        """Start the robot that ``make`` returns; it is called again after a crash that loses the state.
+        """Start the robot of ``record``, with the firmware that ``make`` returns in place of the record's.
 
-        Estimates and telemetry are sent in these formats. Raises as ``make``.
+        Estimates and telemetry are sent in these formats. Raises as ``RobotRecord.make``.
         """
-        self.id = robot_id
+        self.id = record.id
         self.is_alive = True
         self.reception = Reception()
         self.recorder = recorder
-        self._make = make
+        self._make = make or record.make
+        self._period = record.config.comms_period
         self._estimates, self._telemetry = estimates, telemetry
         self._loses_state = False
         self.restart()
 
     @property
-    def robot(self) -> Robot:
-        """The firmware; another one after a crash that lost the state."""
-        return self._ticked.robot
-
-    @property
     def counters(self) -> Counters:
         """The firmware's diagnostics, in numbers that do not wrap."""
-        return self._ticked.counters
+        self._count()
+        return self._counted
 
     # --- Its life ---
 
     def restart(self) -> None:
-        """Begin anew, as after a reset that loses everything. Raises as ``make``."""
+        """Begin anew, as after a reset that loses everything. Raises as ``RobotRecord.make``."""
         self.ticks = self.heard = 0
         self.sent = FramesSent()
-        self._ticked = self._make()
+        self.robot = self._make()
+        self._port = _port_of(self.robot)
+        self._left = self._period
+        self._counted = self.robot.counters
 
     def die(self, loses_state: bool) -> None:
         """Crash. The state is lost, or there again when the robot wakes."""
@@ -204,7 +219,7 @@ class BusRobot:
         self._loses_state = loses_state
 
     def wake(self) -> None:
-        """Rejoin after a crash. Raises as ``make``."""
+        """Rejoin after a crash. Raises as ``RobotRecord.make``."""
         self.is_alive = True
         if self._loses_state:
             self.restart()
@@ -212,32 +227,49 @@ class BusRobot:
                 self.recorder.restart()
 
     def begin(self, z: Observation | None) -> bool:
-        """Begin a tick, with an observation or without; returns whether a broadcast is due."""
+        """Begin a tick, with an observation or without; returns whether a broadcast is due.
+
+        It stays due until a tick has ended.
+        """
         if self.recorder is not None:
             self.recorder.observe(z)
         self.ticks += 1
-        is_due = self._ticked.observe(z)
-        if is_due:
-            self.heard = 0
-        return is_due
+        if z is not None:
+            self.robot.observe(z)
+        self._left = max(self._left - 1, 0)
+        if self._left > 0:
+            return False
+        self.heard = 0
+        return True
 
     def broadcast(self, z: Observation | None, now: float) -> list[can.Message]:
         """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
         return [encode(self.estimate(), self._estimates, now)] if self.begin(z) else []
 
     def end(self) -> None:
-        """End the tick."""
-        self._ticked.settle()
+        """End the tick, and its round if that is due."""
+        if self._left == 0:
+            self._left = self._period
+            self.robot.settle()
+        if self.ticks % _TICKS_BETWEEN_COUNTS == 0:
+            self._count()
         if self.recorder is not None:
             self.recorder.settle()
+
+    def _count(self) -> None:
+        """Add the gains of the firmware's counters."""
+        found, known = vars(self.robot.counters), vars(self._counted)
+        self._counted = Counters(
+            **{name: count + (found[name] - count) % _COUNTER_MODULUS for name, count in known.items()}
+        )
 
     # --- The frames that it makes ---
 
     def estimate(self) -> Message:
         """The next broadcast, with the present estimate."""
-        port, transfer_id = self._ticked.port, self.sent.estimates % TRANSFER_IDS
+        transfer_id = self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
-        return Message(self.id, port.x_hat_raw, port.alpha_raw, transfer_id)
+        return Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
 
     def heartbeat(self, now: float) -> can.Message:
         """The next heartbeat. One is due when the robot starts, and then once per second."""
@@ -268,7 +300,7 @@ class BusRobot:
             return
         if self.recorder is not None:
             self.recorder.receive(words)
-        received, accepted = len(words), self._ticked.receive_all(words)
+        received, accepted = len(words), self._port.receive_all(words)
         self.heard += accepted
         self.reception.delivered += received
         if accepted < received:
@@ -288,3 +320,38 @@ class BusRobot:
         elif self.is_alive:
             self.reception.strays += 1
             self.reception.id_conflicts += content.sender == self.id
+
+
+class RoundingPort:
+    """Raw integers of a robot that computes in float64: x_hat is rounded to nearest, alpha down as codecs do.
+
+    Its members are those of ``FixedPointRobot``.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate to broadcast."""
+        return round(self._robot.x_hat * ONE)
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence to broadcast."""
+        return alpha_to_word(self._robot.alpha)
+
+    def receive_all(self, words: Words) -> int:
+        """Hand over neighbours' messages in order; returns how many were accepted."""
+        return sum(self._accepts(*each) for each in words.tolist())
+
+    def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
+        try:
+            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha)) is Status.OK
+        except FirmwareError:
+            return False
+
+
+def _port_of(robot: Robot) -> FixedPointRobot | RoundingPort:
+    """The robot itself if it speaks raw integers, else a port that rounds for it."""
+    return cast(FixedPointRobot, robot) if hasattr(robot, "receive_all") else RoundingPort(robot)

@@ -16,11 +16,10 @@ import can
 import numpy as np
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import FixedPointRobot, Observation
+from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
     EVERY_ROBOT,
-    MAX_NODE_ID,
     TELEMETRY,
     Action,
     Command,
@@ -30,10 +29,10 @@ from mcp_asdf_tools.bus.frames import (
     decode,
     decode_command,
 )
-from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
+from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
-from mcp_asdf_tools.robots.rounds import TickedRobot
+from mcp_asdf_tools.robots.record import RobotRecord
 
 _RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
@@ -84,64 +83,39 @@ def filters_for(*formats: FrameFormat) -> CanFilters:
     return [{"can_id": each.subject << 8, "can_mask": ACCEPTANCE_MASK, "extended": True} for each in formats]
 
 
-@dataclass
-class NodeTraffic:
-    """Commands that a node heard, ticks that they left open, and conflicts that it noticed.
-
-    Attributes:
-        obeyed: Commands followed.
-        disobeyed: Commands for this robot that the rules did not let it follow.
-        unsettled: Ticks ended by the next one, since no *settle* had come.
-        id_conflicts: Evidence of two nodes with one id, by id.
-    """
-
-    obeyed: int = 0
-    disobeyed: int = 0
-    unsettled: int = 0
-    id_conflicts: dict[int, IdConflict] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class NodeSettings:
-    """Parameters of a node. Raises UsageError if a value is out of range.
-
-    Attributes:
-        id: Robot id and node id, 0 .. 127.
-        subjects: Formats of the messages.
-        steps_per_second: Control ticks between two heartbeats, 1 .. 10**6.
-    """
-
-    id: int
-    subjects: Subjects = field(default_factory=Subjects)
-    steps_per_second: int = 10
-
-    def __post_init__(self) -> None:
-        for name, low, high in (("id", 0, MAX_NODE_ID), ("steps_per_second", 1, 10**6)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise UsageError(f"{name.replace('_', '-')} is {value}; it must be {low} to {high}")
-
-
 class RobotNode(BusRobot):
     """Robot that obeys commands.
 
     Its methods return the frames to send now, in order.
 
     Attributes:
-        settings: Id, subjects and periods.
+        subjects: Formats of the messages.
         is_settled: Whether the last tick is over.
-        traffic: Commands and conflicts so far.
+        obeyed: Commands followed.
+        disobeyed: Commands for this robot that the rules did not let it follow.
+        unsettled: Ticks ended by the next one, since no *settle* had come.
+        id_conflicts: Evidence of two nodes with one id, by id.
     """
 
-    def __init__(self, robot: TickedRobot, settings: NodeSettings, recorder: Recorder | None = None) -> None:
-        """Make a node of a robot that has done nothing yet; ``recorder`` takes its events."""
-        subjects = settings.subjects
-        # A node ends with its process: it is never asked to crash and start again.
-        super().__init__(settings.id, lambda: robot, subjects.estimates, recorder, subjects.telemetry)
-        self.settings = settings
+    def __init__(
+        self,
+        record: RobotRecord,
+        subjects: Subjects | None = None,
+        steps_per_second: int = 10,
+        recorder: Recorder | None = None,
+        make: Callable[[], Robot] | None = None,
+    ) -> None:
+        """Make a node of the robot of ``record``, or one that ``make`` returns, see ``BusRobot``.
+
+        A heartbeat is due every ``steps_per_second`` ticks, 1 or more.
+        """
+        self.subjects = subjects or Subjects()
+        super().__init__(record, self.subjects.estimates, recorder, self.subjects.telemetry, make)
         self.is_settled = True
-        self._watch = IdConflictWatch(settings.id)
-        self.traffic = NodeTraffic(id_conflicts=self._watch.found)
+        self.obeyed = self.disobeyed = self.unsettled = 0
+        self._steps_per_second = steps_per_second
+        self._watch = IdConflictWatch(self.id)
+        self.id_conflicts = self._watch.found
         self._tick_of_command: int | None = None
 
     def start(self) -> list[can.Message]:
@@ -151,10 +125,10 @@ class RobotNode(BusRobot):
     def observe(self, z: Observation | None) -> list[can.Message]:
         """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
         if not self.is_settled:
-            self.traffic.unsettled += 1
+            self.unsettled += 1
             self.end()
         self.is_settled = False
-        is_second = self.ticks and self.ticks % self.settings.steps_per_second == 0
+        is_second = self.ticks and self.ticks % self._steps_per_second == 0
         heartbeats = self.start() if is_second else []
         return heartbeats + self.broadcast(z, self._now)
 
@@ -166,28 +140,28 @@ class RobotNode(BusRobot):
 
     def hear(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
-        message = decode(frame, self.settings.subjects.estimates)
+        message = decode(frame, self.subjects.estimates)
         if isinstance(message, Message):
             if message.sender == self.id and self.recorder is not None:
                 self.recorder.foreign(frame)
             self._receive(message)
             return []
-        if message is Rejection.SUBJECT:
-            command = decode_command(frame, self.settings.subjects.commands)
-            if isinstance(command, Command):
-                return self._obey(command)
-            message = command
-        self.reception.rejected[message] += 1
+        command = decode_command(frame, self.subjects.commands) if message is Rejection.SUBJECT else message
+        if isinstance(command, Command):
+            return self._obey(command)
+        self.reception.rejected[command] += 1
         return []
 
     def figures(self) -> dict[str, Any]:
         """The frames sent and heard so far as plain values, for JSON."""
         counts = {f"{kind}_sent": count for kind, count in vars(self.sent).items()}
-        conflicts = sorted(self.traffic.id_conflicts.items())
+        conflicts = sorted(self.id_conflicts.items())
         return counts | {
             "delivered": self.reception.delivered,
             "refused": self.reception.refused,
-            **vars(self.traffic),
+            "obeyed": self.obeyed,
+            "disobeyed": self.disobeyed,
+            "unsettled": self.unsettled,
             "rejected": {reason.name: count for reason, count in self.reception.rejected.items()},
             "id_conflicts": {str(sender): conflict.value for sender, conflict in conflicts},
         }
@@ -197,14 +171,14 @@ class RobotNode(BusRobot):
         self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
 
     def _obey(self, command: Command) -> list[can.Message]:
-        if command.target not in (self.settings.id, EVERY_ROBOT):
+        if command.target not in (self.id, EVERY_ROBOT):
             return []
         settles = command.action is Action.SETTLE
         is_open = not self.is_settled and command.tick == self._tick_of_command
         if settles != is_open:
-            self.traffic.disobeyed += 1
+            self.disobeyed += 1
             return []
-        self.traffic.obeyed += 1
+        self.obeyed += 1
         if settles:
             return self.settle()
         self._tick_of_command = command.tick
@@ -213,7 +187,7 @@ class RobotNode(BusRobot):
     @property
     def _now(self) -> float:
         """The node's own time, seconds."""
-        return self.ticks / self.settings.steps_per_second
+        return self.ticks / self._steps_per_second
 
 
 def state_of(node: RobotNode) -> dict[str, Any]:

@@ -12,8 +12,7 @@ from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 

@@ -6,21 +6,50 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
-from mcp_asdf.robot import Filter, check_settings
+from mcp_asdf.robot import (
+    DEFAULT_FILTER_PERIOD,
+    DEFAULT_MEMORY,
+    MAX_FILTER_PERIOD,
+    Config,
+    Filter,
+    Robot,
+    check_settings,
+)
+from mcp_asdf.table import Table
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
-from mcp_asdf_tools.robots.rounds import MAX_PERIOD, TickConfig, TickedRobot
 from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
 
 _FILTERS = {each.name.lower(): each for each in Filter}
-
-
 _TYPES: dict[str, type[Any]] = {
     **dict.fromkeys(("id", "comms_period", "filter_period", "memory"), int),
     "firmware": str,
     "b_hat": float,
 }
 _KINDS = {int: "a whole number", str: "a text", float: "a number with a point"}
+
+
+@dataclass(frozen=True)
+class TickConfig:
+    """The firmware's settings with periods in control ticks.
+
+    Attributes:
+        table: As in ``mcp_asdf.robot.Config``.
+        filter: As there.
+        comms_period: Ticks between broadcasts, 1 .. 2**32 - 1.
+        filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period`` up to 2**32 - 1.
+        memory: As there.
+    """
+
+    table: Table | None = None
+    filter: Filter = Filter.ADAPTIVE
+    comms_period: int = 1
+    filter_period: int = DEFAULT_FILTER_PERIOD
+    memory: int = DEFAULT_MEMORY
+
+    def in_rounds(self) -> Config:
+        """The same for the firmware."""
+        return Config(self.table, self.filter, self.filter_period // self.comms_period, self.memory)
 
 
 @dataclass(frozen=True)
@@ -39,13 +68,12 @@ class RobotRecord:
     b_hat: float
     config: TickConfig
 
-    def make(self) -> TickedRobot:
-        """A robot that starts like this one.
+    def make(self) -> Robot:
+        """The firmware of a robot that starts like this one.
 
         Raises UsageError if there is no such firmware here, FirmwareError if it refuses the record.
         """
-        robot = load_firmware(self.firmware)(self.config.in_rounds(), self.id, self.b_hat)
-        return TickedRobot(robot, self.config.comms_period)
+        return load_firmware(self.firmware)(self.config.in_rounds(), self.id, self.b_hat)
 
     def plain(self) -> dict[str, Any]:
         """The record as plain values, for JSON: the table as its omega, q and checksum.
@@ -97,9 +125,9 @@ class RobotRecord:
         config = TickConfig(table, _FILTERS[plain["filter"]], **periods)
         record = cls(plain["id"], plain["firmware"], plain["b_hat"], config)
         comms, tau = config.comms_period, config.filter_period
-        if not 1 <= comms <= MAX_PERIOD:
-            raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_PERIOD}")
-        if not 1 <= tau <= MAX_PERIOD or tau % comms:
+        if not 1 <= comms <= MAX_FILTER_PERIOD:
+            raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_FILTER_PERIOD}")
+        if not 1 <= tau <= MAX_FILTER_PERIOD or tau % comms:
             raise UsageError(f"filter_period is {tau}; choose a multiple of comms_period {comms}")
         check_settings(config.in_rounds())  # names the wrong setting, which the C cannot
         record.make()  # raises here if the firmware refuses it

@@ -23,11 +23,10 @@ from mcp_asdf_tools.bus.frames import (
     decode_telemetry,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder, Words
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickedRobot, Words
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
@@ -128,8 +127,7 @@ class RemoteFirmware:
 
 def remote_robot(record: RobotRecord, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
     """The half here of a robot whose firmware runs elsewhere; ``recorder`` takes its events."""
-    firmware = cast(Robot, RemoteFirmware(record))
-    return BusRobot(record.id, lambda: TickedRobot(firmware, record.config.comms_period), frames, recorder)
+    return BusRobot(record, frames, recorder, make=lambda: cast(Robot, RemoteFirmware(record)))
 
 
 class Driver:

@@ -203,7 +203,7 @@ def _robot_of(
     recorder = None if input_log is None else input_log.robots[record.id]
     if is_remote:
         return remote_robot(record, frames, recorder)
-    return BusRobot(record.id, record.make, frames, recorder)
+    return BusRobot(record, frames, recorder)
 
 
 def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:

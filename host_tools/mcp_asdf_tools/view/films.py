@@ -125,7 +125,7 @@ def _values_of_log(input_log: InputLogReader, spacing: int) -> Iterator[NDArray[
     A robot that was dead keeps the values that it had.
     """
     places = {record.id: place for place, record in enumerate(input_log.header.robots)}
-    now = _estimates(record.make().robot for record in input_log.header.robots)
+    now = _estimates(record.make() for record in input_log.header.robots)
     ticks, settled = 0, {*places}  # as if all had settled before the first
     for robot_id, robot in rerun(input_log):
         if robot_id in settled:

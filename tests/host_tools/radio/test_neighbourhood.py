@@ -29,7 +29,7 @@ from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, cho
 from mcp_asdf_tools.radio.odd_frames import STRAY, malformed, stray_command
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification
-from mcp_asdf_tools.robots.node import BusLink, NodeSettings, RobotNode, Subjects
+from mcp_asdf_tools.robots.node import BusLink, RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -68,7 +68,7 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm() -> None:
     records = world.records()
     others = tuple(each for each in records if each.id != ID)
     neighbourhood = Neighbourhood(RadioSettings(records[ID], others, world, Subjects()))
-    controller = RobotNode(records[ID].make(), NodeSettings(ID))
+    controller = RobotNode(records[ID])
     for _ in range(120):
         for frame in neighbourhood.finish(controller.observe(neighbourhood.begin())):
             controller.hear(frame)
@@ -163,7 +163,7 @@ def test_malformed_frames_are_no_estimates() -> None:
 @pytest.mark.parametrize("tick", [0, 17, 2**32 - 1])
 def test_stray_commands_are_not_obeyed(tick: int) -> None:
     draw = random.Random(2)
-    robot = RobotNode(record(ID).make(), NodeSettings(ID))
+    robot = RobotNode(record(ID))
     robot.hear(encode_command(Command(9, tick, ID, Action.OBSERVE_WHITE, 0)))
     for _ in range(200):
         for name in STRAY:

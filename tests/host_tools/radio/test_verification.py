@@ -35,7 +35,7 @@ from mcp_asdf_tools.radio.phases import PHASES, Phase
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES, Update, update_of
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, markdown
 from mcp_asdf_tools.robots.lockstep import Lockstep
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects
+from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import node_processes
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -92,7 +92,7 @@ def verification(
 
 def obedient(firmware: str = "native", **config: Any) -> RobotNode:
     """A right controller."""
-    return RobotNode(record(ID, firmware, B_HAT, **config).make(), NodeSettings(ID))
+    return RobotNode(record(ID, firmware, B_HAT, **config))
 
 
 # Right controllers
@@ -200,7 +200,7 @@ def test_a_fault_strikes_however_rarely_the_controller_broadcasts() -> None:
 @pytest.mark.parametrize("robot", [0, 1, 125, 127])
 def test_a_controller_with_any_id_passes(robot: int) -> None:
     own = record(robot, "native", B_HAT)
-    verdict = judge(RobotNode(own.make(), NodeSettings(robot)), settings(own))
+    verdict = judge(RobotNode(own), settings(own))
     assert verdict.has_passed, verdict.headline
 
 
@@ -208,7 +208,7 @@ def test_a_controller_with_any_id_passes(robot: int) -> None:
 @pytest.mark.parametrize("b_hat", [2**-20, 0.02, 0.4999, 0.5, 0.75, 0.95, 1 - 2**-20])
 def test_a_controller_with_any_b_hat_passes(b_hat: float) -> None:
     own, seed = record(ID, "native", b_hat), random.randrange(2**32)
-    verdict = judge(RobotNode(own.make(), NodeSettings(ID)), settings(own, seed=seed), QUICK)
+    verdict = judge(RobotNode(own), settings(own, seed=seed), QUICK)
     assert verdict.difference is None, (seed, verdict.headline)
     assert verdict.not_exercised == [], seed
 
@@ -307,7 +307,7 @@ class Talker(RobotNode):
     """Node with the id 40 that says something after each command."""
 
     def __init__(self, frame: can.Message) -> None:
-        super().__init__(record(40).make(), NodeSettings(40))
+        super().__init__(record(40))
         self.frame = frame
 
     def start(self) -> list[can.Message]:
@@ -359,13 +359,13 @@ class Advises(RobotNode):
     def observe(self, z: Observation | None) -> list[can.Message]:
         frames = super().observe(z)
         for frame in frames[:-1]:
-            frame.data[4] = int(self.traffic.unsettled > 0 or 0 < self.from_tick <= self.ticks)
+            frame.data[4] = int(self.unsettled > 0 or 0 < self.from_tick <= self.ticks)
         return frames
 
 
 def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else() -> None:
-    assert judge(Advises(right().make(), NodeSettings(ID)), phases=QUICK).difference is None
-    controller = Advises(right().make(), NodeSettings(ID))
+    assert judge(Advises(right()), phases=QUICK).difference is None
+    controller = Advises(right())
     controller.from_tick = 30
     assert "heartbeat, health: expected" in str(judge(controller, phases=QUICK).difference)
 
@@ -376,7 +376,7 @@ def test_other_frames_of_the_controller_are_not_judged() -> None:
             own = can.Message(arbitration_id=4 << 26 | 3 << 21 | 7510 << 8 | ID, data=b"any")
             return [*super().settle(), own]
 
-    verdict = judge(Publishes(right().make(), NodeSettings(ID)), phases=PHASES[:1])
+    verdict = judge(Publishes(right()), phases=PHASES[:1])
     assert verdict.difference is None
     assert verdict.other_frames == verdict.phases[0].ticks
 

@@ -20,8 +20,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter
 from mcp_asdf_tools.robots.bus_robot import Recorder
-from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
 from wire import record
 

@@ -19,6 +19,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
 from wire import record
@@ -163,14 +164,13 @@ def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
 
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
-    log, robot = tmp_path / "x", record(5).make()
+    log, robot = tmp_path / "x", BusRobot(record(5), FrameFormat())
     stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
     header = InputLogHeader([record(5)], None, FrameFormat())
     with input_log_in(input_log_path(log), header) as writer:
         writer.robots[5].observe(Observation.BLACK)
         writer.robots[5].foreign(stranger)
-    robot.observe(Observation.BLACK)
-    own = encode(Message(5, robot.port.x_hat_raw, robot.port.alpha_raw, 0), FrameFormat())
+    (own,) = robot.broadcast(Observation.BLACK, 0)
     for order in ([own, stranger], [stranger, own]):
         assert check(order, log) == ReplayVerdict(reproduced=1, foreign=1)
     verdict = check([stranger, stranger, own], log)

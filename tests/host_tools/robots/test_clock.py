@@ -2,84 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pytest
+
 from mcp_asdf_tools.robots.clock import RealTimeClock
+
+PERIOD = 0.125
 
 
 class Watch:
-    """Time that passes only when somebody sleeps or works."""
+    """Time that passes only when somebody sleeps or works; a sleep has any length that is made of it."""
 
-    def __init__(self, oversleeps: float = 0.0) -> None:
+    def __init__(self, length: Callable[[float], float] = lambda seconds: seconds) -> None:
         self.now = 1000.0
         self.slept: list[float] = []
-        self._oversleeps = oversleeps
-
-    def read(self) -> float:
-        return self.now
+        self._length = length
 
     def sleep(self, seconds: float) -> None:
         assert seconds > 0
         self.slept.append(seconds)
-        self.now += seconds + self._oversleeps
+        self.now += self._length(seconds)
+
+    def clock(self) -> RealTimeClock:
+        return RealTimeClock(1 / PERIOD, lambda: self.now, self.sleep)
 
 
-def run(watch: Watch, work: list[float], rate: float = 8) -> tuple[RealTimeClock, list[float]]:
-    """Beginnings of ticks after the first, where tick k takes work[k] seconds."""
-    clock, began = RealTimeClock(rate, watch.read, watch.sleep), []
-    for tick, seconds in enumerate(work):
-        clock.begin(tick)
-        began.append(watch.now - 1000.0)
-        watch.now += seconds
-    return clock, began
-
-
-def test_ticks_begin_at_multiples_of_the_period() -> None:
-    clock, began = run(Watch(), [0.0625, 0.0, 0.125, 0.03125, 0.0])
-    assert began == [0.0, 0.125, 0.25, 0.375, 0.5]
-    assert clock.figures() == {"mean_lateness": 0.0, "max_lateness": 0.0, "late_ticks": 0, "drift": 0.0}
-
-
-def test_a_long_tick_makes_later_ones_late_until_they_have_caught_up() -> None:
+@pytest.mark.parametrize(
+    ("work", "began", "late"),
+    [
+        ([0.5, 0, 1, 0.25, 0], [0, 1, 2, 3, 4], [0, 0, 0, 0, 0]),
+        ([2, 0.5, 0.5, 0.5, 0], [0, 2, 2.5, 3, 4], [0, 1, 0.5, 0, 0]),  # late until it has caught up
+        ([1.5] * 9, [1.5 * tick for tick in range(9)], [0.5 * tick for tick in range(9)]),
+    ],
+)
+def test_ticks_begin_at_multiples_of_the_period_or_when_the_last_is_over(
+    work: list[float], began: list[float], late: list[float]
+) -> None:
+    """All in periods; a tick is late after more than half of one."""
     watch = Watch()
-    clock, began = run(watch, [0.25, 0.0625, 0.0625, 0.0625, 0.0])
-    assert began == [0.0, 0.25, 0.3125, 0.375, 0.5]
+    clock, found = watch.clock(), []
+    assert clock.figures() is None
+    for tick, periods in enumerate(work, start=5):
+        clock.begin(tick)
+        found.append((watch.now - 1000) / PERIOD)
+        watch.now += periods * PERIOD
+    assert found == began
     assert clock.figures() == {
-        "mean_lateness": (0.125 + 0.0625) / 5,
-        "max_lateness": 0.125,
-        "late_ticks": 1,
-        "drift": 0.0,
+        "mean_lateness": sum(late) / len(late) * PERIOD,
+        "max_lateness": max(late) * PERIOD,
+        "late_ticks": sum(each > 0.5 for each in late),
+        "drift": late[-1] * PERIOD,
     }
-    assert watch.slept == [0.0625]
-
-
-def test_drift_is_what_is_never_caught_up() -> None:
-    clock, began = run(Watch(), [0.1875] * 9)
-    assert began[-1] == 8 * 0.1875
-    figures = clock.figures()
-    assert figures is not None
-    assert figures["drift"] == figures["max_lateness"] == 8 * 0.0625
-    assert figures["late_ticks"] == 7
 
 
 def test_sleeps_that_end_early_are_gone_on_with() -> None:
-    watch = Watch(oversleeps=-0.03125)
-    clock = RealTimeClock(8, watch.read, lambda seconds: watch.sleep(max(seconds, 0.0625)))
+    watch = Watch(lambda seconds: max(seconds, 0.0625) - 0.03125)
+    clock = watch.clock()
     clock.begin(0)
     clock.begin(1)
-    assert watch.now >= 1000.125
+    assert watch.now >= 1000 + PERIOD
     assert len(watch.slept) > 1
 
 
 def test_patience_ends_in_the_middle_of_the_period() -> None:
     watch = Watch()
-    clock = RealTimeClock(8, watch.read, watch.sleep)
+    clock = watch.clock()
     clock.begin(0)
     clock.begin(1)
-    assert clock.patience(1) == 0.0625
-    watch.now += 0.03125
-    assert clock.patience(1) == 0.03125
-    watch.now += 5
-    assert clock.patience(1) == 0.0
-
-
-def test_a_clock_that_never_ran_has_nothing_to_say() -> None:
-    assert RealTimeClock(10).figures() is None
+    for passed, left in ((0, 0.0625), (0.03125, 0.03125), (5, 0)):
+        watch.now += passed
+        assert clock.patience(1) == left

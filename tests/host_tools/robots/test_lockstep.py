@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.bus.interfaces import add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode, Subjects, state_of
+from mcp_asdf_tools.robots.node import RobotNode, Subjects, state_of
 from mcp_asdf_tools.robots.processes import node_processes
 from multicast import multicast
 from robots import ALPHA_ONE
@@ -85,7 +85,7 @@ def test_the_rules_one_by_one() -> None:
     ]
     assert [kinds(robot.hear(frame)) for frame, _ in steps] == [answer for _, answer in steps]
     assert (robot.robot.t, robot.robot.n, robot.ticks) == (2, 2, 3)
-    assert (robot.traffic.obeyed, robot.traffic.disobeyed) == (6, 4)
+    assert (robot.obeyed, robot.disobeyed) == (6, 4)
 
 
 def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
@@ -114,12 +114,12 @@ def test_a_tick_whose_settle_is_lost_ends_with_the_next_observe() -> None:
     assert isinstance(twin, FixedPointRobot) and isinstance(robot.robot, FixedPointRobot)
     assert robot.robot.state() == twin.state()
     assert twin.counters.updates > 0
-    assert (robot.ticks, robot.traffic.unsettled) == (ticks, unsettled)
+    assert (robot.ticks, robot.unsettled) == (ticks, unsettled)
     assert robot.sent.telemetry > 100 and unsettled > 50
 
 
 def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
-    robot = RobotNode(record(5).make(), NodeSettings(5, steps_per_second=3))
+    robot = RobotNode(record(5), steps_per_second=3)
     said = [robot.start()]
     for tick in range(7):
         said += [
@@ -330,7 +330,7 @@ def test_a_command_that_is_lost_once_is_said_again() -> None:
     assert contents(wire.told) == contents(twins.told)
     assert len(wire.sent) == 40 * 6 + 7
     assert [decoded(frame).transfer_id for frame in wire.sent] == [n % 32 for n in range(247)]
-    assert all(robot.traffic.unsettled == robot.traffic.disobeyed == 0 for robot in wire.nodes)
+    assert all(robot.unsettled == robot.disobeyed == 0 for robot in wire.nodes)
 
 
 def contents(frames: list[can.Message]) -> list[tuple[int, bytes]]:
@@ -359,7 +359,7 @@ def test_an_answer_that_is_lost_is_not_taken_for_a_lost_command() -> None:
         play(wire)
     assert [robot.ticks for robot in wire.nodes] == [8] * 3
     assert [robot.sent.telemetry for robot in wire.nodes] == [8] * 3
-    assert [robot.traffic.disobeyed for robot in wire.nodes] == [1] * 3
+    assert [robot.disobeyed for robot in wire.nodes] == [1] * 3
 
 
 @still()
@@ -377,7 +377,7 @@ def test_a_tick_may_be_left_open() -> None:
         else:
             lockstep.leave_open()
     assert lockstep.tick == 60
-    assert wire.nodes[0].traffic.unsettled == 20
+    assert wire.nodes[0].unsettled == 20
 
 
 @still()
@@ -386,8 +386,6 @@ def test_ids_and_subjects_that_clash_are_refused() -> None:
         Lockstep(Wire()).observe({126: Observation.WHITE})
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
-    with pytest.raises(UsageError, match="id is 128; it must be 0 to 127"):
-        NodeSettings(128)
 
 
 # Processes
@@ -396,7 +394,7 @@ def test_ids_and_subjects_that_clash_are_refused() -> None:
 def test_processes_do_what_robots_in_this_process_do() -> None:
     choice = multicast(1)
     records = [record(0, "native", b_hat=0.55), record(7, "mirror", filter=Filter.ALWAYS, comms_period=2)]
-    twins = Wire(*(RobotNode(each.make(), NodeSettings(each.id)) for each in records))
+    twins = Wire(*(RobotNode(each) for each in records))
     draw, ids = random.Random(3), (0, 7)
     with choice.open() as bus, node_processes(records, lambda robot: choice, Subjects(), 10) as nodes:
         lockstep, model = Lockstep(bus, timeout=PATIENCE, check=nodes.check), Lockstep(twins)
@@ -409,7 +407,7 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
             assert lockstep.estimates(due) == model.estimates(due)
             assert lockstep.settle(ids) == model.settle(ids)
     for twin in twins.nodes:
-        results = nodes.reports[twin.settings.id]["results"]
+        results = nodes.reports[twin.id]["results"]
         assert results["robot"] == state_of(twin)
         # Filters keep heartbeats and telemetry away from a process.
         assert results["frames"] == twin.figures() | {"rejected": {}}

@@ -25,7 +25,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.node import NodeSettings, RobotNode
+from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -98,7 +98,7 @@ def run_elsewhere(
     """A run whose remote robots are in threads; with the frames it sent and those robots."""
     records = settings.records()
     assert wiring.open_bus is not None
-    nodes = {robot: RobotNode(records[robot].make(), NodeSettings(robot)) for robot in sorted(wiring.remote)}
+    nodes = {robot: RobotNode(records[robot]) for robot in sorted(wiring.remote)}
     frames: list[can.Message] = []
     with ExitStack() as stack:
         swarm = stack.enter_context(Swarm(settings, wiring, frames.append))
@@ -178,7 +178,7 @@ def test_a_robot_that_is_not_there_is_named() -> None:
 def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings = make()
-    node = RobotNode(settings.records()[1].make(), NodeSettings(1))
+    node = RobotNode(settings.records()[1])
     with Swarm(settings, Wiring(own_bus, False, frozenset({1}))) as swarm, own_bus(1) as bus:
         with robot_elsewhere(node, bus):
             swarm.wait_until_up(10)
@@ -270,7 +270,7 @@ def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_
 
 def test_a_device_behind_slcan_is_one_of_the_robots(capsys: pytest.CaptureFixture[str]) -> None:
     settings = SwarmSettings(robots=3, steps=25, filter_period=10, seed=5)
-    node = RobotNode(settings.records()[1].make(), NodeSettings(1))
+    node = RobotNode(settings.records()[1])
     with (
         own_bus(77) as adapter,
         own_bus(77) as bus,
@@ -365,7 +365,7 @@ def test_the_events_of_a_robot_elsewhere_are_those_of_one_here() -> None:
     settings = make(comms_period=2)
     lines: dict[str, list[str]] = {"here": [], "elsewhere": []}
     start = settings.records()[1]
-    here = BusRobot(1, start.make, settings.frames, Recorder(1, lines["here"].append))
+    here = BusRobot(start, settings.frames, Recorder(1, lines["here"].append))
     elsewhere = half_here(start, settings.frames, Recorder(1, lines["elsewhere"].append))
     known = elsewhere.robot
     assert (known.x_hat, known.alpha, known.x, known.b_hat) == (0.5, 0.0, 0.5, start.b_hat)

@@ -43,9 +43,9 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots import record as robot_record
+from mcp_asdf_tools.robots.bus_robot import RoundingPort
 from mcp_asdf_tools.robots.firmwares import FIRMWARES, load_firmware
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.robots.rounds import RoundingPort
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView, SwarmPicture, Watch

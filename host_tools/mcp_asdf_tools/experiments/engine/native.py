@@ -13,7 +13,7 @@ from mcp_asdf.robot import FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots.rounds import TickConfig
+from mcp_asdf_tools.robots.record import TickConfig
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
