@@ -35,7 +35,7 @@ SHOWN = (
 
 RUN_ELSEWHERE = {
     "tests/c_ref/test_porting.py": ("porting.md", "avr-gcc"),
-    "tests/host_tools/cli/test_wireshark.py": ("frame.md", "--log run.blf", "tshark"),
+    "tests/host_tools/cli/test_wireshark.py": ("frame.md", "can_logconvert", "tshark"),
     "tests/host_tools/bus/test_yakut.py": ("frame.md", 'yakut -i "CAN(can.media.pythoncan'),
     "tests/targets/test_firmware_in_the_loop.py": (
         "firmware_in_the_loop.md",

@@ -41,7 +41,6 @@ from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiment
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
-from mcp_asdf_tools.recording.recording import Recording
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import c_text, check_file, json_text
@@ -86,13 +85,12 @@ def input_log() -> bytes:
 
 
 def log(suffix: str) -> Callable[[], bytes]:
-    """A log as we write it."""
+    """A log as python-can writes it."""
 
     def write() -> bytes:
         with TemporaryDirectory() as folder:
             path = Path(folder) / f"run{suffix}"
-            with Recording(path, None, print) as (take, _):
-                assert take is not None
+            with can.Logger(path) as take:
                 for sender in range(5):
                     take(encode(Message(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
             return path.read_bytes()

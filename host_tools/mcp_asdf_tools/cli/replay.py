@@ -6,16 +6,14 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import PART, check_log, read_log
-from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_of
+from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 
 EPILOG = """\
@@ -42,41 +40,27 @@ def run(args: argparse.Namespace) -> int:
     check_log(args.log)
     if args.log.suffix == PART:
         print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
-    events = args.events or input_log_of(args.log)
+    events = args.events or input_log_path(args.log)
     if args.events is None and not events.exists():
         raise UsageError(
             f"there is no {events}, without which nothing can be checked; give it as --events (to play the "
             "log onto a bus, use python-can's can_player)"
         )
     console = Console(stderr=True)
-    with (
-        InputLogReader(events) as input_log,
-        Progress(console=console, disable=not console.is_terminal) as bar,
-    ):
-        task = bar.add_task("running the robots again", total=input_log.bytes)
-        verdict = verify(
-            read_log(args.log), input_log, lambda: bar.update(task, completed=input_log.bytes_read)
-        )
-    report = {
-        "log": str(args.log),
-        "events": str(events),
-        "incomplete": args.log.suffix == PART,
-        "verdict": verdict.plain(),
-    }
-    _print(args, report, _table_of(verdict))
+    with InputLogReader(events) as input_log, console.status("running the robots again"):
+        verdict = verify(read_log(args.log), input_log)
+    if args.json:
+        report = {"log": str(args.log), "events": str(events), "incomplete": args.log.suffix == PART}
+        print(json.dumps(report | {"verdict": vars(verdict)}, indent=2))
+    else:
+        Console(soft_wrap=True).print(_table_of(verdict))
+        print_again(args)
     if verdict.difference is not None:
         print(f"mcp-asdf replay: not reproduced: {verdict.difference}", file=sys.stderr)
-    elif not verdict.reproduced + verdict.falsified:
+        return 1
+    if not verdict.reproduced + verdict.falsified:
         raise UsageError(f"{args.log} holds no estimate of the robots in {events}; do they belong together?")
-    return 0 if verdict.difference is None else 1
-
-
-def _print(args: argparse.Namespace, report: dict[str, Any], text: Table) -> None:
-    if args.json:
-        print(json.dumps(report, indent=2))
-    else:
-        Console(soft_wrap=True).print(text)
-        print_again(args)
+    return 0
 
 
 def _table_of(verdict: ReplayVerdict) -> Table:

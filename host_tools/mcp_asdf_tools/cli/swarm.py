@@ -53,7 +53,7 @@ examples:
   mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
-  mcp-asdf swarm --flawed 0.5 --seed 7 --log run.blf --json
+  mcp-asdf swarm --flawed 0.5 --seed 7 --log run.log --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
   mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m

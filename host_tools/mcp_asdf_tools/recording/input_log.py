@@ -44,20 +44,9 @@ _MAX_WORD = 2**32 - 1
 
 
 def input_log_path(log: Path | str) -> Path:
-    """Path of a log's input_log."""
-    return Path(f"{log}.events")
-
-
-def input_log_of(log: Path) -> Path:
-    """Path of the input log of a log that is there, complete or a part.
-
-    If a program is killed while the two take their names, that of a part is complete already.
-    """
-    if log.suffix != PART:
-        return input_log_path(log)
-    complete = input_log_path(log.with_suffix(""))
-    part = complete.with_name(complete.name + PART)
-    return part if part.exists() else complete
+    """Path of the input log of a log; that of a part is a part."""
+    path = Path(log)
+    return Path(f"{path.with_suffix('')}.events{PART}" if path.suffix == PART else f"{path}.events")
 
 
 @dataclass(frozen=True)
@@ -80,11 +69,7 @@ class InputLogHeader:
 
     def line(self) -> str:
         """The first line of an input log."""
-        return json.dumps(self.plain(), allow_nan=False) + "\n"
-
-    def plain(self) -> dict[str, Any]:
-        """The header as plain values, for JSON."""
-        return {
+        plain = {
             "format": FORMAT,
             "version": VERSION,
             "versions": self.versions,
@@ -93,6 +78,7 @@ class InputLogHeader:
             "parameters": self.parameters,
             "robots": [robot.plain() for robot in self.robots],
         }
+        return json.dumps(plain, allow_nan=False) + "\n"
 
 
 # --- Writing ---------------------------------------------------------------------------------------------
@@ -131,8 +117,6 @@ class InputLogReader:
 
     Attributes:
         header: Description of the run.
-        bytes: Size of the file.
-        bytes_read: Read so far.
         is_part: Whether the run was cut off: a last line that has no end is left out then.
     """
 
@@ -140,14 +124,14 @@ class InputLogReader:
         """Read the header. Raises UsageError if it is missing or malformed."""
         self._path = Path(path)
         self.is_part = self._path.suffix == PART
-        self._number = self.bytes_read = 0
+        self._number = 1
         try:
-            self._file = self._path.open(encoding="ascii", newline="\n")
-            self.bytes = self._path.stat().st_size
+            self._file = self._path.open(encoding="ascii", errors="backslashreplace", newline="\n")
         except OSError as error:
             raise UsageError(f"cannot read {path}: {error.strerror}") from error
+        self._contents = self._parsed()
         try:
-            self.header = self._read_header()
+            self.header = self._header_of(next(self._contents, None))
         except UsageError:
             self._file.close()
             raise
@@ -164,8 +148,7 @@ class InputLogReader:
         Raises UsageError, naming the line, if one is malformed.
         """
         known = {robot.id for robot in self.header.robots}
-        for line in iter(self._next_line, ""):
-            content = self._parse(line)
+        for content in self._contents:
             if isinstance(content, str):
                 yield content
                 continue
@@ -179,24 +162,18 @@ class InputLogReader:
                     raise self.wrong(f"{event!r} is no event")
             yield robot, events
 
-    def _next_line(self) -> str:
-        """One more line; empty at the end."""
-        self._number += 1
-        try:
-            line = self._file.readline()
-            self.bytes_read += len(line)
-            return "" if self.is_part and not line.endswith("\n") else line
-        except UnicodeDecodeError as error:
-            raise UsageError(f"{self._path} is no text: {error}") from error
+    def _parsed(self) -> Iterator[Any]:
+        """Yield the value of each line, except a part's last line that has no end."""
+        for number, line in enumerate(self._file, 1):
+            self._number = number
+            if not self.is_part or line.endswith("\n"):
+                try:
+                    content = json.loads(line)
+                except (ValueError, RecursionError) as error:
+                    raise self.wrong(f"not JSON ({error}); was the file cut?") from error
+                yield content
 
-    def _parse(self, line: str) -> Any:
-        try:
-            return json.loads(line)
-        except (ValueError, RecursionError) as error:
-            raise self.wrong(f"not JSON ({error}); was the file cut?") from error
-
-    def _read_header(self) -> InputLogHeader:
-        plain = self._parse(self._next_line())
+    def _header_of(self, plain: Any) -> InputLogHeader:
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'"format": "{FORMAT}" is missing')
         if plain.get("version") != VERSION:

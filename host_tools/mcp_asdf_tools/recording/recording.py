@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
+from copy import copy
 from pathlib import Path
-from types import TracebackType
 
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, explaining
-from mcp_asdf_tools.recording.frame_logs import PART, FrameLog, check_format
+from mcp_asdf_tools.recording.frame_logs import PART
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, InputLogWriter | None]
@@ -27,16 +27,13 @@ _BUFFER = 1 << 20
 """Bytes; more than is written between two flushes, so that these decide on the order of what is on disk."""
 
 
-class NoRecording:
+class NoRecording(nullcontext[LogOutputs]):
     """Recording that takes nothing."""
 
     failure: str | None = None
 
-    def __enter__(self) -> LogOutputs:
-        return None, None
-
-    def __exit__(self, *_: object) -> None:
-        pass
+    def __init__(self) -> None:
+        super().__init__((None, None))
 
 
 class Recording:
@@ -57,13 +54,17 @@ class Recording:
         warn: Callable[[str], object],
         channel: str = "vcan0",
     ) -> None:
-        """Prepare the log ``path``. ``warn`` gets a line, once, if the recording fails.
+        """Prepare the log ``path``, in candump's format. ``warn`` gets a line, once, if the recording fails.
 
         ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
-        log's format or place is unusable.
+        log's name or place is unusable.
         """
+        if path.suffix.lower() != ".log":
+            raise UsageError(
+                f"cannot log to {path.name}: choose .log, candump's format; python-can's can_logconvert makes "
+                "others of it"
+            )
         self.failure: str | None = None
-        check_format(path)
         self._path, self._header, self._channel, self._warn = path, header, channel, warn
         names = [path] if header is None else [path, input_log_path(path)]
         self._targets = [check_target(each) for each in names]
@@ -80,26 +81,21 @@ class Recording:
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
         with explaining(self._path):
-            log, *self._others = (part.open("xb", buffering=_BUFFER) for part in self._parts)
-        self._log = FrameLog(self._path, log, self._channel)
-        for file in self._others:
-            file.write(self._header.line().encode() if self._header is not None else b"")
+            self._files = [part.open("x", encoding="utf-8", buffering=_BUFFER) for part in self._parts]
+        self._log = can.CanutilsLogWriter(self._files[0])
+        if self._header is not None:
+            self._files[1].write(self._header.line())
         return self._write_frame, self._events
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is not None and self._is_empty:
-            with suppress(OSError):
-                self._close()
-            for part in self._parts:
-                part.unlink(missing_ok=True)
-            return
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._events is not None:
             self._events.finish()
-        self._attempt(self._close)
+        self._attempt(lambda: self._on_files("close"))
         if kind is None:
             self._attempt(self._take_names)
+        elif self._is_empty:
+            for part in self._parts:
+                part.unlink(missing_ok=True)
         else:
             self._fail("the run did not end regularly")
 
@@ -108,8 +104,9 @@ class Recording:
             check_target(target)
         with explaining(self._path):
             for part in self._parts:
-                _sync(part)
-            log, *_ = self._targets
+                with part.open("rb") as file:
+                    os.fsync(file.fileno())  # it must not have its name before the disk has it
+            log = self._targets[0]
             for old in (log, input_log_path(log)):  # the old log first: it must not get another's input log
                 old.unlink(missing_ok=True)
             for part, target in reversed(list(zip(self._parts, self._targets, strict=True))):
@@ -117,11 +114,13 @@ class Recording:
 
     def _write_frame(self, frame: can.Message) -> None:
         self._flush_if_due()
-        self._attempt(lambda: self._log.write(frame))
+        named = copy(frame)
+        named.channel = "_".join(str(frame.channel or self._channel).split())  # one word, as the format wants
+        self._attempt(lambda: self._log.on_message_received(named))
 
     def _write_events(self, line: str) -> None:
         self._flush_if_due()
-        self._attempt(lambda: self._others[0].write(line.encode()))
+        self._attempt(lambda: self._files[1].write(line))
 
     def _flush_if_due(self) -> None:
         """Write to disk what came before: the events that follow from the last frame are among it."""
@@ -130,18 +129,12 @@ class Recording:
         if self._waiting > _MOST_WAITING or time.monotonic() >= self._flush_at:
             self._waiting = 0
             self._flush_at = time.monotonic() + _PERIOD
-            self._attempt(self._flush)
+            self._attempt(lambda: self._on_files("flush"))
 
-    def _flush(self) -> None:
-        """Write to disk, the log last: so the input log explains all that it holds but open ticks."""
-        for file in self._others:
-            file.flush()
-        self._log.flush()
-
-    def _close(self) -> None:
-        for file in self._others:
-            file.close()
-        self._log.close()
+    def _on_files(self, call: str) -> None:
+        """Flush or close, the log last: so the input log explains all that it holds but open ticks."""
+        for file in reversed(self._files):
+            getattr(file, call)()
 
     def _attempt(self, work: Callable[[], object]) -> None:
         """Do ``work`` unless the recording has failed; what goes wrong fails it."""
@@ -156,12 +149,6 @@ class Recording:
         if self.failure is None:
             self.failure = reason
             self._warn(f"the log {self._path} is not complete: {reason}; partial data is in {self._parts[0]}")
-            for close in (*(file.close for file in self._others), self._log.close):
+            for file in self._files:
                 with suppress(OSError):
-                    close()
-
-
-def _sync(path: Path) -> None:
-    """Let the disk have the file before it gets its name, for the case that the power fails."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
+                    file.close()

@@ -102,16 +102,17 @@ def test_what_cannot_be_written() -> None:
 
 def spoiled(**changes: Any) -> str:
     """A header with changes, of the first robot if they name something of robots."""
-    plain = HEADER.plain()
+    plain = json.loads(HEADER.line())
     for name, value in changes.items():
         target = plain if name in plain else plain["robots"][0]
         target[name] = value
     return json.dumps(plain)
 
 
-GOOD = json.dumps(HEADER.plain())
+GOOD = HEADER.line().rstrip()
 BAD = {
-    "": "line 1: not JSON",
+    "": 'line 1: "format": "mcp-asdf events" is missing',
+    "\n": "line 1: not JSON",
     "{}": 'line 1: "format": "mcp-asdf events" is missing',
     "[1]": 'line 1: "format": ',
     "(1.0) vcan0 1#00": "line 1: not JSON",
@@ -161,5 +162,5 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot read .*: No such file"):
         InputLogReader(tmp_path / "x")
     (tmp_path / "x").write_bytes(b"\xff\xfe")
-    with pytest.raises(UsageError, match="is no text"):
+    with pytest.raises(UsageError, match="line 1: not JSON"):
         InputLogReader(tmp_path / "x")

@@ -423,19 +423,16 @@ def test_equal_seeds_give_equal_logs(tmp_path: Path) -> None:
     assert first.read_bytes() != third.read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [".log", ".ASC", ".blf", ".csv", ".trc"])
-def test_every_log_format_keeps_every_frame(suffix: str, tmp_path: Path) -> None:
+def test_a_log_keeps_every_frame(tmp_path: Path) -> None:
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
-    path = tmp_path / f"my.run{suffix}"
+    path = tmp_path / "my.run.log"
     assert swarm_command(*SMALL, "--log", str(path), "--quiet") == 0
-    name = tmp_path / f"read{suffix.lower()}"
-    name.write_bytes(path.read_bytes())
-    with can.LogReader(name) as reader:
+    with can.LogReader(path) as reader:
         read = list(reader)
     assert content(read) == content(frames)
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
-    assert sorted(tmp_path.iterdir()) == sorted([path, name, Path(f"{path}.json"), Path(f"{path}.events")])
+    assert sorted(tmp_path.iterdir()) == sorted([path, Path(f"{path}.json"), Path(f"{path}.events")])
 
 
 # The command
@@ -732,12 +729,11 @@ def test_a_file_that_fails_at_the_end_costs_neither_the_summary_nor_its_pair(
     assert {path.name for path in tmp_path.iterdir()} == kept | {lost}
 
 
-@pytest.mark.parametrize("suffix", [".log", ".blf"])
 @pytest.mark.parametrize("bytes_left", [0, 9000, 20_000])
-def test_a_full_disk_costs_the_log_but_not_the_run(suffix: str, bytes_left: int, tmp_path: Path) -> None:
+def test_a_full_disk_costs_the_log_but_not_the_run(bytes_left: int, tmp_path: Path) -> None:
     """Full at once, during the run, or when the files are completed."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    log, part = tmp_path / f"run{suffix}", tmp_path / f"run{suffix}.part"
+    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
     options = ("--steps", "100", "--quiet", "--log", str(log))
     said = io.StringIO()  # pytest captures in files, which are limited, too
     with redirect_stdout(said), redirect_stderr(said):
