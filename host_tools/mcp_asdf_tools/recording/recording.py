@@ -61,8 +61,8 @@ class Recording:
         """
         if path.suffix.lower() != ".log":
             raise UsageError(
-                f"cannot log to {path.name}: choose .log, candump's format; python-can's can_logconvert makes "
-                "others of it"
+                f"cannot log to {path.name}: choose .log, candump's format; python-can's can_logconvert "
+                "makes others of it"
             )
         self.failure: str | None = None
         self._path, self._header, self._channel, self._warn = path, header, channel, warn
