@@ -436,9 +436,8 @@ def _(node: Any, right: Act, z: Observation | None) -> Any:
 @wrong(node, "_obey", "stray commands", "observes twice")
 def _(node: Any, right: Act, command: Command) -> Any:
     is_repeated = not node.is_settled and command.tick == node._tick_of_command
-    if is_repeated and command.action is not Action.SETTLE and command.target == ID:
-        if command.action is not Action.OBSERVE_NONE:
-            node.robot.observe(Observation(command.action.value))
+    if is_repeated and command.action.value in tuple(Observation) and command.target == ID:
+        node.robot.observe(Observation(command.action.value))
     return right(command)
 
 
