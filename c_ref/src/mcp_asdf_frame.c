@@ -203,111 +203,49 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
     return MCP_ASDF_FRAME_OK;
 }
 
-mcp_asdf_frame_status_t mcp_asdf_decode_heartbeat(mcp_asdf_heartbeat_t *message,
-                                                  const mcp_asdf_frame_t *frame)
-{
-    const status_t status = open_envelope(frame, MCP_ASDF_SUBJECT_HEARTBEAT);
-    if (status != MCP_ASDF_FRAME_OK) {
-        return status;
-    }
-    if ((frame->data[5] & 7U) > MCP_ASDF_MODE_SOFTWARE_UPDATE) {
-        return MCP_ASDF_FRAME_ERR_MODE;
-    }
-    message->node = node_of(frame);
-    message->transfer_id = transfer_id_of(frame);
-    message->uptime = read_32(&frame->data[0]);
-    message->health = frame->data[4] & 3U;
-    message->mode = frame->data[5] & 7U;
-    message->vendor_status = frame->data[6];
-    return MCP_ASDF_FRAME_OK;
-}
-
 /* ---- Telemetry -------------------------------------------------------------------------------------- */
-
-static status_t check_telemetry(uint32_t x, uint32_t b_hat)
-{
-    if (x > MCP_ASDF_ONE) {
-        return MCP_ASDF_FRAME_ERR_X;
-    }
-    return b_hat >= MCP_ASDF_FRAME_B_HAT_MIN && b_hat <= MCP_ASDF_FRAME_B_HAT_MAX ? MCP_ASDF_FRAME_OK
-                                                                                  : MCP_ASDF_FRAME_ERR_B_HAT;
-}
 
 mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message)
 {
-    status_t status = check_format(format, message->node);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_telemetry(message->x, message->b_hat);
+    const status_t status = check_format(format, message->node);
+    if (status != MCP_ASDF_FRAME_OK) {
+        return status;
     }
-    if (status == MCP_ASDF_FRAME_OK) {
-        write_24(&frame->data[0], message->x);
-        write_24(&frame->data[3], message->b_hat);
-        frame->data[6] = message->updates;
-        seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    if (message->x > MCP_ASDF_ONE) {
+        return MCP_ASDF_FRAME_ERR_X;
     }
-    return status;
-}
-
-mcp_asdf_frame_status_t mcp_asdf_decode_telemetry(mcp_asdf_telemetry_t *message, uint16_t subject,
-                                                  const mcp_asdf_frame_t *frame)
-{
-    status_t status = open_envelope(frame, subject);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_telemetry(read_24(&frame->data[0]), read_24(&frame->data[3]));
+    if (message->b_hat < MCP_ASDF_FRAME_B_HAT_MIN || message->b_hat > MCP_ASDF_FRAME_B_HAT_MAX) {
+        return MCP_ASDF_FRAME_ERR_B_HAT;
     }
-    if (status == MCP_ASDF_FRAME_OK) {
-        message->node = node_of(frame);
-        message->transfer_id = transfer_id_of(frame);
-        message->x = read_24(&frame->data[0]);
-        message->b_hat = read_24(&frame->data[3]);
-        message->updates = frame->data[6];
-    }
-    return status;
+    write_24(&frame->data[0], message->x);
+    write_24(&frame->data[3], message->b_hat);
+    frame->data[6] = message->updates;
+    seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    return MCP_ASDF_FRAME_OK;
 }
 
 /* ---- Command ---------------------------------------------------------------------------------------- */
 
-static status_t check_command(uint8_t target, uint8_t action)
-{
-    if (target > MCP_ASDF_NODE_MAX && target != MCP_ASDF_EVERY_ROBOT) {
-        return MCP_ASDF_FRAME_ERR_TARGET;
-    }
-    return action > MCP_ASDF_SETTLE ? MCP_ASDF_FRAME_ERR_ACTION : MCP_ASDF_FRAME_OK;
-}
-
-mcp_asdf_frame_status_t mcp_asdf_encode_command(mcp_asdf_frame_t *frame,
-                                                const mcp_asdf_frame_format_t *format,
-                                                const mcp_asdf_command_t *message)
-{
-    status_t status = check_format(format, message->node);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_command(message->target, message->action);
-    }
-    if (status == MCP_ASDF_FRAME_OK) {
-        write_32(&frame->data[0], message->tick);
-        frame->data[4] = message->target;
-        frame->data[5] = message->action;
-        frame->data[6] = 0;
-        seal(frame, format->priority, format->subject, message->node, message->transfer_id);
-    }
-    return status;
-}
-
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,
                                                 const mcp_asdf_frame_t *frame)
 {
-    status_t status = open_envelope(frame, subject);
-    if (status == MCP_ASDF_FRAME_OK) {
-        status = check_command(frame->data[4], frame->data[5]);
+    const status_t status = open_envelope(frame, subject);
+    if (status != MCP_ASDF_FRAME_OK) {
+        return status;
     }
-    if (status == MCP_ASDF_FRAME_OK) {
-        message->node = node_of(frame);
-        message->transfer_id = transfer_id_of(frame);
-        message->tick = read_32(&frame->data[0]);
-        message->target = frame->data[4];
-        message->action = frame->data[5];
+    const uint8_t target = frame->data[4], action = frame->data[5];
+    if (target > MCP_ASDF_NODE_MAX && target != MCP_ASDF_EVERY_ROBOT) {
+        return MCP_ASDF_FRAME_ERR_TARGET;
     }
-    return status;
+    if (action > MCP_ASDF_SETTLE) {
+        return MCP_ASDF_FRAME_ERR_ACTION;
+    }
+    message->node = node_of(frame);
+    message->transfer_id = transfer_id_of(frame);
+    message->tick = read_32(&frame->data[0]);
+    message->target = target;
+    message->action = action;
+    return MCP_ASDF_FRAME_OK;
 }

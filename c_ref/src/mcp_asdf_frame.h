@@ -9,6 +9,9 @@
  *   telemetry   x, b_hat and the number of updates, for watchers (optional)
  *   command     a simulator's order to observe or to settle, for lockstep (optional)
  *
+ * Here is what a robot does with them: it sends the first three and takes estimates and commands. Tools read
+ * and write all four (docs/frame.md).
+ *
  * When its broadcast timer expires, a robot sends
  *
  *     const mcp_asdf_estimate_t own = {id, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
@@ -184,7 +187,7 @@ typedef struct {
     uint32_t tick;
 } mcp_asdf_command_t;
 
-/* Make the frame of a message. All four fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and as
+/* Make the frame of a message. All fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and as
  * listed. The heartbeat's subject is fixed. */
 
 /* Fails if x_hat is out of range (ERR_X_HAT); every alpha is valid. */
@@ -201,22 +204,10 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message);
 
-/* Fails if target or action is unknown (ERR_TARGET, ERR_ACTION). */
-mcp_asdf_frame_status_t mcp_asdf_encode_command(mcp_asdf_frame_t *frame,
-                                                const mcp_asdf_frame_format_t *format,
-                                                const mcp_asdf_command_t *message);
-
-/* Read a message from a frame. `subject` is that of the kind, 0 .. 6143; no frame has a larger one. All fail
+/* Read a message from a frame. `subject` is that of the kind, 0 .. 6143; no frame has a larger one. Both fail
  * with what the frame lacks first, in the order of mcp_asdf_frame_status_t. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame);
-
-/* Spare bits beside health and mode are ignored, as Cyphal asks. */
-mcp_asdf_frame_status_t mcp_asdf_decode_heartbeat(mcp_asdf_heartbeat_t *message,
-                                                  const mcp_asdf_frame_t *frame);
-
-mcp_asdf_frame_status_t mcp_asdf_decode_telemetry(mcp_asdf_telemetry_t *message, uint16_t subject,
-                                                  const mcp_asdf_frame_t *frame);
 
 /* The spare byte is ignored, as Cyphal asks. */
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,

@@ -38,13 +38,9 @@ def test_every_combination_compiles_without_a_warning(way: str, tmp_path: Path) 
         run(compiler, "-std=c99", *flags, *WARNINGS, *chosen, CORE, cwd=tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("DIVIDE", 0), ("DIVIDE", 5), *((name, value) for name in list(CHOICES)[1:] for value in (-1, 2))],
-)
-def test_a_choice_out_of_range_is_refused(name: str, value: int) -> None:
-    said = complaint(f"-DMCP_ASDF_{name}={value}")
-    assert f'#error "MCP_ASDF_{name} is out of range: choose ' in said
+@pytest.mark.parametrize("value", [0, 5])
+def test_a_division_out_of_range_is_refused(value: int) -> None:
+    assert '#error "MCP_ASDF_DIVIDE is out of range: choose ' in complaint(f"-DMCP_ASDF_DIVIDE={value}")
 
 
 OWN = {

@@ -28,6 +28,7 @@ PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
 SOURCES = {f"src/{name}.{kind}" for name in PARTS for kind in "ch"} | {
     "src/mcp_asdf_arithmetic.h",
     "src/mcp_asdf_rom.h",
+    *(f"src/mcp_asdf_target{kind}.h" for kind in ("", "_avr", "_small")),
 }
 WARNINGS = "-Wall -Wextra -Werror"
 
@@ -137,7 +138,7 @@ def test_platformio_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
     files = unpacked(Path(archive), tmp_path / "lib")
     assert files - {".piopm"} == SOURCES | {"library.json", "library.properties", "README.md", "LICENSE"}
     assert set(manifests()["library.json"]["headers"]) == {
-        Path(name).name for name in SOURCES if name[-1] == "h" and "arithmetic" not in name
+        Path(name).name for name in SOURCES if name[-1] == "h" and not re.search("arithmetic|target", name)
     }
     assert consumer_of(tmp_path / "lib", manifests()["library.json"]["build"], tmp_path) == answer()
 

@@ -97,7 +97,8 @@ def pkg_config(prefix: Path, *arguments: str) -> str:
 # --- Copied ----------------------------------------------------------------------------------------------
 
 
-PRIVATE = CORE.with_name("mcp_asdf_arithmetic.h"), CORE.with_name("mcp_asdf_rom.h")
+PRIVATE = (CORE.with_name("mcp_asdf_arithmetic.h"), *sorted(CORE.parent.glob("mcp_asdf_target*.h")))
+ROM = CORE.with_name("mcp_asdf_rom.h")
 IMAGE, FRAME = CORE.with_name("mcp_asdf_image.c"), CORE.with_name("mcp_asdf_frame.c")
 FOLDER = sorted(CORE.parent.iterdir())
 CODEC = """
@@ -132,8 +133,8 @@ SAVING = """
     printf("""
 
 
-MINIMAL = (CORE, HEADER, *PRIVATE)
-CODEC_ALONE = (FRAME, FRAME.with_suffix(".h"), HEADER, *PRIVATE)
+MINIMAL = (CORE, HEADER, ROM, *PRIVATE)
+CODEC_ALONE = (FRAME, FRAME.with_suffix(".h"), HEADER, ROM, *PRIVATE)
 """The codec takes the firmware's headers, but none of its code."""
 
 
@@ -256,7 +257,7 @@ def test_absolute_folders_are_found(absolute: Path, project: Path, expected: str
 def test_what_is_installed(prefix: Path) -> None:
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
     config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
-    headers = {path.name for path in FOLDER if path.suffix == ".h"} - {"mcp_asdf_arithmetic.h"}
+    headers = {path.name for path in FOLDER if path.suffix == ".h"} - {path.name for path in PRIVATE}
     assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | headers | config
 
 

@@ -13,6 +13,9 @@ from proofs.source import LANES_HEADER, SOURCES
 MUTATED = (
     "mcp_asdf.c",
     "mcp_asdf_arithmetic.h",
+    "mcp_asdf_target.h",
+    "mcp_asdf_target_avr.h",
+    "mcp_asdf_target_small.h",
     "lanes_arithmetic.h",
     "mcp_asdf_image.c",
     "mcp_asdf_frame.c",
@@ -25,7 +28,7 @@ NOT_CODE = re.compile(
 )
 COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 DEFINITION = re.compile(r"^#define (\w+)([ \t]+(?:[^\n]*\\\n)*[^\n]*)", re.MULTILINE)
-COMPILERS = re.compile("MCP_ASDF|UNUSED|HOT|SHARED|WARM|NOINLINE|ALWAYS")
+COMPILERS = re.compile("MCP_ASDF|UNUSED|HOT|SHARED|WARM|ZEROS|NOINLINE|ALWAYS|FENCE")
 """Definitions that choose a way, or say something to a compiler."""
 FUNCTION = re.compile(
     r"^(?!typedef|static const|ASSERT)[ \t]*\w[^;{}=]*?\b(\w+)\([^;{}]*\)\s*\{", re.MULTILINE

@@ -103,15 +103,12 @@ static void encode_any(void)
     (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
     (void)mcp_asdf_encode_heartbeat(&frame, byte(), &heartbeat);
     (void)mcp_asdf_encode_telemetry(&frame, &format, &telemetry);
-    (void)mcp_asdf_encode_command(&frame, &format, &command);
 }
 
 static void decode_any(void)
 {
     const uint16_t subject = (uint16_t)word();
     (void)mcp_asdf_decode_estimate(&estimate_message, subject, &frame);
-    (void)mcp_asdf_decode_heartbeat(&heartbeat, &frame);
-    (void)mcp_asdf_decode_telemetry(&telemetry, subject, &frame);
     (void)mcp_asdf_decode_command(&command, subject, &frame);
 }
 

@@ -16,6 +16,8 @@ from support import ROOT, run
 
 SOURCES = ROOT / "c_ref/src"
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
+ARITHMETIC = (HEADER, *sorted(SOURCES.glob("mcp_asdf_target*.h")))
+"""The private headers, of which the first includes the others."""
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
 """What the experiments' engine divides with: it includes the core and brings this."""
 INCLUDE = Path(__file__).parent / "include"
@@ -82,9 +84,9 @@ class Program:
             if isinstance(each, c_ast.Decl) and isinstance(each.init, c_ast.InitList)
         }
 
-    def defined_in(self, path: Path) -> list[str]:
-        """Names of the functions that this file defines."""
-        return [name for name, each in self.functions.items() if each.coord.file == str(path)]
+    def defined_in(self, *paths: Path) -> list[str]:
+        """Names of the functions that these files define."""
+        return [name for name, each in self.functions.items() if Path(each.coord.file) in paths]
 
     def parameters(self, name: str) -> list[Any]:
         """Declarations of a function's parameters."""

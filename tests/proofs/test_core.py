@@ -14,7 +14,7 @@ from proofs import arithmetic
 from proofs.core import CORE, contracts
 from proofs.loops import KNOWN, loops_in, prove_ends
 from proofs.prove import UnprovenError, prove, prove_lemma
-from proofs.source import HEADER, SOURCES, VARIANTS, Program, Variant, nodes, program
+from proofs.source import SOURCES, VARIANTS, Program, Variant, nodes, program
 
 LEMMAS = sorted(contracts(VARIANTS[0]))
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
@@ -69,7 +69,7 @@ def test_a_loop_that_turns_more_often_than_stated_is_refused(tmp_path: Path) -> 
         prove_ends(code, "table_valid", loop)
 
 
-@pytest.mark.parametrize("path", [HEADER, *FIRMWARE], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [SOURCES / "mcp_asdf_target_avr.h", *FIRMWARE], ids=lambda path: path.name)
 def test_every_loop_states_its_bound(path: Path) -> None:
     """Those of the arithmetic are proved with the lemma of their function, in every variant."""
     lines = path.read_text(encoding="utf-8").splitlines()

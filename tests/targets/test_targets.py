@@ -79,7 +79,7 @@ FLAGS = {
 }
 """For the compilers of targets that choose by it."""
 ARITHMETIC = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
-"""Macros of mcp_asdf_arithmetic.h, and their values."""
+"""Macros of mcp_asdf_target.h, and their values."""
 
 
 def chosen_by(cell: Cell) -> list[tuple[str, int]]:

@@ -1,4 +1,7 @@
-"""The two frame codecs, C and Python, are one: same verdict, same values, same bytes on every input."""
+"""The two frame codecs, C and Python, are one: same verdict, same values, same bytes on every input.
+
+The C has what a robot needs: it encodes estimates, heartbeats, telemetry; decodes estimates, commands.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +64,14 @@ class Codec:
         self.statuses = {name.removeprefix("MCP_ASDF_FRAME_"): n for name, n in status.relements.items()}
         self._name_of = {code: name.removeprefix("ERR_") for name, code in self.statuses.items()}
 
-    def decode(self, kind: str, frame: can.Message, *subject: int) -> str | tuple[int, ...]:
+    def decode(self, kind: str, frame: can.Message, subject: int) -> str | tuple[int, ...]:
         flags = frame.is_remote_frame * 2 | frame.is_error_frame * 4 | frame.is_fd * 8
         data = bytes(frame.data[:8]).ljust(8, b"\xe0")
         c_frame: Any = self.ffi.new("mcp_asdf_frame_t *")
         c_frame.id, c_frame.flags = frame.arbitration_id, flags | (not frame.is_extended_id)
         c_frame.length, c_frame.data = len(frame.data), data
         message = self.ffi.new(f"mcp_asdf_{kind}_t *")
-        status = getattr(self.lib, f"mcp_asdf_decode_{kind}")(message, *subject, c_frame)
+        status = getattr(self.lib, f"mcp_asdf_decode_{kind}")(message, subject, c_frame)
         return self._name_of[status] if status else self._values(kind, message)
 
     def encode(self, kind: str, message: Any, where: Any) -> str | tuple[int, bytes]:
@@ -119,7 +122,8 @@ DECODERS: dict[str, Callable[[can.Message], Any]] = {
     "telemetry": frames.decode_telemetry,
     "command": frames.decode_command,
 }
-SUBJECTS = {"estimate": (3000,), "heartbeat": (), "telemetry": (3001,), "command": (3002,)}
+SUBJECTS = {"estimate": 3000, "command": 3002}
+"""Those that the C decodes."""
 
 
 def python_result(kind: str, frame: can.Message) -> str | tuple[int, ...]:
@@ -132,7 +136,8 @@ def agrees(codec: Codec, frame: can.Message) -> list[str]:
     seen = []
     for kind in TYPES:
         result = python_result(kind, frame)
-        assert codec.decode(kind, frame, *SUBJECTS[kind]) == result, (kind, frame)
+        if kind in SUBJECTS:
+            assert codec.decode(kind, frame, SUBJECTS[kind]) == result, (kind, frame)
         seen.append(result if isinstance(result, str) else kind)
     return seen
 
@@ -212,10 +217,6 @@ ENCODERS: dict[str, tuple[Callable[..., can.Message], Any]] = {
     "telemetry": (
         frames.encode_telemetry,
         st.builds(Telemetry, nodes, ratios, accuracies, bytes_, transfers),
-    ),
-    "command": (
-        frames.encode_command,
-        st.builds(Command, nodes, words, bytes_, st.sampled_from(Action), transfers),
     ),
 }
 

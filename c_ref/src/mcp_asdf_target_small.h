@@ -1,0 +1,84 @@
+/* Variants of cores without 64-bit product, divider or count of leading zeros, for mcp_asdf_target.h alone.
+ */
+#ifndef MCP_ASDF_TARGET_SMALL_H
+#define MCP_ASDF_TARGET_SMALL_H
+
+#if MCP_ASDF_SPLIT_MULTIPLY
+WARM uint64_t multiply(uint32_t a, uint32_t b)
+{
+    const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
+    const uint32_t low = a0 * b0;                          /* (2^16 - 1)^2 < 2^32, as are the others */
+    const uint32_t middle = a1 * b0 + (low >> 16);         /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
+    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFFU); /* the same */
+    const uint32_t high = a1 * b1 + (middle >> 16) + (middle2 >> 16); /* upper word of a product < 2^64 */
+    return (uint64_t)high << 32 | middle2 << 16 | (low & 0xFFFFU);
+}
+
+WARM uint32_t multiply_high(uint32_t a, uint32_t b)
+{
+    const uint32_t a1 = a >> 16, b1 = b >> 16;
+    a &= 0xFFFFU; /* in place: gcc then finds registers for all */
+    b &= 0xFFFFU;
+    const uint32_t middle = a1 * b + (a * b >> 16);
+    const uint32_t middle2 = a * b1 + (middle & 0xFFFFU);
+    return a1 * b1 + (middle >> 16) + (middle2 >> 16);
+}
+#endif
+
+#if !MCP_ASDF_HAS_CLZ && !MCP_ASDF_SHIFT_BYTES && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_INCLUDER
+#if MCP_ASDF_SPLIT_MULTIPLY /* few registers */
+#define ZEROS WARM
+#else
+#define ZEROS HOT
+#endif
+ZEROS uint32_t leading_zeros(uint32_t value)
+{
+    uint32_t zeros = 0;
+    if (value >> 16 == 0U) {
+        value <<= 16;
+        zeros = 16;
+    }
+    if (value >> 24 == 0U) {
+        value <<= 8;
+        zeros += 8U;
+    }
+    if (value >> 28 == 0U) {
+        value <<= 4;
+        zeros += 4U;
+    }
+    if (value >> 30 == 0U) {
+        value <<= 2;
+        zeros += 2U;
+    }
+    return zeros + (~value >> 31);
+}
+#endif
+
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
+/* 256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1. */
+static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
+    253, 245, 238, 230, 223, 216, 210, 203, 197, 191, 185, 179, 173, 168, 162, 157, 152,
+    147, 142, 137, 133, 128, 124, 119, 115, 111, 107, 103, 99,  95,  92,  88,  85,  81,
+    78,  74,  71,  68,  65,  62,  59,  56,  53,  50,  47,  44,  42,  39,  36,  34,  31,
+    29,  26,  24,  22,  19,  17,  15,  12,  10,  8,   6,   4,   2,   1};
+
+/* 2^46 / d, at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step r (2 - y
+ * r) from below, as y = d / 2^31 is rounded up. */
+ALWAYS_INLINE uint32_t prepare(uint32_t d)
+{
+    const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
+    const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64U ? step : 64U]); /* Q8 */
+    const uint32_t y_r = ((d >> 8) + 1U) * r; /* r is in [256, 508], so this is 1 +- 2^-6 as Q31 */
+    return (r * ((0U - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
+}
+#endif
+
+#if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
+/* rest 2^bits / d, as (rest / 2^15) (2^46 / d) / 2^(31 - bits); the product is < 2^32 for rest < 2 d. */
+ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
+{
+    return ((rest >> 15) * prepared) >> (31U - bits);
+}
+#endif
+
+#endif
