@@ -9,13 +9,12 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import can
 from rich.console import Console
 
-from mcp_asdf_tools.bus import interfaces
+from mcp_asdf_tools.bus.interfaces import BusChoice, choose_bus
 from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.again import print_again
@@ -32,14 +31,7 @@ from mcp_asdf_tools.robots.processes import NodeProcesses, node_processes
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.swarm.summary import (
-    Rows,
-    comparison,
-    load_warning,
-    one_line,
-    summary,
-    summary_table,
-)
+from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmHook, SwarmRun, run_swarm
 
 if TYPE_CHECKING:
@@ -53,21 +45,16 @@ examples:
   mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
-  mcp-asdf swarm --flawed 0.5 --seed 7 --log run.log --json
+  mcp-asdf swarm --flawed 0.5 --set omega=0.1 --seed 7 --log run.log --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
-  mcp-asdf swarm --topology dynamic                 # robots move and hear those within 0.7 m
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
   mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
   mcp-asdf swarm --clock real-time --steps 100
   mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100
   mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
-With {robot} in the channel each robot has a bus of its own, and frames are carried between them. The
-same settings give the same run and, on the bus inside this process, the same log to the byte. More about
-media, faults and clocks is in docs/swarm.md.
-The bus inside this process is left out where nothing else can listen (no --slcan,
---processes, --device or {robot}), which makes runs twice as fast; frames, logs and
-states stay the same to the bit.
+With {robot} in the channel each robot has a bus of its own, and frames are carried between them. The same
+settings give the same run to the bit, and the same log, on every bus. docs/swarm.md says more.
 exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
 if interrupted (what was done is saved)"""
 
@@ -75,55 +62,49 @@ _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
 
 
-@dataclass
-class _Attached:
-    """Companions of a swarm's run.
+@dataclass(frozen=True)
+class _Plan:
+    """What the options ask for.
 
     Attributes:
-        camera: Takes a film of it, if one is wanted.
-        companion: The same swarm without the filter, if they are to be compared.
+        args: The options.
+        settings: The swarm.
+        choice: Its bus.
+        wiring: Who is on which bus.
     """
 
-    camera: SwarmCamera | None = None
-    companion: Companion | None = None
+    args: argparse.Namespace
+    settings: SwarmSettings
+    choice: BusChoice
+    wiring: Wiring
 
     @property
-    def hooks(self) -> list[SwarmHook]:
-        """Those there are, in the order in which they have to act."""
-        return [each for each in (self.companion, self.camera) if each is not None]
-
-    @property
-    def seconds(self) -> float:
-        """Time spent on the other swarm."""
-        return 0.0 if self.companion is None else self.companion.seconds
+    def console(self) -> Console:
+        """Where the run is shown."""
+        return Console(quiet=self.args.quiet or self.args.json)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the swarm, save and print what came out."""
-    settings = settings_of(args)
-    choice = interfaces.choose_bus(args)
-    wiring = wiring_of(args, settings, choice)
-    _check_comparison(args, settings, wiring)
-    if args.plot is not None:
-        from mcp_asdf_tools.common.figures import check_plot_path  # noqa: PLC0415
-
-        check_plot_path(args.plot)
+    settings, choice = settings_of(args), choose_bus(args)
+    plan = _Plan(args, settings, choice, wiring_of(args, settings, choice))
+    _check(plan)
     beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
     header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
-    began = time.monotonic()
     try:
         with ExitStack() as ending:
-            attached = _attach(args, settings, ending)
+            camera = _camera(plan, ending)
             with recording as outputs:
-                outcome, report = _emulate(args, (settings, choice, wiring), outputs, attached)
-                seconds = time.monotonic() - began - attached.seconds
+                outcome, report, seconds = _emulate(plan, outputs, camera)
                 # Printed even if a file cannot be completed.
-                rows = summary(outcome, str(choice), seconds)
-                ending.callback(_print, args, outcome, report, rows)
+                ending.callback(_print, plan, outcome, report, seconds)
             with FileSet() as files:
                 if args.plot is not None:
-                    files.write(args.plot, _picture(outcome, args.plot))
+                    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
+                    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+
+                    files.write(args.plot, image_of(draw(outcome), args.plot))
                 for path in beside:
                     files.write(path, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
@@ -132,74 +113,71 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(recording, _exit_code(outcome))
 
 
-def _picture(outcome: SwarmRun, path: Path) -> bytes:
-    """The plot of a run that is over."""
-    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
-    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+def _check(plan: _Plan) -> None:
+    """Refuse options that contradict each other, and pictures that cannot be written."""
+    args, settings = plan.args, plan.settings
+    if args.compare and (plan.wiring.remote or settings.filter == "none"):
+        reason = "robots elsewhere run once" if plan.wiring.remote else "filter is none"
+        raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
+    if args.slcan is not None and plan.choice.has_channels:
+        raise UsageError(
+            f"--slcan needs one bus for all, and {plan.choice} is one for each robot; choose one of them"
+        )
+    if args.slcan is not None and settings.robots > MAX_ROBOTS_AND_TOOLS:
+        raise UsageError(
+            f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
+            "the ids 126 and 127"
+        )
+    if args.plot is not None:
+        from mcp_asdf_tools.common.figures import check_plot_path  # noqa: PLC0415
 
-    return image_of(draw(outcome), path)
-
-
-def _attach(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> _Attached:
-    camera = _camera(args, settings, ending)
-    if not args.compare:
-        return _Attached(camera)
-    companion = Companion(settings)
-    ending.enter_context(companion.swarm)
-    return _Attached(camera, companion)
+        check_plot_path(args.plot)
 
 
 def _emulate(
-    args: argparse.Namespace,
-    chosen: tuple[SwarmSettings, interfaces.BusChoice, Wiring],
-    outputs: LogOutputs,
-    attached: _Attached,
-) -> tuple[SwarmRun, dict[str, Any]]:
-    """Run the swarm; returns what came out, and all of it with all settings as plain values.
+    plan: _Plan, outputs: LogOutputs, camera: SwarmCamera | None
+) -> tuple[SwarmRun, dict[str, Any], float]:
+    """Run the swarm to its end or Ctrl-C; returns what came out, all of it as plain values, and seconds.
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
-    settings, choice, wiring = chosen
+    began = time.monotonic()
+    companion = Companion(plan.settings) if plan.args.compare else None
     with ExitStack() as stack:
-        port = _admit(args, settings, choice, stack)
-        swarm = stack.enter_context(Swarm(settings, wiring, *outputs))
-        nodes = stack.enter_context(_start(args, settings, choice))
-        with _console(args).status("waiting for robots elsewhere"):
-            swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        outcome = _watched(args, swarm, attached)
+        port = _admit(plan, stack)
+        swarm = stack.enter_context(Swarm(plan.settings, plan.wiring, *outputs))
+        nodes = stack.enter_context(_start(plan))
+        if plan.wiring.remote:
+            with plan.console.status("waiting for robots elsewhere"):
+                swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+        with LiveView(plan.console, companion) as live, _interruptible() as stop:
+            hooks = [each for each in (companion, camera, live, stop) if each is not None]
+            outcome = run_swarm(swarm, hooks)
+    choice = plan.choice
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
-    if attached.companion is not None and outcome.failure is None:
-        report["without_filter"] = attached.companion.results()
-    return outcome, report
+    seconds = time.monotonic() - began
+    if companion is not None:
+        seconds -= companion.seconds
+        if outcome.failure is None:
+            report["without_filter"] = companion.results()
+    return outcome, report, seconds
 
 
-def _check_comparison(args: argparse.Namespace, settings: SwarmSettings, wiring: Wiring) -> None:
-    if args.compare and (wiring.remote or settings.filter == "none"):
-        reason = "robots elsewhere run once" if wiring.remote else "filter is none"
-        raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
-
-
-def _watched(args: argparse.Namespace, swarm: Swarm, attached: _Attached) -> SwarmRun:
-    """Run a swarm to its end or Ctrl-C, and show it meanwhile."""
-    with LiveView(_console(args), attached.companion) as live, _interruptible() as stop:
-        return run_swarm(swarm, [*attached.hooks, live, stop])
-
-
-def _camera(args: argparse.Namespace, settings: SwarmSettings, ending: ExitStack) -> SwarmCamera | None:
+def _camera(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
     """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
-    if not args.view:
+    if not plan.args.view:
         return None
     from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    camera = SwarmCamera(settings)
-    view.announce(args, ending.enter_context(serving(camera.film, args.port)))
-    ending.push(lambda kind, error, trace: _let_look(args, camera, kind is None))
+    camera = SwarmCamera(plan.settings)
+    view.announce(plan.args, ending.enter_context(serving(camera.film, plan.args.port)))
+    ending.push(lambda kind, error, trace: _let_look(camera, kind is None))
     return camera
 
 
-def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -> None:
+def _let_look(camera: SwarmCamera, is_regular: bool) -> None:
     """The run is over; its page stays until Ctrl-C, unless an error ended it."""
     camera.film.has_ended = True
     sys.stdout.flush()
@@ -208,37 +186,23 @@ def _let_look(args: argparse.Namespace, camera: SwarmCamera, is_regular: bool) -
             view.wait(should_stop)
 
 
-def _console(args: argparse.Namespace) -> Console:
-    return Console(quiet=args.quiet or args.json)
-
-
-def _admit(
-    args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice, stack: ExitStack
-) -> int | None:
+def _admit(plan: _Plan, stack: ExitStack) -> int | None:
     """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
-    if args.slcan is None:
+    if plan.args.slcan is None:
         return None
-    if choice.has_channels:
-        raise UsageError(
-            f"--slcan needs one bus for all, and {choice} is one for each robot; choose one of them"
-        )
-    if settings.robots > MAX_ROBOTS_AND_TOOLS:
-        raise UsageError(
-            f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
-            "the ids 126 and 127"
-        )
-    server = stack.enter_context(SlcanServer(choice.open(), args.slcan))
+    server = stack.enter_context(SlcanServer(plan.choice.open(), plan.args.slcan))
     # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
 
 
-def _start(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> NodeProcesses:
+def _start(plan: _Plan) -> NodeProcesses:
     """The robots' processes; none unless asked for."""
-    if not args.processes:
+    settings = plan.settings
+    if not plan.args.processes:
         return NodeProcesses({})
     subjects = Subjects(estimates=settings.frames)
-    return node_processes(settings.records(), choice.of_robot, subjects, settings.steps_per_second)
+    return node_processes(settings.records(), plan.choice.of_robot, subjects, settings.steps_per_second)
 
 
 @contextmanager
@@ -256,12 +220,13 @@ def _interruptible() -> Iterator[SwarmHook]:
         yield obey
 
 
-def _print(args: argparse.Namespace, outcome: SwarmRun, report: dict[str, Any], rows: Rows) -> None:
+def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: float) -> None:
     """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
-    console = Console()
+    args, console = plan.args, Console()
     if args.json:
         print(json.dumps(report, indent=2))
         return
+    rows = summary(outcome, str(plan.choice), seconds)
     if args.quiet:
         print(one_line(outcome))
     elif console.is_terminal:

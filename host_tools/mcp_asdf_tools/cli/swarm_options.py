@@ -11,8 +11,8 @@ import can
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli import parameter_options, view
-from mcp_asdf_tools.cli.robot_options import add_estimate_options
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import Parameter, parameters_of
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -21,11 +21,22 @@ from mcp_asdf_tools.swarm.remote_robot import check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 _DEFAULTS = SwarmSettings()
+_OPTIONS = (
+    *("robots", "topology", "graph", "fill_ratio", "sensor", "density", "steps_per_second", "steps", "seed"),
+    *("flawed", "filter", "filter_period", "firmware"),
+)
+"""Parameters that have options of their own; ``--set`` has all others."""
+_FRAMES = (
+    Parameter("subject", int, (), _DEFAULTS.frames.subject, "Cyphal subject of estimates", 0, 6143),
+    Parameter("priority", int, (), _DEFAULTS.frames.priority, "priority of estimates, 0 (first) to 7", 0, 7),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parameter_options.add_parameters(parser, SwarmSettings, "swarm and world")
+    parameter_options.add_parameters(parser, SwarmSettings, "swarm and world", _OPTIONS)
+    others = [each for name, each in parameters_of(SwarmSettings).items() if name not in _OPTIONS]
+    parameter_options.add_set(parser, (*others, *_FRAMES))
     _add_faults(parser)
     _add_bus_and_output(parser)
 
@@ -37,8 +48,9 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
     )
     group = parser.add_argument_group(
         "faults and clock",
-        "A fault is KIND=RATE (1 if left out), then options, all apart by commas. For all: from=TICK,\n"
-        "to=TICK (the first without it), robots=0+3-5 (the nodes, or senders of frames). KIND is\n" + kinds,
+        "A fault is KIND=RATE (1 if left out), then options, separated by commas. All kinds have\n"
+        "from=TICK, to=TICK (the first without it), robots=0+3-5 (the nodes, or senders of frames).\n"
+        + kinds,
     )
     group.add_argument(
         "--fault",
@@ -75,7 +87,6 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="this robot is a controller there that obeys command frames; repeatable",
     )
-    add_estimate_options(parser)
     output = parser.add_argument_group("output (beside each file, FILE.json gets all parameters and results)")
     output.add_argument("--plot", metavar="FILE", type=Path, help="draw the run: .png, .svg or .pdf")
     add_log_option(output, "FILE.events gets what each robot saw and heard")
@@ -93,7 +104,8 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
     """Settings from parsed arguments. Raises UsageError for a value out of range."""
-    own = {"frames": FrameFormat(args.subject, args.priority), "faults": args.faults, "clock": args.clock}
+    frames = FrameFormat(*(getattr(args, each.name, each.default) for each in _FRAMES))
+    own = {"frames": frames, "faults": args.faults, "clock": args.clock}
     return parameter_options.settings_from(args, SwarmSettings, **own)
 
 

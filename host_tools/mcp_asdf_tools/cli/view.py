@@ -174,6 +174,6 @@ def _watch(args: argparse.Namespace) -> int:
         print(f"mcp-asdf view: the bus failed: {error}", file=sys.stderr)
         return 1
     if not watch.has_telemetry:
-        hint = "no robot sent telemetry, which has x and b_hat: see --telemetry-period of swarm and node"
+        hint = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --set telemetry-period=1"
         print(f"mcp-asdf view: {hint}", file=sys.stderr)
     return 0

@@ -72,7 +72,7 @@ def load_warning(results: dict[str, Any]) -> str | None:
         return None
     return (
         f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {LIMIT:.0%} of the time; "
-        "use a faster one, a longer --comms-period, or fewer ticks per second"
+        "use a faster one, a longer comms-period, or fewer ticks per second"
     )
 
 

@@ -43,7 +43,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
     """A swarm that runs; gives the documented command that joins its bus, without what it is to do."""
     require("yakut")
-    command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--comms-period", "20"]
+    command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--set", "comms-period=20"]
     endless = ["--filter-period", "1000", "--steps", "100000000", "--slcan", "0", *options]
     endless += ["--clock", "real-time", "--steps-per-second", "200"]
     quiet, told = subprocess.DEVNULL, subprocess.PIPE

@@ -41,8 +41,8 @@ SETTINGS: dict[str, Callable[[argparse.Namespace], Any]] = {
 """Everything that decides a run, where more does than the options as they were parsed."""
 
 RUNS = [
-    f"swarm {SHORT} --flawed 50% --omega 0.15 --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1",
-    f"swarm {SHORT} --seed=7 --true-accuracy 0.30000000000000004 --compare",
+    f"swarm {SHORT} --flawed 50% --set omega=0.15 --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1",
+    f"swarm {SHORT} --seed=7 --set true-accuracy=0.30000000000000004 --set latency=1 --compare",
     "radio --id 3 --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
     f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5",
     "simulate --output results.parquet one.toml --seed 3",

@@ -28,7 +28,7 @@ def test_the_other_run_is_the_same_swarm_without_a_filter(capsys: pytest.Capture
 
 def test_a_sentence_says_what_it_is_good_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = tmp_path / "run.log"
-    assert main([*SMALL, "--omega", "0.1", "--compare", "--quiet", "--log", str(log)]) == 0
+    assert main([*SMALL, "--set", "omega=0.1", "--compare", "--quiet", "--log", str(log)]) == 0
     results = json.loads(Path(f"{log}.json").read_text())
     with_it, without = (results[name]["mean_error"] for name in ("results", "without_filter"))
     said = capsys.readouterr().out.splitlines()[-1]

@@ -69,7 +69,8 @@ def test_every_format_is_reproduced(
 
 
 @pytest.mark.parametrize(
-    "options", ["--firmware mirror", "--firmware reference", "--comms-period 5", "--filter none --subject 9"]
+    "options",
+    ["--firmware mirror", "--firmware reference", "--set comms-period=5", "--filter none --set subject=9"],
 )
 def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
     frames = swarm(tmp_path / "run.log", options)
@@ -99,7 +100,7 @@ def test_what_faults_did_is_no_difference(kind: FaultKind, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "options",
-    ["--seed 1", "--seed 4 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
+    ["--seed 1", "--seed 4 --set comms-period=5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
 def test_what_faults_did_together_is_no_difference(options: str, tmp_path: Path) -> None:
     """Among so many frames of strangers some equal a broadcast that is still to come."""

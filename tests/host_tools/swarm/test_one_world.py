@@ -69,17 +69,19 @@ OFF = "--fault crash=0.02,ticks=5 --fault crash=0.01,rejoin=restored --fault bus
     [
         "",
         "--topology dynamic",
-        "--latency 1",
+        "--set latency=1",
         LOSS,
-        f"--latency 1 {OFF}",
-        f"--comms-period 3 {LATE} --fault babble=0.1,frames=3",
+        f"--set latency=1 {OFF}",
+        f"--set comms-period=3 {LATE} --fault babble=0.1,frames=3",
         f"{LATE} {AT_SENDERS}",
         f"--topology dynamic --firmware mirror {LATE} {AT_SENDERS} {OFF} {LOSS}",
     ],
 )
 def test_a_run_without_a_bus_has_the_files_of_a_run_over_one(options: str, tmp_path: Path) -> None:
     """Time stamps that the user asks for make the tool use python-can's virtual bus."""
-    common = f"swarm --robots 6 --steps 120 --filter-period 21 --telemetry-period 7 --quiet {options}".split()
+    common = (
+        f"swarm --robots 6 --steps 120 --filter-period 21 --set telemetry-period=7 --quiet {options}".split()
+    )
     over_a_bus = ["--bus-kwargs", "preserve_timestamps=True"]
     for name, more in (("without", []), ("with", over_a_bus)):
         assert main([*common, *more, "--log", str(tmp_path / f"{name}.log")]) == 0

@@ -350,7 +350,7 @@ def test_an_adapter_that_is_unplugged_costs_no_result(
         ),
         ("--device 1=slcan:socket://127.0.0.1:1 --processes", "not allowed with"),
         ("--device 1=virtual:a --device 1=virtual:b --channel v{robot}", "two devices are one robot"),
-        ("--device 1=virtual:a --channel v{robot} --subject 3002", "choose three different ones"),
+        ("--device 1=virtual:a --channel v{robot} --set subject=3002", "choose three different ones"),
     ],
 )
 def test_bad_usage(arguments: str, complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
