@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import can
 
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.pictures import PLOTS
+from mcp_asdf_tools.experiments.pictures import draw as draw_results
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, rescored
 from mcp_asdf_tools.experiments.scores import LimitsOf, chosen_limits, paper_limits
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
@@ -22,9 +23,6 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
     from matplotlib.figure import Figure
-
-PLOTS = ("boxes", "scatter", "curve", "bands", "series", "trajectories")
-"""Kinds of pictures of results; the last two are of one experiment."""
 
 
 def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
@@ -79,7 +77,6 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     kind: str = PLOTS[0],
     *,
     trial: int = 0,
-    step: int = 600,
     x: str = "",
     hue: str = "",
     y: str = "H",
@@ -89,27 +86,12 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
 
     Kinds for results: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
     ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each value of a parameter ``hue``;
-    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``;
-    ``trajectories`` robots that move, up to a ``step``. Raises UsageError if the results do not have what it
-    shows.
+    ``series`` a ``trial`` over time, which needs ``record``. Raises UsageError if the results do not have
+    what it shows.
     """
     if isinstance(results, SwarmRun):
         from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
 
         return draw(results)
-    from mcp_asdf_tools.experiments import plots, time_plots  # noqa: PLC0415 (matplotlib loads slowly)
-
     experiments = results if isinstance(results, list) else experiments_in(results)
-    if kind in PLOTS[-2:] and len(experiments) != 1:
-        raise UsageError(f"there are {len(experiments)} experiments; {kind} shows one: choose it")
-    pictures = {
-        "boxes": lambda: plots.boxes(experiments, limits),
-        "scatter": lambda: plots.scatter(experiments, limits),
-        "curve": lambda: plots.curve(experiments, x, hue, y, limits),
-        "bands": lambda: time_plots.bands(experiments),
-        "series": lambda: time_plots.series_beside(experiments, trial),
-        "trajectories": lambda: time_plots.trajectories(experiments[0].experiment, trial, step),
-    }
-    if kind not in pictures:
-        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
-    return pictures[kind]()
+    return draw_results(experiments, kind, trial=trial, x=x, hue=hue, y=y, limits=limits)

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf.robot import FixedPointRobot
+from mcp_asdf_tools.experiments.pictures import PLOTS
 from mcp_asdf_tools.experiments.results import experiments_in, table_of
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.library import PLOTS
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
 
@@ -88,7 +88,7 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
 def test_every_kind_of_picture_is_drawn(kind: str) -> None:
     experiment = m.Experiment(topology="dynamic", robots=12, steps=60, filter_period=20, trials=2)
     table = m.simulate(experiment, record=20)
-    assert isinstance(m.plot(table, kind, trial=1, step=30, x="omega"), Figure)
+    assert isinstance(m.plot(table, kind, trial=1, x="omega"), Figure)
 
 
 def test_a_run_is_drawn() -> None:
@@ -97,7 +97,7 @@ def test_a_run_is_drawn() -> None:
 
 def test_what_cannot_be_drawn_is_refused() -> None:
     table = m.simulate(m.grid(filter=["none", "asdf-plus"], robots=4, steps=40, filter_period=20, trials=1))
-    with pytest.raises(m.UsageError, match="kind is 'pie'; choose one of boxes, scatter, curve, bands"):
+    with pytest.raises(m.UsageError, match="kind is 'pie'; choose one of boxes, scatter, curve, series"):
         m.plot(table, "pie")
     with pytest.raises(m.UsageError, match="there are 2 experiments; series shows one"):
         m.plot(table, "series")

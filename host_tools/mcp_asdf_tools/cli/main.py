@@ -38,7 +38,7 @@ GROUPS = {
         "simulate": "run one experiment: a swarm, many trials, the paper's scores",
         "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
         "score": "score results: K, e, h_K, h_e and H",
-        "plot": "draw results: scores, curves over any parameter, trials over time, paths, networks",
+        "plot": "draw results: scores, curves over any parameter, a trial over time",
         "reproduce": "run the paper's whole study and report which of its claims hold",
     },
     "Set up your shell": {

@@ -9,21 +9,17 @@ from pathlib import Path
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.pictures import PLOTS, draw
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
-from mcp_asdf_tools.library import PLOTS, plot
 
 EPILOG = """\
 examples:
   mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of the flawed
   mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
   mcp-asdf plot grid.parquet curves.svg --kind curve --x omega --hue density --y e
-  mcp-asdf plot grid.parquet bands.png --kind bands         # b_hat of all robots and trials
   mcp-asdf plot grid.parquet none.png --where filter=none --where fill_ratio=0.95
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
-  mcp-asdf plot run.parquet paths.svg --kind trajectories --step 600
 exit code: 0 done, 2 bad usage"""
-
-PLOTS_OF_ONE = PLOTS[-2:]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,9 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kind", choices=PLOTS, default=PLOTS[0], help="what to draw (default %(default)s)")
     add_where(parser)
     parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
-    parser.add_argument(
-        "--step", metavar="N", type=int, default=600, help="last one of trajectories (default %(default)s)"
-    )
     group = parser.add_argument_group("curves")
     group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis, or its letter: tau")
     group.add_argument("--hue", metavar="NAME", default="", help="parameter with a curve for each value")
@@ -49,13 +42,13 @@ def run(args: argparse.Namespace) -> int:
 
     check_plot_path(args.picture)
     found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
-    if len(found) > 1 and args.kind in PLOTS_OF_ONE:
+    if len(found) > 1 and args.kind == "series":
         raise UsageError(
             f"a picture of kind {args.kind} shows one experiment, and {len(found)} match; choose one with "
             f"--where {differing(found)}"
         )
-    given = {name: getattr(args, name) for name in ("trial", "step", "x", "hue", "y")}
-    save_figure(plot(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
+    given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y")}
+    save_figure(draw(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
     if args.json:
         print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(found)}))
     else:

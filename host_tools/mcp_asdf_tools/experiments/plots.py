@@ -1,4 +1,4 @@
-"""Pictures of scores: by cell, against each other, and over any parameter; and of the confidence."""
+"""Pictures of scores: by cell, against each other, and over any parameter; and of one trial over time."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mcp_asdf.reference import local_confidence
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
     COLOURS,
@@ -31,6 +32,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 
 LETTERS = {
     "f": "fill_ratio",
@@ -43,15 +45,15 @@ LETTERS = {
 }
 """The paper's letters of parameters."""
 
-BOXES = (
+_BOXES = (
     "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
     "1.5 of their length"
 )
-SCATTER = (
-    "a point is a trial: blue where flawed robots are overconfident, red or orange where they are "
-    "underconfident, darker the farther off"
+_SCATTER = (
+    "a point is a trial: blue where flawed robots are overconfident, red where they are underconfident, "
+    "darker the farther off"
 )
-CURVES = "points are medians over the trials, bands their 95 % intervals"
+_CURVES = "points are medians over the trials, bands their 95 % intervals"
 _MOST_SERIES, _MOST_PANELS = 8, 32
 _FILTER_PARAMETERS = ("filter_period", "omega", "activation")
 
@@ -62,8 +64,8 @@ Name = Callable[[Experiment], str]
 # --- What all share --------------------------------------------------------------------------------------
 
 
-def panels_of(
-    rows: int, columns: int, height: float, series: int = 1, sharex: bool = True
+def _panels(
+    rows: int, columns: int, height: float, series: int, sharex: bool = True
 ) -> tuple[Figure, NDArray[Any]]:
     """A figure of empty panels. Raises UsageError if panels or series are too many."""
     if rows * columns > _MOST_PANELS or series > _MOST_SERIES:
@@ -75,7 +77,7 @@ def panels_of(
     return figure, figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
 
 
-def finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequence[Line2D]) -> Figure:
+def _finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequence[Line2D]) -> Figure:
     """Names of the axes, a caption and a legend."""
     figure.supylabel(labels[1], fontsize=MEDIUM)
     add_caption(figure, labels[0], words)
@@ -83,11 +85,16 @@ def finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequenc
     return figure
 
 
-def handle(label: str, colour: str, marker: str = "o", line: Literal["", "-", "--"] = "") -> Line2D:
+def _handle(label: str, colour: str, marker: str = "o", line: Literal["", "-"] = "") -> Line2D:
     return Line2D([], [], linestyle=line, marker=marker, color=colour, label=label)
 
 
-def share_of(experiment: Experiment) -> float:
+def filter_name(experiment: Experiment) -> str:
+    """The paper's name of who filters."""
+    return TYPESET_FILTER_NAMES[experiment.filter]
+
+
+def _share(experiment: Experiment) -> float:
     """P, the share of flawed robots."""
     return float(experiment.flawed / experiment.robots)
 
@@ -101,7 +108,7 @@ def _offset(experiment: Experiment) -> float:
     return round(experiment.flawed_accuracy - experiment.true_accuracy, 9) if experiment.flawed else 0.0
 
 
-def by_series(experiments: Sequence[Trials], name: Name | None = None) -> dict[str, list[Trials]]:
+def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, list[Trials]]:
     """Swarms without filter first, then those that filter less; named by all that varies unless given."""
     name = name or _name_of(experiments)
     series: dict[str, list[Trials]] = {}
@@ -117,7 +124,7 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
     )
 
     def name(experiment: Experiment) -> str:
-        words = [TYPESET_FILTER_NAMES[experiment.filter]]
+        words = [filter_name(experiment)]
         for key in varying:
             if experiment.filter != "none" or key not in _FILTER_PARAMETERS:
                 words.append(f"{key.replace('_', ' ')} {number_in_words(experiment.parameters()[key])}")
@@ -145,28 +152,19 @@ def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
     return [WITHOUT if is_none else next(free) for is_none in are_none]
 
 
-def caption_of(experiments: Sequence[Trials], marks: str, limits: LimitsOf | None = None) -> str:
+def _caption(experiments: Sequence[Trials], marks: str, limits: LimitsOf) -> str:
     """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
     first, varying = experiments[0].experiment.parameters(), _varying(experiments)
     shown = ("robots", "topology", "steps", "seed", *(_FILTER_PARAMETERS[:2]))
     words = [
         f"{name.replace('_', ' ')} {number_in_words(first[name])}" for name in shown if name not in varying
     ]
-    words.append(trials_in_words(experiments))
-    if limits is not None:
-        chosen = {limits(trials.experiment) for trials in experiments}
-        for index, name in enumerate(("K", "e")):
-            ends = " and ".join(number_in_words(end) for end in sorted({each[index] for each in chosen}))
-            words.append(f"${name}_{{max}}$ = {ends}")
-    return f"{', '.join(words)}; {marks}."
-
-
-def trials_in_words(experiments: Sequence[Trials]) -> str:
-    """How many trials each experiment has."""
     counts = {len(trials.numbers) for trials in experiments}
-    if len(counts) > 1:
-        return f"{min(counts)} to {max(counts)} trials of each experiment"
-    return f"{min(counts)} trial{'s' * (counts != {1})} of each experiment"
+    words.append(f"{' to '.join(map(str, sorted({min(counts), max(counts)})))} trials of each experiment")
+    chosen = [limits(trials.experiment) for trials in experiments]
+    for name, values in zip(("K", "e"), zip(*chosen, strict=True), strict=True):
+        words.append(f"${name}_{{max}}$ = {' and '.join(map(number_in_words, sorted(set(values))))}")
+    return f"{', '.join(words)}; {marks}."
 
 
 # --- Scores by cell --------------------------------------------------------------------------------------
@@ -179,10 +177,10 @@ def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: 
     A point for each trial shows what a box hides: cells whose trials fall into two groups. Raises UsageError
     if there is more than fits a picture, as ``scatter`` does.
     """
-    series = by_series(experiments, name)
+    series = _by_series(experiments, name)
     colours, width = _colours_of(series), 0.86 / len(series)
     fills, accuracies = _values(experiments, "fill_ratio"), _values(experiments, "true_accuracy")
-    figure, grid = panels_of(len(fills), len(accuracies), 2.6, len(series), sharex=False)
+    figure, grid = _panels(len(fills), len(accuracies), 2.6, len(series), sharex=False)
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fills[row], accuracies[column]
         cells = [
@@ -191,7 +189,7 @@ def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: 
             for trials in own
             if (trials.experiment.fill_ratio, trials.experiment.true_accuracy) == (f, b)
         ]
-        places = [(share_of(trials.experiment), _offset(trials.experiment)) for _, trials in cells]
+        places = [(_share(trials.experiment), _offset(trials.experiment)) for _, trials in cells]
         slots = sorted(set(places))
         for (index, trials), place in zip(cells, places, strict=True):
             middle = slots.index(place) + (index + 0.5) * width - 0.43
@@ -201,8 +199,8 @@ def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: 
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
         clean(axes)
     labels = (r"$\hat{b} - b$ of flawed robots, and their proportion $P$", "score $H$")
-    handles = [handle(key, colour, "s") for key, colour in zip(series, colours, strict=True)]
-    return finish(figure, labels, caption_of(experiments, BOXES, limits), handles)
+    handles = [_handle(key, colour, "s") for key, colour in zip(series, colours, strict=True)]
+    return _finish(figure, labels, _caption(experiments, _BOXES, limits), handles)
 
 
 _GOLDEN = 0.618
@@ -226,48 +224,43 @@ def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: flo
     axes.plot(place + aside, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)
 
 
-def scatter(
-    experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None
-) -> Figure:
+def scatter(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Figure:
     """h_e against h_K, a point for each trial, as the paper's figure 4: a row for each series and f, a column
-    for each P; overconfident swarms blue, underconfident ones red or orange, a shape for each b."""
-    series, fills = by_series(experiments, name), _values(experiments, "fill_ratio")
-    shares = sorted({share_of(trials.experiment) for trials in experiments})
+    for each P; overconfident swarms blue, underconfident ones red, a shape for each b."""
+    series, fills = _by_series(experiments, None), _values(experiments, "fill_ratio")
+    shares = sorted({_share(trials.experiment) for trials in experiments})
     accuracies = _values(experiments, "true_accuracy")
     rows = [(key, f) for key in series for f in fills]
-    figure, grid = panels_of(len(rows), len(shares), 1.7, len(series))
+    figure, grid = _panels(len(rows), len(shares), 1.7, len(series))
     looks = {}
     for (row, column), axes in np.ndenumerate(grid):
         key, f = rows[row]
         for trials in series[key]:
             experiment = trials.experiment
-            if (experiment.fill_ratio, share_of(experiment)) != (f, shares[column]):
+            if (experiment.fill_ratio, _share(experiment)) != (f, shares[column]):
                 continue
             b, offset, scores = experiment.true_accuracy, _offset(experiment), trials.scores(limits)
             look = looks[b, offset] = _shade(offset), _MARKERS[accuracies.index(b) % len(_MARKERS)]
-            axes.plot(scores.h_k, scores.h_e, look[1], color=look[0], markersize=3, alpha=0.4)
+            axes.plot(scores.h_k, scores.h_e, look[1], color=look[0], markersize=3, alpha=0.6)
         axes.set_title(f"{key}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)
     handles = [
-        handle(
+        _handle(
             rf"$b$ = {b:g}, $\hat{{b}}$ = {b + offset:g}" if offset else f"$b$ = {b:g}, none flawed", *look
         )
         for (b, offset), look in sorted(looks.items())
     ]
     labels = ("convergence score $h_K$", "accuracy score $h_e$")
-    return finish(figure, labels, caption_of(experiments, SCATTER, limits), handles)
+    return _finish(figure, labels, _caption(experiments, _SCATTER, limits), handles)
 
 
 _MARKERS = "osD^v"
-_OVERCONFIDENT, _UNDERCONFIDENT = ("#56b4e9", "#0072b2", "#023858"), ("#e69f00", "#d55e00", "#7f2704")
 
 
 def _shade(offset: float) -> str:
-    """Blue or orange, darker for each fifth that b_hat is off, as in the paper."""
-    if not offset:
-        return INK
-    return (_OVERCONFIDENT if offset > 0 else _UNDERCONFIDENT)[min(int(abs(offset) / 0.201), 2)]
+    """Blue above 0, red below, darker the farther off; -0.5 and 0.5 are the ends."""
+    return to_hex(colormaps["RdBu"](0.5 + offset)) if offset else INK
 
 
 # --- Over a parameter ------------------------------------------------------------------------------------
@@ -281,68 +274,47 @@ MEASURES: dict[str, Callable[[Trials, LimitsOf], NDArray[np.float64]]] = {
 }
 """A value for each trial; K and e are means over the robots."""
 
-_FAR_APART = 30
-"""Ratio of an axis' ends from which it is logarithmic."""
-
 
 def curve(
     experiments: Sequence[Trials], x: str, hue: str = "", y: str = "H", limits: LimitsOf = paper_limits
 ) -> Figure:
     """The median of ``y`` over the parameter ``x`` with its 95 % interval: a curve for each value of the
-    parameter ``hue``, a panel for each f and b.
+    parameter ``hue``.
 
     Parameters have their names or the paper's letters; P is a share. Raises UsageError for unknown ones, and
     if the experiments differ in any other.
     """
     x, hue = (LETTERS.get(name, name) for name in (x, hue))
     _check_axes(experiments, x, hue, y)
-    panels = sorted({_panel_of(trials.experiment, x, hue) for trials in experiments})
-    hues = sorted({value_of(trials.experiment, hue) for trials in experiments}) if hue else [None]
-    columns = min(len(panels), 2)
-    figure, grid = panels_of(-(-len(panels) // columns), columns, 2.8, len(hues))
+    hues = sorted({_value(trials.experiment, hue) for trials in experiments}) if hue else [None]
+    figure, ((axes,),) = _panels(1, 1, 3.8, len(hues))
     colours = ordered_colours(len(hues))
-    for axes, panel in zip(grid.flat, panels, strict=False):
-        for colour, chosen in zip(colours, hues, strict=True):
-            points = {
-                value_of(each.experiment, x): MEASURES[y](each, limits)
-                for each in experiments
-                if _panel_of(each.experiment, x, hue) == panel
-                and (not hue or value_of(each.experiment, hue) == chosen)
-            }
-            places = sorted(points)
-            middle, low, high = np.array([median_interval(points[place]) for place in places]).T
-            axes.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
-            axes.plot(places, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
-        axes.set_title(
-            ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in panel), fontsize=MEDIUM
-        )
-        clean(axes)
-    for axes in grid.flat[len(panels) :]:
-        axes.set_axis_off()
-    ends = [value_of(trials.experiment, x) for trials in experiments]
-    if not isinstance(ends[0], str) and min(ends) > 0 and max(ends) / min(ends) >= _FAR_APART:
-        grid.flat[0].set_xscale("log")
+    for colour, chosen in zip(colours, hues, strict=True):
+        points = {
+            _value(each.experiment, x): MEASURES[y](each, limits)
+            for each in experiments
+            if not hue or _value(each.experiment, hue) == chosen
+        }
+        places = sorted(points)
+        middle, low, high = np.array([median_interval(points[place]) for place in places]).T
+        axes.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(places, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
+    clean(axes)
     handles = [
-        handle(f"{_word(hue)} {number_in_words(chosen)}", colour, line="-")
+        _handle(f"{_word(hue)} {number_in_words(chosen)}", colour, line="-")
         for colour, chosen in zip(colours, hues, strict=True)
         if hue
     ]
-    return finish(figure, (_word(x), y), caption_of(experiments, CURVES, limits), handles)
+    return _finish(figure, (_word(x), y), _caption(experiments, _CURVES, limits), handles)
 
 
 def _word(name: str) -> str:
     return "share of flawed robots" if name == "flawed" else name.replace("_", " ")
 
 
-def _panel_of(experiment: Experiment, x: str, hue: str) -> tuple[tuple[str, float], ...]:
-    return tuple(
-        (name, getattr(experiment, name)) for name in ("fill_ratio", "true_accuracy") if name not in (x, hue)
-    )
-
-
-def value_of(experiment: Experiment, name: str) -> Any:
+def _value(experiment: Experiment, name: str) -> Any:
     """A parameter's value for an axis: P as a share, words for choices."""
-    return share_of(experiment) if name == "flawed" else experiment.parameters()[name]
+    return _share(experiment) if name == "flawed" else experiment.parameters()[name]
 
 
 def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None:
@@ -354,13 +326,13 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None
             )
     if y not in MEASURES:
         raise UsageError(f"--y is {y!r}; choose one of {', '.join(MEASURES)}")
-    others = _varying(experiments, x, hue, "fill_ratio", "true_accuracy", "trials", "flawed")
-    if "flawed" not in (x, hue) and len({share_of(each.experiment) for each in experiments}) > 1:
+    others = _varying(experiments, x, hue, "trials", "flawed")
+    if "flawed" not in (x, hue) and len({_share(each.experiment) for each in experiments}) > 1:
         others.append("flawed")
     if others:
         raise UsageError(
-            f"the results differ in {', '.join(others)} too; draw those of a file in which they do not, or "
-            "name one with --x or --hue"
+            f"the results differ in {', '.join(others)} too; choose with --where NAME=VALUE, or name one "
+            "with --x or --hue"
         )
 
 
@@ -374,23 +346,36 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(np.median(sample)), float(ends[0]), float(ends[1])
 
 
-# --- The confidence --------------------------------------------------------------------------------------
-
-_OBSERVED = 100_000
+# --- Over time -------------------------------------------------------------------------------------------
 
 
-def confidence() -> Figure:
-    """The local confidence alpha of an observation against b_hat (eq. 4), as the paper's figure 2: a line for
-    each n/t, of which 0.505 and 0.905 are the least and the largest that its study has on average."""
-    figure = empty_figure(0.7 * WIDTH, 4)
-    axes = figure.subplots()
-    b_hat, shares = np.linspace(0.505, 0.995, 393), (0.505, 0.7, 0.905)
-    for colour, share in zip(ordered_colours(len(shares)), shares, strict=True):
-        n = round(share * _OBSERVED)
-        alpha = [local_confidence(n, _OBSERVED, float(each)) / _OBSERVED for each in b_hat]
-        axes.semilogy(b_hat, alpha, color=colour, linewidth=1.6, label=f"$n/t$ = {share:g}")
-    axes.set_xlabel(r"assumed accuracy $\hat{b}$", fontsize=MEDIUM)
-    axes.set_ylabel(r"local confidence $\alpha / t$", fontsize=MEDIUM)
-    axes.legend(frameon=False, fontsize=SMALL)
-    clean(axes)
-    return figure
+def series_beside(runs: Sequence[Trials], number: int) -> Figure:
+    """b_hat, x_hat and x of every robot over the steps of one recorded trial of each run, side by side, as in
+    the paper's figure 6.
+
+    Raises UsageError if there is no such trial or nothing was recorded.
+    """
+    return draw_time_series([_series_of(trials, number) for trials in runs])
+
+
+def _series_of(trials: Trials, number: int) -> TimeSeries:
+    experiment = trials.experiment
+    if number not in trials.numbers:
+        raise UsageError(
+            f"there is no trial {number}; choose one of {trials.numbers[0]} .. {trials.numbers[-1]}"
+        )
+    if not trials.records:
+        raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
+    index = trials.numbers.index(number)
+    values = {name: trials.records[name][index] for name in ("b_hat", "x_hat", "x")}
+    intervals = len(values["x"]) - 1
+    steps = np.arange(intervals + 1.0) * (experiment.steps // intervals)
+    truths = {"b": experiment.true_accuracy, "f": experiment.fill_ratio}
+    words = filter_name(experiment)
+    if experiment.filter != "none":
+        words += rf", $\tau$ = {experiment.filter_period}"
+    title = (
+        f"{words}: {experiment.robots} robots, {experiment.flawed} flawed,\n"
+        f"{experiment.parameters()['topology']}, seed {experiment.seed}, trial {number}"
+    )
+    return TimeSeries(title, steps, values, experiment.flawed, truths)

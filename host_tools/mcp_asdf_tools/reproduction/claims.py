@@ -23,15 +23,16 @@ from mcp_asdf_tools.reproduction.resampling import (
 )
 from mcp_asdf_tools.reproduction.study import (
     FLAWED_ACCURACIES,
+    PAPER,
     PART_NAMES,
     PERIODS,
     Cell,
     Part,
     Study,
     cells_of,
+    experiment_of,
 )
 from mcp_asdf_tools.reproduction.verdicts import Comparison, Expectation, Place, Scope
-from mcp_asdf_tools.robots.population import FILTER_NAMES
 
 _FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 
@@ -239,7 +240,7 @@ def _words_of(cell: Cell) -> dict[str, str]:
         "true_accuracy": f"b {cell.true_accuracy:g}",
         "flawed_accuracy": f"b_hat {cell.flawed_accuracy:g}",
         "percent": f"P {cell.percent} %",
-        "filter": FILTER_NAMES[cell.filter],
+        "filter": experiment_of(cell, PAPER).filter_name,
         "period": f"tau {cell.period}",
     }
     meaningless = {"flawed_accuracy": cell.percent == 0, "period": cell.filter == "none"}

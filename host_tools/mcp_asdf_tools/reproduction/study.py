@@ -19,7 +19,6 @@ from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Scores
 from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, summarized
-from mcp_asdf_tools.robots.population import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)
@@ -55,7 +54,7 @@ class Cell:
     true_accuracy: float
     flawed_accuracy: float
     percent: int
-    filter: Filtering = "none"
+    filter: str = "none"
     period: int = PERIODS[0]
 
     def but(self, **changes: Any) -> Cell:
@@ -167,20 +166,20 @@ QUICK = Scale(trials=10, steps=10_000, seeds=1)
 def experiment_of(cell: Cell, scale: Scale) -> Experiment:
     """The experiment of a cell, before trials are added. Raises ParameterError for a scale out of range."""
     common = _experiments_of(cell.part)[0]
-    return replace(
-        common,
-        flawed=round(cell.percent * common.robots / 100),
-        fill_ratio=cell.fill_ratio,
-        true_accuracy=cell.true_accuracy,
-        flawed_accuracy=cell.flawed_accuracy,
-        filter=cell.filter,
-        filter_period=cell.period,
-        trials=scale.effort(cell.part).trials,
-        steps=min(common.steps, scale.steps),
-        seed=scale.seed,
-        firmware=scale.firmware,
-        conventions=scale.conventions,
-    )
+    varied = {
+        "flawed": round(cell.percent * common.robots / 100),
+        "fill_ratio": cell.fill_ratio,
+        "true_accuracy": cell.true_accuracy,
+        "flawed_accuracy": cell.flawed_accuracy,
+        "filter": cell.filter,
+        "filter_period": cell.period,
+        "trials": scale.effort(cell.part).trials,
+        "steps": min(common.steps, scale.steps),
+        "seed": scale.seed,
+        "firmware": scale.firmware,
+        "conventions": scale.conventions,
+    }
+    return Experiment.from_parameters({**common.parameters(), **varied})
 
 
 # --- Results ---------------------------------------------------------------------------------------------

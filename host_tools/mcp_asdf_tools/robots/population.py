@@ -87,6 +87,11 @@ class Population(WorldSettings):
             return {"omega": "activation is always, without a test"}
         return {}
 
+    @property
+    def filter_name(self) -> str:
+        """The paper's name of who filters, in ASCII."""
+        return FILTER_NAMES[self.filter]
+
     def is_flawed(self, robot: int) -> bool:
         """True if a robot is among the flawed."""
         return bool(robot < self.flawed)

@@ -43,7 +43,7 @@ def offered(script: Path, line: str) -> set[str]:
         ("mcp-asdf swarm --robo", {"--robots"}),
         ("mcp-asdf swarm --topology ", {"fully-connected", "dynamic", "graph"}),
         ("mcp-asdf node --interface socket", {"socketcan", "socketcand"}),
-        ("mcp-asdf plot --kind b", {"boxes", "bands"}),
+        ("mcp-asdf plot --kind b", {"boxes"}),
         ("mcp-asdf completion ", set(SHELLS)),
         ("mcp-asdf sweep run", {"run.toml"}),
         ("mcp-asdf swarm --log r", {"run.toml"}),

@@ -17,12 +17,11 @@ from mcp_asdf_tools.reproduction.decisions import Decision, decide, needs
 from mcp_asdf_tools.reproduction.resampling import Sample, interval
 from mcp_asdf_tools.reproduction.study import MEASURES, PAPER, Cell, Part, Scale, Study, cells_of
 from mcp_asdf_tools.reproduction.verdicts import Verdict
-from mcp_asdf_tools.robots.population import Filtering
 
 FULL, DYNAMIC, PHYSICAL = Part
-NONE: Filtering = "none"
-MINUS: Filtering = "asdf-minus"
-PLUS: Filtering = "asdf-plus"
+NONE = "none"
+MINUS = "asdf-minus"
+PLUS = "asdf-plus"
 TRIALS = 30
 CELLS = {cell for part in Part for cell in cells_of(part)}
 
