@@ -1,4 +1,4 @@
-"""The C engine: its draws, its two ways to run trials, and the firmware run message by message in Python."""
+"""The C engine: trials in lanes, call by call, and message by message in Python have the same bits."""
 
 from __future__ import annotations
 
@@ -29,31 +29,27 @@ MOVING = Experiment(
     topology="dynamic", robots=9, flawed=3, density=3, steps=330, filter_period=50, seed=91, trials=3
 )
 LATE = replace(MOVING, latency=1)
-PAIR = replace(MOVING, robots=2, flawed=1, width=2.0, height=1.5, density=1.0, radio_range=10.0)
-"""Two robots that hear each other in every step: no other robot stands between them."""
-
-# Random123's own known answers: counter, key, words.
-KNOWN = [
-    ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
-    ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
-    (
-        (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
-        (0xA4093822, 0x299F31D0),
-        (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
-    ),
-]
-
+BOTH = pytest.mark.parametrize("experiment", [SHORT, LATE])
 
 # --- Draws -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("counter", "key", "expected"), KNOWN)
+@pytest.mark.parametrize(
+    ("counter", "key", "expected"),
+    [
+        ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
+        ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
+        (
+            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
+            (0xA4093822, 0x299F31D0),
+            (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
+        ),
+    ],
+)
 def test_philox_gives_the_published_words(
     counter: tuple[int, ...], key: tuple[int, int], expected: tuple[int, ...]
 ) -> None:
-    words = _engine.ffi.new("uint32_t[4]")
-    _engine.lib.mcp_asdf_engine_philox(list(counter), list(key), words)
-    assert tuple(words) == expected
+    """Random123's own known answers; the engine has the same draws, as its trials have the same bits."""
     c0, c1, c2, c3 = (np.array([word], np.uint64) for word in counter)
     assert tuple(int(word[0]) for word in philox.philox((c0, c1, c2, c3), key)) == expected
 
@@ -103,8 +99,12 @@ EDGES: dict[str, dict[str, Any]] = {
     "filter every step": {"filter_period": 1, "steps": 60},
     "longer period than the trial": {"filter_period": 1000},
     "one step": {"steps": 1},
+    "rare observations": {"observation_period": 7},
+    "memory and rare observations": {"memory": 64, "observation_period": 3, "filter_period": 51},
+    "no observation": {"observation_period": 900},
     "linear drift": {"drift": "linear", "drift_rate": -5e-4},
     "stepped drift": {"drift": "stepped", "drift_rate": -5e-4, "drift_period": 150},
+    "drift of each robot's own": {"drift": "wiener", "drift_diffusion": 0.01},
 }
 FULL_EDGES: dict[str, dict[str, Any]] = {
     "confidence at its largest": RARE,
@@ -114,11 +114,7 @@ FULL_EDGES: dict[str, dict[str, Any]] = {
 MOVING_EDGES: dict[str, dict[str, Any]] = {
     "everybody in range": {"width": 3.0, "height": 2.0, "density": 1.0, "radio_range": 20.0},
     "seldom heard": {"density": 0.05},
-    "rare observations": {"observation_period": 7},
-    "memory and rare observations": {"memory": 64, "observation_period": 3, "filter_period": 51},
-    "no observation": {"observation_period": 400},
     "code": {"floor": "code", "fill_ratio": 0.448},
-    "drift of each robot's own": {"drift": "wiener", "drift_diffusion": 0.01},
 }
 
 
@@ -146,7 +142,6 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
             "density": source.choice([0.3, 1.0, 5.0]),
             "speed": source.choice([0.05, 0.1414, 0.5]),
             "steps_per_second": source.choice([10, 12]),
-            "observation_period": source.choice([1, 1, 2, 5]),
             "latency": source.choice([0, 1]),
         }
         yield Experiment.from_parameters(
@@ -159,6 +154,7 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
                 "filter": source.choice(["none", "asdf-minus", "asdf-plus"]),
                 "activation": source.choice(["adaptive", "always"]),
                 "filter_period": source.choice([3, 10, 97, 250]),
+                "observation_period": source.choice([1, 1, 2, 5]),
                 "omega": source.choice([0.05, 0.25, 0.9]),
                 "memory": source.choice([64, 500, 2**31]),
                 "steps": source.randint(1, 1000),
@@ -173,22 +169,15 @@ def test_lanes_equal_the_firmware_in_random_experiments() -> None:
         assert_equal_to_the_bit(experiment, first=0, trials=2 if experiment.is_dynamic else 18)
 
 
-@pytest.mark.parametrize(
-    ("experiment", "interval", "expected"),
-    [
+def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom() -> None:
+    for experiment, interval, expected in (
         (SHORT, 0, True),
+        (LATE, 0, True),
         (SHORT, 10, False),
         (replace(SHORT, comms_period=2), 0, False),
-        (replace(SHORT, drift="wiener"), 0, False),
-        (replace(MOVING, drift="wiener"), 0, True),
-        (replace(SHORT, steps=10**8), 0, True),
-    ],
-)
-def test_lanes_are_used_only_where_trials_are_alike(
-    experiment: Experiment, interval: int, expected: bool
-) -> None:
-    call = native._Call(experiment, 0, 1, interval)
-    assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
+    ):
+        call = native._Call(experiment, 0, 1, interval)
+        assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
 
 
 def engine_for(architecture: str, folder: Path) -> Any:
@@ -204,8 +193,7 @@ def engine_for(architecture: str, folder: Path) -> Any:
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
     run(require("gcc", "gcc"), *options, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)
-    assert spec is not None
-    assert spec.loader is not None
+    assert spec is not None and spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loaded)
     return loaded
@@ -234,7 +222,7 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
     "experiment",
     [
         SHORT,
-        replace(SHORT, comms_period=5, filter="asdf-minus"),
+        replace(SHORT, comms_period=5, filter="asdf-minus", observation_period=3),
         replace(SHORT, activation="always", memory=64, robots=4),
         replace(SHORT, drift="wiener", drift_diffusion=0.02, drift_rate=-1e-4),
         replace(SHORT, robots=1, flawed=0),
@@ -250,7 +238,7 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
     check_that_the_engine_is_the_mirror(experiment)
 
 
-@pytest.mark.parametrize("experiment", [SHORT, LATE])
+@BOTH
 def test_float64_follows_the_firmware(experiment: Experiment) -> None:
     own = run_trials(experiment, 0, 1, sampling_interval=1)
     other = run_trials(replace(experiment, firmware="reference"), 0, 1, sampling_interval=1)
@@ -269,7 +257,7 @@ def test_all_robots_have_the_same_informed_estimate_to_the_bit_unless_they_broad
     assert (seldom.x[:, 0] != seldom.x[:, 9]).any()
 
 
-@pytest.mark.parametrize("experiment", [SHORT, LATE])
+@BOTH
 def test_a_trial_depends_neither_on_the_others_nor_on_records(experiment: Experiment) -> None:
     whole = native.run(experiment, 0, 20)
     for first, trials, interval in ((0, 1, 0), (7, 5, 3), (19, 1, 0)):
@@ -278,47 +266,48 @@ def test_a_trial_depends_neither_on_the_others_nor_on_records(experiment: Experi
         assert np.array_equal(part.b_hat, whole.b_hat[first : first + trials])
 
 
-def test_two_robots_hear_each_other_at_once_or_a_step_late() -> None:
+@pytest.mark.parametrize("latency", [0, 1])
+def test_two_robots_hear_each_other_at_once_or_a_step_late(latency: int) -> None:
     """x is the mean of the own estimate and the other's, of this step or of the step before (eq. 7)."""
-    for latency in (0, 1):
-        records = run_trials(replace(PAIR, latency=latency, filter="none"), 0, 1, sampling_interval=1).records
-        x_hat, alpha, x, beta = (records[name][0] for name in ("x_hat", "alpha", "x", "beta"))
-        past = slice(0, -1) if latency else slice(1, None)
-        other_x, other_alpha = x_hat[past, ::-1], alpha[past, ::-1]
-        weight = alpha[1:] + other_alpha
-        expected = (alpha[1:] * x_hat[1:] + other_alpha * other_x) / np.where(weight == 0, 1, weight)
-        assert np.abs(x[1:] - np.where(weight == 0, 0.5, expected)).max() < 1e-6
-        assert np.abs(beta[1:] - other_alpha).max() < 1e-6
+    near = {"width": 2.0, "height": 1.5, "density": 1.0, "radio_range": 10.0}
+    pair = replace(MOVING, robots=2, flawed=1, latency=latency, filter="none", **near)  # type: ignore[arg-type]
+    records = run_trials(pair, 0, 1, sampling_interval=1).records
+    x_hat, alpha, x, beta = (records[name][0] for name in ("x_hat", "alpha", "x", "beta"))
+    past = slice(0, -1) if latency else slice(1, None)
+    other_x, other_alpha = x_hat[past, ::-1], alpha[past, ::-1]
+    weight = alpha[1:] + other_alpha
+    expected = (alpha[1:] * x_hat[1:] + other_alpha * other_x) / np.where(weight == 0, 1, weight)
+    assert np.abs(x[1:] - np.where(weight == 0, 0.5, expected)).max() < 1e-6
+    assert np.abs(beta[1:] - other_alpha).max() < 1e-6
 
 
 # --- Refusals --------------------------------------------------------------------------------------------
 
 
 def test_what_it_cannot_run_is_refused() -> None:
-    for change in ({"firmware": "mirror"}, {"latency": 1}, {"observation_period": 2}):
+    for experiment in (replace(SHORT, firmware="mirror"), replace(SHORT, latency=1)):
         with pytest.raises(UsageError, match="the engine in C lacks this"):
-            native.run(Experiment.from_parameters({**SHORT.parameters(), **change}), 0, 1)
+            native.run(experiment, 0, 1)
     corridor = replace(MOVING, robots=128, flawed=0, width=20.0, height=0.25, density=1.0, steps=1)
     with pytest.raises(UsageError, match=r"128 robots found no room in 20.0 x 0.25 m"):
         run_trials(corridor, 0, 1)
 
 
 def test_settings_that_robots_must_share_are_checked() -> None:
-    call = native._Call(SHORT, 0, 1, 0)
-    outcome = native._allocate(SHORT, 1, 0)
-    for name, value in (("robots", 0), ("robots", 129), ("steps", 0), ("comms_period", 0)):
+    call, outcome = native._Call(SHORT, 0, 1, 0), native._allocate(SHORT, 1, 0)
+    wrong = {"robots": 0, "steps": 0, "comms_period": 0, "observation_period": 0, "latency": 1}
+    for name, value in (*wrong.items(), ("robots", 129), ("steps", 2**31 - 1)):
         before = getattr(call.experiment, name)
         setattr(call.experiment, name, value)
-        for function in ("mcp_asdf_engine_run", "mcp_asdf_engine_run_lanes"):
-            assert getattr(_engine.lib, function)(call.experiment, native._pointers(outcome)) == -1
+        assert _engine.lib.mcp_asdf_engine_run(call.experiment, False, native._pointers(outcome)) == -1
         setattr(call.experiment, name, before)
 
 
-def test_a_refusal_of_the_firmware_is_told() -> None:
+@pytest.mark.parametrize("lanes", [False, True])
+def test_a_refusal_of_the_firmware_is_told(lanes: bool) -> None:
     class Refused(Experiment):
         def b_hat(self, robot: int) -> float:
             return 0.0
 
-    for lanes in (False, True):
-        with pytest.raises(FirmwareError, match="ERR_B_HAT"):
-            native.run(Refused(steps=10), 0, 1, lanes=lanes)
+    with pytest.raises(FirmwareError, match="ERR_B_HAT"):
+        native.run(Refused(steps=10), 0, 1, lanes=lanes)

@@ -3,8 +3,8 @@
  * A trial is N robots that take T steps together: all observe, each hears others, all settle. In a fully
  * connected swarm each hears all others (latency 0 of Algorithm 1); in a moving world, arena.h, those that
  * are linked in this step. A trial depends on the experiment, the seed and its number alone, not on the other
- * trials of a call or on which of the two functions runs it; docs/experiments.md describes the draws. Nothing
- * here is static or shared: any number of threads may run trials at once.
+ * trials of a call or on how they are run; docs/experiments.md describes the draws. Nothing here is static or
+ * shared: any number of threads may run trials at once.
  *
  * The engine draws observations, carries messages and keeps results. All estimates come from the core, which
  * is compiled into it (lanes.c).
@@ -34,9 +34,10 @@
  *                 trials in step k for robot j, all from 0. In a moving world it is that on a black floor;
  *                 on a white one the robot observes white with it
  *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
- *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
- *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next */
+ *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
+ *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Without
+ *                 arenas 0 */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;
@@ -51,8 +52,8 @@ typedef struct {
     size_t step_stride;
     size_t robot_stride;
     uint32_t sampling_interval;
-    const mcp_asdf_arena_config_t *arenas;
     uint32_t observation_period;
+    const mcp_asdf_arena_config_t *arenas;
     uint32_t latency;
 } mcp_asdf_experiment_t;
 
@@ -82,23 +83,16 @@ typedef struct {
     mcp_asdf_record_t *records;
 } mcp_asdf_outcome_t;
 
-/* Run the trials one by one, calling the firmware for every robot and step. O(trials steps robots).
- * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number of robots or steps out of range,
- * settings that differ between robots where they must not, or an arena that cannot be. */
-mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment,
-                                      const mcp_asdf_outcome_t *outcome);
-
-/* Whether mcp_asdf_engine_run_lanes() can run it: comms_period 1, nothing recorded and, in a fully connected
- * swarm, the same probability for every robot and trial. */
+/* Whether trials can be run in lanes: comms_period 1, and nothing recorded. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
-/* The same outcome to the bit, faster: between filter steps several trials are computed side by side, or
- * several robots if they move.
- * Fails as mcp_asdf_engine_run() does. Needs mcp_asdf_engine_has_lanes(). */
-mcp_asdf_status_t mcp_asdf_engine_run_lanes(const mcp_asdf_experiment_t *experiment,
-                                            const mcp_asdf_outcome_t *outcome);
-
-/* Four random words: Philox4x32-10 (Salmon et al., SC'11) of a counter and a key. */
-void mcp_asdf_engine_philox(const uint32_t counter[4], const uint32_t key[2], uint32_t words[4]);
+/* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same
+ * to the bit, faster: between filter steps several fully connected trials are computed side by side, or the
+ * robots of one that move. O(trials steps robots).
+ * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number or period out of range, settings
+ * that differ between robots where they must not, or an arena that cannot be. With `lanes` it needs
+ * mcp_asdf_engine_has_lanes(). */
+mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
+                                      const mcp_asdf_outcome_t *outcome);
 
 #endif

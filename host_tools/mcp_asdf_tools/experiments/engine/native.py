@@ -72,8 +72,7 @@ def can_run(experiment: Experiment) -> bool:
         return False
     if experiment.topology == "dynamic":
         return not experiment.sensor and experiment.white_offset == 0
-    is_plain = experiment.latency == 0 and experiment.observation_period == 1
-    return experiment.topology == "fully-connected" and is_plain
+    return experiment.topology == "fully-connected" and experiment.latency == 0
 
 
 def run(
@@ -92,8 +91,7 @@ def run(
     call = _Call(experiment, first, trials, sampling_interval)
     engine = _engine.lib
     use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
-    function = engine.mcp_asdf_engine_run_lanes if use_lanes else engine.mcp_asdf_engine_run
-    status = Status(function(call.experiment, _pointers(outcome)))
+    status = Status(engine.mcp_asdf_engine_run(call.experiment, use_lanes, _pointers(outcome)))
     if status is not Status.OK:
         for index in range(trials if experiment.is_dynamic else 0):
             Arena(experiment, first + index)  # says so where robots find no room

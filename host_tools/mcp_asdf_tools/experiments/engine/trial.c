@@ -1,25 +1,24 @@
 /* One trial of robots that are the firmware: start, tick, and what is kept of each step. */
 #include "trial.h"
 
-mcp_asdf_status_t engine_check(const mcp_asdf_experiment_t *experiment)
+/* Ticks from one run of the filter to the next. */
+static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
 {
-    if (experiment->robots < 1 || experiment->robots > MCP_ASDF_ENGINE_MAX_ROBOTS || experiment->steps < 1 ||
-        experiment->steps > INT32_MAX - 1 || experiment->observation_period < 1) {
-        return MCP_ASDF_ERR_CONFIG;
-    }
-    if (experiment->comms_period < 1) {
-        return MCP_ASDF_ERR_CONFIG;
-    }
-    const mcp_asdf_config_t *const first = experiment->configs[0];
-    for (uint32_t j = 1; j < experiment->robots; ++j) {
-        const mcp_asdf_config_t *const config = experiment->configs[j];
-        if (config->filter_period != first->filter_period || config->memory != first->memory) {
-            return MCP_ASDF_ERR_CONFIG;
-        }
-    }
-    return MCP_ASDF_OK;
+    return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
 }
 
+trial_t trial_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index)
+{
+    const size_t count = experiment->robots, steps = experiment->steps;
+    const size_t records =
+        experiment->sampling_interval == 0 ? 0 : steps / experiment->sampling_interval * count;
+    return (trial_t){outcome->robots + index * count,
+                     outcome->x + (size_t)index * trial_columns(experiment) * (steps + 1),
+                     outcome->b_hat + index * (steps / filter_ticks(experiment)) * count,
+                     records == 0 ? 0 : outcome->records + index * records};
+}
+
+/* Adds the sums of a message to a round's. */
 static void add(mcp_asdf_open_t *all, const mcp_asdf_open_t *one)
 {
     all->alpha += one->alpha;
@@ -66,54 +65,69 @@ static void exchange(mcp_asdf_t *robots, uint32_t count)
     }
 }
 
-void engine_tick(mcp_asdf_t *robots, uint32_t count, const uint8_t *observations, bool closes)
+/* The last message of each robot reaches the robots that are linked to it now. */
+static void deliver(mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
 {
-    for (uint32_t j = 0; j < count; ++j) {
-        (void)mcp_asdf_observe(&robots[j], (mcp_asdf_observation_t)observations[j]);
-    }
-    if (!closes) {
-        return;
-    }
-    exchange(robots, count);
-    for (uint32_t j = 0; j < count; ++j) {
-        (void)mcp_asdf_settle(&robots[j]);
+    for (uint32_t p = 0; p < arena->link_count; ++p) {
+        const uint8_t a = arena->links[p].a, b = arena->links[p].b;
+        (void)mcp_asdf_receive(&robots[a], b, mcp_asdf_x_hat(&robots[b]), mcp_asdf_alpha(&robots[b]));
+        (void)mcp_asdf_receive(&robots[b], a, mcp_asdf_x_hat(&robots[a]), mcp_asdf_alpha(&robots[a]));
     }
 }
 
-static void record(const mcp_asdf_t *robots, uint32_t count, mcp_asdf_record_t *records)
+static void hear(mcp_asdf_t *robots, uint32_t count, const mcp_asdf_arena_t *arena)
 {
-    for (uint32_t j = 0; j < count; ++j) {
-        const mcp_asdf_t *const robot = &robots[j];
-        records[j] = (mcp_asdf_record_t){
-            mcp_asdf_beta(robot),  mcp_asdf_t_count(robot), mcp_asdf_n_count(robot), mcp_asdf_x_hat(robot),
-            mcp_asdf_alpha(robot), mcp_asdf_x_bar(robot),   mcp_asdf_x(robot),       mcp_asdf_b_hat(robot)};
+    if (arena == NULL) {
+        exchange(robots, count);
+    } else {
+        deliver(robots, arena);
+    }
+}
+
+/* Before a robot observes, its x_hat and alpha are still those that it said in the step before. */
+void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
+                uint32_t k, const uint32_t *black, uint32_t stride)
+{
+    const uint32_t count = experiment->robots;
+    const bool is_late = experiment->latency != 0, closes = trial_closes(experiment, k);
+    if (is_late && k > 0 && trial_closes(experiment, k - 1)) {
+        hear(trial->robots, count, arena);
+    }
+    for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
+        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)black[j * stride]);
+    }
+    if (!is_late && closes) {
+        hear(trial->robots, count, arena);
+    }
+    for (uint32_t j = 0; j < count && closes; ++j) {
+        (void)mcp_asdf_settle(&trial->robots[j]);
     }
 }
 
 static void keep_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
-    for (uint32_t column = 0; column < engine_columns(experiment); ++column) {
+    for (uint32_t column = 0; column < trial_columns(experiment); ++column) {
         trial->x[column * ((size_t)experiment->steps + 1) + step] = mcp_asdf_x(&trial->robots[column]);
     }
 }
 
-void engine_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
+void trial_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
-    const uint32_t count = experiment->robots;
-    const uint64_t period = engine_filter_ticks(experiment);
+    const uint32_t count = experiment->robots, interval = experiment->sampling_interval;
+    const uint64_t period = filter_ticks(experiment);
     keep_x(experiment, trial, step);
-    if (step % period == 0) {
-        for (uint32_t j = 0; j < count; ++j) {
-            trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
-        }
+    for (uint32_t j = 0; j < count && step % period == 0; ++j) {
+        trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
     }
-    if (trial->records != 0 && step % experiment->sampling_interval == 0) {
-        record(trial->robots, count,
-               &trial->records[(step / experiment->sampling_interval - 1) * (size_t)count]);
+    for (uint32_t j = 0; j < count && trial->records != 0 && step % interval == 0; ++j) {
+        const mcp_asdf_t *const robot = &trial->robots[j];
+        trial->records[(step / interval - 1) * (size_t)count + j] = (mcp_asdf_record_t){
+            mcp_asdf_beta(robot),  mcp_asdf_t_count(robot), mcp_asdf_n_count(robot), mcp_asdf_x_hat(robot),
+            mcp_asdf_alpha(robot), mcp_asdf_x_bar(robot),   mcp_asdf_x(robot),       mcp_asdf_b_hat(robot)};
     }
 }
 
-mcp_asdf_status_t engine_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial)
+mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial)
 {
     for (uint32_t j = 0; j < experiment->robots; ++j) {
         const mcp_asdf_status_t status =
