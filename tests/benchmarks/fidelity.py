@@ -1,7 +1,7 @@
 """Compare distributions of scores, configuration by configuration: with the paper's reference study, and our
 firmwares with each other.
 
-    python tests/benchmarks/fidelity.py [PART ...] [--trials N] [--seed S] [--workers N]
+    python tests/benchmarks/fidelity.py [PART ...] [--trials N]
 
 Parts, all of them by default:
 
@@ -39,7 +39,6 @@ from mcp_asdf_tools.experiments.experiment import Convention, Experiment
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.sweep import default_workers
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.population import Filtering
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
 REFERENCE, PHYSICS = FOLDER / "fully_connected.csv", FOLDER / "dynamic.csv"
@@ -64,37 +63,27 @@ class Cell:
     scores: Floats
 
 
-def read_cells(seed: int = 1, path: Path = REFERENCE) -> list[Cell]:
-    """The cells of a reference in its order."""
-    base = Experiment(robots=10, flawed=0, steps=40_000, seed=seed) if path == REFERENCE else physics(seed)
+def read_cells(path: Path = REFERENCE) -> list[Cell]:
+    """The cells of a reference in its order; the physics simulation has the setup of the authors' scripts."""
+    world = {"robots": 10} if path == REFERENCE else {"topology": "dynamic", "robots": 20, "latency": 1}
     cells = []
     with path.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            key = [row[name] for name in ("fill_ratio", "true_b", "flawed_b", "flawed_count", "mode", "tau")]
+            experiment = Experiment.from_parameters(
+                {
+                    **world,
+                    "steps": 40_000,
+                    "fill_ratio": float(row["fill_ratio"]),
+                    "true_accuracy": float(row["true_b"]),
+                    "flawed_accuracy": float(row["flawed_b"]),
+                    "flawed": int(row["flawed_count"]),
+                    "filter": row["mode"].replace("_", "-"),
+                    "filter_period": int(row["tau"]) or 1000,  # 0 without a filter
+                }
+            )
             h_k, h_e = (np.array(row[name].split(), float) for name in ("h_K", "h_e"))
-            cells.append(Cell(_experiment(key, base), np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1)))
+            cells.append(Cell(experiment, np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1)))
     return cells
-
-
-def physics(seed: int) -> Experiment:
-    """The setup of the authors' batch scripts, natively."""
-    return Experiment(topology="dynamic", robots=20, steps=40_000, latency=1, seed=seed)
-
-
-MODES: dict[str, Filtering] = {"none": "none", "asdf_minus": "asdf-minus", "asdf_plus": "asdf-plus"}
-
-
-def _experiment(key: Sequence[str], base: Experiment) -> Experiment:
-    fill_ratio, true_accuracy, flawed_accuracy, flawed, mode, tau = key
-    return replace(
-        base,
-        fill_ratio=float(fill_ratio),
-        true_accuracy=float(true_accuracy),
-        flawed_accuracy=float(flawed_accuracy),
-        flawed=int(flawed),
-        filter=MODES[mode],
-        filter_period=int(tau) or 1000,  # 0 without a filter
-    )
 
 
 def by_reference(experiment: Experiment, conventions: Convention = "paper") -> Experiment:
@@ -132,17 +121,13 @@ def compare(cells: Sequence[Cell], trials: int) -> list[list[float]]:
 # --- The command -----------------------------------------------------------------------------------------
 
 
-def pairs_of(part: str, seed: int, trials: int, workers: int) -> list[tuple[Experiment, Floats, Floats]]:
+def pairs_of(part: str, trials: int) -> list[tuple[Experiment, Floats, Floats]]:
     """The configurations of a part, with both samples of scores."""
-    cells = {
-        "fully_connected": read_cells(seed),
-        "dynamic": read_cells(seed, PHYSICS),
-        "native": [*read_cells(seed), *read_cells(seed, PHYSICS)],
-    }[part]
+    cells = [*read_cells() * (part != "dynamic"), *read_cells(PHYSICS) * (part != "fully_connected")]
     ours = [cell.experiment for cell in cells]
     if part == "dynamic":
         ours = [by_reference(each, "authors") for each in ours]
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(default_workers()) as pool:
         others = [cell.scores for cell in cells]
         if part == "native":
             drawn = [by_reference(replace(each, seed=each.seed + _OTHER_DRAWS)) for each in ours]
@@ -154,9 +139,9 @@ def agrees(part: str, pairs: Sequence[tuple[Experiment, Floats, Floats]]) -> boo
     """Print a part as a table; whether all its tests pass."""
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
     values = [p_values(own, other) for _, own, other in pairs]
-    for (experiment, own, other), ps in zip(pairs, values, strict=True):
-        e, medians = experiment, [np.median(sample[:, 2]) for sample in (own, other)]
+    for (e, own, other), ps in zip(pairs, values, strict=True):
         place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period)
+        medians = [np.median(sample[:, 2]) for sample in (own, other)]
         print(*place, e.filter, *(f"{each:8.3g}" for each in (*medians, *ps)))
     least = min(holm([value for ps in values for value in ps]))
     print(f"smallest p by Holm's correction over {3 * len(pairs)} tests: {least:.3g}")
@@ -166,17 +151,10 @@ def agrees(part: str, pairs: Sequence[tuple[Experiment, Floats, Floats]]) -> boo
 def main() -> int:
     """Compare and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Compare scores with references and with each other.")
-    parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(TRIALS)}; default all")
+    parser.add_argument("parts", metavar="PART", nargs="*", choices=[*TRIALS, []], help="default: all")
     parser.add_argument("--trials", type=int, help=f"of each configuration (default by part: {TRIALS})")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=default_workers())
     args = parser.parse_args()
-    if unknown := set(args.parts) - set(TRIALS):
-        parser.error(f"unknown part {', '.join(unknown)}; choose of {', '.join(TRIALS)}")
-    found = [
-        agrees(part, pairs_of(part, args.seed, args.trials or TRIALS[part], args.workers))
-        for part in args.parts or TRIALS
-    ]
+    found = [agrees(part, pairs_of(part, args.trials or TRIALS[part])) for part in args.parts or TRIALS]
     return int(not all(found))
 
 

@@ -1,6 +1,5 @@
-/* The method as one would write it down in floating point: the baseline of engine.py and of cost. REAL is
- * double unless it is defined. It checks nothing and forgets nothing; the test has no square root, as the
- * firmware's. */
+/* The method as one would write it down in floating point: the baseline of cost. REAL is double unless it is
+ * defined. It checks nothing and forgets nothing; the test has no square root, as the firmware's. */
 #ifndef PLAIN_H
 #define PLAIN_H
 
