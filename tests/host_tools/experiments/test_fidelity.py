@@ -1,89 +1,106 @@
-"""Scores in the moving world have the distributions of the authors' physics simulation, and of float64.
+"""Scores have the distributions of an independent float64 program and of the authors' physics simulation.
 
-A short version of tests/benchmarks/fidelity.py; the fully connected study is in test_scores.py.
+A short version of tests/benchmarks/fidelity.py.
 """
 
 from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
 from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.scores import score
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.world.arena import Arena
 from support import slow
 
-CELLS = fidelity.read_cells(seed=1, path=fidelity.PHYSICS)
+CONNECTED, PHYSICS = fidelity.read_cells(), fidelity.read_cells(fidelity.PHYSICS)
+LONG = [cell for cell in PHYSICS if len(cell.scores) == 30]
 FEW = 10
-REPLAY = f"replay: python {fidelity.__file__} dynamic native --trials {FEW}"
 
 
-def by_authors(experiment: Experiment) -> Experiment:
-    return fidelity.by_reference(experiment, "authors")
+def assert_alike(cells: list[fidelity.Cell], trials: int) -> None:
+    corrected = fidelity.holm(np.ravel(fidelity.compare(cells, trials)).tolist())
+    assert min(corrected) >= fidelity.LEVEL, f"replay: python {fidelity.__file__} --trials {trials}"
 
 
-def cell_of(mode: Filtering, true_accuracy: float, fill_ratio: float) -> fidelity.Cell:
-    (found,) = [
-        cell
-        for cell in CELLS
-        if (cell.experiment.filter, cell.experiment.true_accuracy, cell.experiment.fill_ratio)
-        == (mode, true_accuracy, fill_ratio)
-        and cell.experiment.flawed > 0
-    ]
-    return found
-
-
-def test_the_reference_is_whole() -> None:
-    assert sorted(len(cell.scores) for cell in CELLS) == [12] * 3 + [30] * 8
-    for cell in CELLS:
+def test_the_references_are_whole() -> None:
+    """h_K of the float64 program is 100 (1 - K / 40000) with whole K, as all robots have one estimate, and H
+    is the mean; the arena is the simulation's."""
+    assert [len(cell.scores) for cell in CONNECTED] == [30] * 46
+    for cell in CONNECTED:
+        h_k, h_e, h = cell.scores.T
+        steps, errors = np.rint(40_000 * (1 - h_k / 100)), 0.45 * (1 - h_e / 100)
+        own = score(np.repeat(steps[:, None], 10, 1), np.repeat(errors[:, None], 10, 1), fidelity.LIMITS)
+        assert own.h_k == pytest.approx(h_k, abs=1e-5)
+        assert own.h == pytest.approx(h, abs=1e-5)
+    assert sorted(len(cell.scores) for cell in PHYSICS) == [12] * 3 + [30] * 8
+    assert {cell.experiment.filter for cell in LONG[::2]} == set(get_args(Filtering))
+    for cell in PHYSICS:
         assert cell.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
-def test_the_authors_conventions_have_the_scores_of_their_simulation() -> None:
-    """One configuration of those that have thirty trials there."""
-    compare_with_authors([next(cell for cell in CELLS if len(cell.scores) == 30)])
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
+def test_native_has_the_scores_of_the_float64_program(every: int) -> None:
+    assert_alike(CONNECTED[::every], trials=32)
 
 
-@pytest.mark.slow
-def test_the_authors_conventions_have_all_scores_of_their_simulation() -> None:
-    """Half of the configurations that have thirty trials there."""
-    cells = [cell for cell in CELLS if len(cell.scores) == 30][::2]
-    assert {cell.experiment.filter for cell in cells} == set(get_args(Filtering))
-    compare_with_authors(cells)
+@pytest.mark.parametrize("every", [len(LONG), pytest.param(2, marks=pytest.mark.slow)])
+def test_the_authors_conventions_have_the_scores_of_their_simulation(every: int) -> None:
+    """In configurations that have thirty trials there."""
+    cells = [
+        replace(cell, experiment=fidelity.by_reference(cell.experiment, "authors")) for cell in LONG[::every]
+    ]
+    assert_alike(cells, FEW)
 
 
-def compare_with_authors(cells: list[fidelity.Cell]) -> None:
-    authors = [replace(cell, experiment=by_authors(cell.experiment)) for cell in cells]
-    corrected = fidelity.holm(np.ravel(fidelity.compare(authors, FEW)).tolist())
-    assert min(corrected) >= fidelity.LEVEL, REPLAY
-
-
-@pytest.mark.parametrize("change", [{"filter": "none"}, *slow([{"true_accuracy": 0.65}, {"flawed": 20}])])
-def test_the_comparison_notices_another_experiment(change: dict[str, float | Filtering]) -> None:
-    cell = cell_of("asdf-plus", 0.95, 0.55)
-    other = by_authors(replace(cell.experiment, **change))  # type: ignore[arg-type]
-    assert min(fidelity.p_values(fidelity.simulate(other, 6), cell.scores)) < 1e-4
-
-
-@pytest.mark.parametrize("moving", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_native_has_the_scores_of_float64(moving: bool) -> None:
-    cell = cell_of("asdf-plus", 0.95, 0.55) if moving else fidelity.read_cells()[0]
+@pytest.mark.parametrize("cell", [CONNECTED[0], *slow([LONG[-1]])])
+def test_native_has_the_scores_of_the_reference_firmware(cell: fidelity.Cell) -> None:
     native = fidelity.simulate(cell.experiment, 40)
     other = fidelity.by_reference(replace(cell.experiment, seed=1001))
     assert min(fidelity.p_values(native, fidelity.simulate(other, FEW))) > fidelity.LEVEL / 3
+
+
+CHANGES: list[dict[str, Any]] = [
+    {"true_accuracy": 0.75},
+    {"filter_period": 2000},
+    {"flawed": 1},
+    {"filter": "asdf-plus"},
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_the_comparison_notices_another_experiment(change: dict[str, Any]) -> None:
+    wanted = replace(
+        Experiment(robots=10, steps=40_000, filter="asdf-minus"),
+        **{"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed": 5, "flawed_accuracy": 0.95},  # type: ignore[arg-type]
+    )
+    (cell,) = [cell for cell in CONNECTED if cell.experiment == wanted]
+    other = replace(cell.experiment, **change)
+    assert min(fidelity.p_values(fidelity.simulate(other, 64), cell.scores)) < 1e-4
+
+
+def test_holm_is_the_procedure() -> None:
+    source = np.random.default_rng(3)
+    for _ in range(100):
+        values = source.random(12) ** 4
+        ordered = sorted(values)
+        rejected = 0
+        while rejected < 12 and ordered[rejected] <= 0.05 / (12 - rejected):
+            rejected += 1
+        assert sum(value <= 0.05 for value in fidelity.holm(values.tolist())) == rejected
 
 
 def test_degrees_of_trials_are_those_of_the_simulation() -> None:
     """The mean degree of each trial is in the reference, too."""
     with fidelity.PHYSICS.open(encoding="utf-8", newline="") as file:
         theirs = [float(degree) for row in csv.DictReader(file) for degree in row["mean_degree"].split()]
-    experiment = CELLS[0].experiment
-    ours = [mean_degree(experiment, trial) for trial in range(8)]
+    ours = [mean_degree(PHYSICS[0].experiment, trial) for trial in range(8)]
     error = np.hypot(np.std(ours) / len(ours) ** 0.5, np.std(theirs) / len(theirs) ** 0.5)
     assert abs(np.mean(ours) - np.mean(theirs)) < 4 * error
 

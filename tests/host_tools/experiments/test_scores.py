@@ -1,15 +1,13 @@
-"""K, e and the scores against their definitions, and ours against those of the reference study."""
+"""K, e and the scores against their definitions."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks import fidelity
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import scores
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -78,13 +76,6 @@ def test_scores_by_hand() -> None:
     assert result.h[0] == pytest.approx((result.h_k[0] + result.h_e[0]) / 2)
 
 
-def test_the_best_and_the_worst_swarm() -> None:
-    best = score([[0, 0]], [[0.0, 0.0]], Limits(10, 0.5))
-    worst = score([[10, 10]], [[0.5, 0.5]], Limits(10, 0.5))
-    assert (best.h_k[0], best.h_e[0], best.h[0]) == (100, 100, 100)
-    assert (worst.h_k[0], worst.h_e[0], worst.h[0]) == (0, 0, 0)
-
-
 def test_no_number_counts_as_the_worst() -> None:
     assert score([[1, 1]], [[math.nan, math.nan]], Limits(10, 0.5)).h_e[0] == 0
 
@@ -103,70 +94,3 @@ def test_limits_that_are_none_are_refused(wrong: float) -> None:
         chosen_limits(wrong, 0.3)
     with pytest.raises(UsageError, match=f"e_max is {wrong}; it must be above 0"):
         chosen_limits(None, wrong)
-
-
-# --- The reference study ---------------------------------------------------------------------------------
-
-
-def test_the_reference_has_the_conventions_used_here() -> None:
-    """Its h_K is 100 (1 - K / 40000) with whole K, as all robots have one estimate, and H is the mean."""
-    cells = fidelity.read_cells()
-    assert [len(cell.scores) for cell in cells] == [30] * 46
-    for cell in cells:
-        h_k, h_e, h = cell.scores.T
-        steps, errors = np.rint(40_000 * (1 - h_k / 100)), 0.45 * (1 - h_e / 100)
-        own = score(np.repeat(steps[:, None], 10, 1), np.repeat(errors[:, None], 10, 1), fidelity.LIMITS)
-        assert own.h_k == pytest.approx(h_k, abs=1e-5)
-        assert own.h == pytest.approx(h, abs=1e-5)
-
-
-@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
-def test_native_scores_have_the_distributions_of_the_reference(every: int) -> None:
-    cells = fidelity.read_cells(seed=1)[::every]
-    corrected = fidelity.holm(np.ravel(fidelity.compare(cells, trials=32)).tolist())
-    assert min(corrected) >= fidelity.LEVEL, f"replay: python {fidelity.__file__} --trials 32 --seed 1"
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"true_accuracy": 0.75},
-        {"filter_period": 2000},
-        {"flawed": 1},
-        {"filter": "asdf-plus"},
-    ],
-)
-def test_the_comparison_notices_another_experiment(change: dict[str, float | str]) -> None:
-    name = ("asdf-minus", 5, 0.95, 1000)
-    (cell,) = [
-        each
-        for each in fidelity.read_cells()
-        if (
-            each.experiment.filter,
-            each.experiment.flawed,
-            each.experiment.fill_ratio,
-            each.experiment.filter_period,
-        )
-        == name
-    ]
-    other = Experiment.from_parameters({**cell.experiment.parameters(), **change, "trials": 1})
-    values = fidelity.p_values(fidelity.simulate(other, 64), cell.scores)
-    assert min(values) < 1e-4
-
-
-def test_holm_is_the_procedure() -> None:
-    source = np.random.default_rng(3)
-    for _ in range(100):
-        values = source.random(12) ** 4
-        ordered = sorted(values)
-        rejected = 0
-        while rejected < 12 and ordered[rejected] <= 0.05 / (12 - rejected):
-            rejected += 1
-        assert sum(value <= 0.05 for value in fidelity.holm(values.tolist())) == rejected
-
-
-def test_a_seed_repeats_an_experiment() -> None:
-    experiment = Experiment(steps=500, filter_period=100)
-    assert np.array_equal(fidelity.simulate(experiment, 3), fidelity.simulate(experiment, 3))
-    other = fidelity.simulate(replace(experiment, seed=2), 3)
-    assert not np.array_equal(fidelity.simulate(experiment, 3), other)
