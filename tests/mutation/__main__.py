@@ -41,8 +41,8 @@ def survivors(of: list[Mutant], tests: list[Path] | None = None) -> list[str]:
     lines = []
     for number, mutant in enumerate(of, 1):
         if not dies(mutant, known, folders[mutant]):
-            uncalled = "" if known.calling(mutant, folders[mutant]) else " (no test calls it)"
-            lines.append(f"survives: {mutant} {mutant.name}{uncalled}")
+            idle = "" if known.running(mutant, folders[mutant]) else " (no test runs it)"
+            lines.append(f"survives: {mutant} {mutant.name}{idle}")
             print(lines[-1], flush=True)
         if sys.stderr.isatty():
             print(f"\r{number} of {len(of)} ", end="", file=sys.stderr)

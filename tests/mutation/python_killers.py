@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
 import resource
 import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
@@ -18,8 +18,9 @@ from importlib.util import spec_from_file_location
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import CodeType, FrameType
+from types import CodeType
 
+import coverage
 import pytest
 
 from mutation.python_mutants import Mutant
@@ -28,6 +29,8 @@ from support import DRAWS_ALL, ROOT
 PROCESSOR_SECONDS, SECONDS = 120, 900
 """Limits for one mutant: what hangs has been noticed."""
 QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow")
+HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
+"""Libraries that most tests need, imported once before processes split."""
 _FORK = get_context("fork")
 
 
@@ -46,7 +49,7 @@ class Record:
 
     Attributes:
         seconds: Time of each test, by its name.
-        tests: Tests that call a function, by ``FILE:FIRST LINE``.
+        tests: Tests that run a line, by ``FILE:LINE``.
         failed: Tests that fail, and notice nothing.
     """
 
@@ -54,15 +57,17 @@ class Record:
     tests: dict[str, list[str]] = field(default_factory=dict)
     failed: list[str] = field(default_factory=list)
 
-    def calling(self, mutant: Mutant, folders: Iterable[Path]) -> list[str]:
-        """Tests in the folders that call the mutant's function, fast ones first."""
-        found = self.tests.get(f"{mutant.path}:{mutant.function}", [])
+    def running(self, mutant: Mutant, folders: Iterable[Path]) -> list[str]:
+        """Tests in the folders that run the mutant's statement, fast ones first."""
+        found = {test for line in mutant.lines for test in self.tests.get(f"{mutant.path}:{line}", [])}
         inside = tuple(map(str, folders))
         return sorted((each for each in found if each.startswith(inside)), key=self.seconds.__getitem__)
 
 
 def record(folders: Iterable[Path]) -> Record:
     """Run the tests of these folders once."""
+    for library in HEAVY:
+        importlib.import_module(library)
     with TemporaryDirectory() as made:
         file = Path(made) / "record.json"
         paths = sorted({*map(str, folders)})
@@ -72,56 +77,57 @@ def record(folders: Iterable[Path]) -> Record:
 
 def _record_into(file: Path, paths: list[str]) -> bool:
     recorder = _Recorder()
-    pytest.main([*QUIET, *paths], plugins=[recorder])
-    file.write_text(json.dumps(vars(recorder.found)), encoding="utf-8")
+    with recorder.lines.collect():
+        pytest.main([*QUIET, *paths], plugins=[recorder])
+    file.write_text(json.dumps(vars(recorder.found())), encoding="utf-8")
     return True
 
 
 class _Recorder:
-    """Plugin of pytest that notes which functions of the project a test calls."""
+    """Plugin of pytest that notes which lines of the project a test runs, its fixtures included."""
 
     def __init__(self) -> None:
-        self.found = Record()
-        self._called: set[CodeType] = set()
+        self.lines = coverage.Coverage(data_file=None, source=[f"{ROOT}/firmware_py", f"{ROOT}/host_tools"])
+        self._record = Record()
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> object:
-        """Trace calls, in every thread, while a test and its fixtures run."""
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Let lines count for this test, in every thread."""
         start = time.monotonic()
-        self._called.clear()
-        threading.settrace(self._trace)
-        sys.settrace(self._trace)
+        self.lines.switch_context(item.nodeid)
         try:
             return (yield)
         finally:
-            sys.settrace(None)
-            self.found.seconds[item.nodeid] = time.monotonic() - start
-            for code in self._called:
-                if code.co_filename.startswith(str(ROOT)):
-                    function = f"{Path(code.co_filename).relative_to(ROOT)}:{code.co_firstlineno}"
-                    self.found.tests.setdefault(function, []).append(item.nodeid)
-
-    def _trace(self, frame: FrameType, event: str, argument: object) -> None:
-        self._called.add(frame.f_code)
+            self.lines.switch_context("")
+            self._record.seconds[item.nodeid] = time.monotonic() - start
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note a test that fails."""
         if report.failed:
-            self.found.failed.append(report.nodeid)
+            self._record.failed.append(report.nodeid)
+
+    def found(self) -> Record:
+        """What was noted."""
+        data = self.lines.get_data()
+        for file in data.measured_files():
+            for line, tests in data.contexts_by_lineno(file).items():
+                name = f"{Path(file).relative_to(ROOT)}:{line}"
+                self._record.tests[name] = [test for test in tests if test]
+        return self._record
 
 
 def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
-    """True if a test in the folders fails: one that calls the function, or another of the same file, to which
+    """True if a test in the folders fails: one that runs the statement, or another of the same file, to which
     a cache or a fixture may bring the result."""
-    calling = known.calling(mutant, folders)
-    return bool(calling) and not _in_child(lambda: _passes(mutant, calling, known.failed), SECONDS)
+    running = known.running(mutant, folders)
+    return bool(running) and not _in_child(lambda: _passes(mutant, running, known.failed), SECONDS)
 
 
-def _passes(mutant: Mutant, calling: list[str], failed: list[str]) -> bool:
+def _passes(mutant: Mutant, running: list[str], failed: list[str]) -> bool:
     resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_SECONDS, PROCESSOR_SECONDS))
     _install(mutant)
-    files = dict.fromkeys(test.partition("::")[0] for test in calling)
-    plugin = _Sorter({test: number for number, test in enumerate(calling)}, {*failed})
+    files = dict.fromkeys(test.partition("::")[0] for test in running)
+    plugin = _Sorter({test: number for number, test in enumerate(running)}, {*failed})
     return pytest.main([*QUIET, "-x", *files], plugins=[plugin]) == pytest.ExitCode.OK
 
 

@@ -31,12 +31,14 @@ class Mutant:
     Attributes:
         path: File, relative to the project.
         number: Place among the mistakes of the file.
-        function: First line of the function, decorators included: a code object's ``co_firstlineno``.
+        lines: Of the statement, without those of statements in it.
+        name: Function, and the statement as it is and as it becomes.
     """
 
     path: Path
     number: int
-    function: int
+    lines: range
+    name: str
 
     def __str__(self) -> str:
         return f"{self.path}#{self.number}"
@@ -47,18 +49,11 @@ class Mutant:
         return ".".join(self.path.with_suffix("").parts[1:]).removesuffix(".__init__")
 
     @property
-    def name(self) -> str:
-        """Function, and the statement as it is and as it becomes."""
-        function, statement, change = _places(self.path)[self.number]
-        before = _head(statement)
-        change()
-        return f"{function.name}: [{before} => {_head(statement)}]"
-
-    @property
     def code(self) -> str:
         """The file with the mistake in it."""
         tree = _parsed(self.path)
-        _changes_of(tree)[self.number][2]()
+        changes = [change for _, statement in _places(tree) for change in _changes(statement)]
+        changes[self.number]()
         return ast.unparse(tree)
 
 
@@ -66,33 +61,36 @@ def mutants(path: Path) -> list[Mutant]:
     """All mutants of a file or folder. Types, documentation and messages of errors are left alone."""
     files = sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]
     return [
-        Mutant(file.relative_to(ROOT), number, _first_line(function))
+        Mutant(file.relative_to(ROOT), number, lines, name)
         for file in files
-        for number, (function, *_) in enumerate(_places(file))
+        for number, (lines, name) in enumerate(_mistakes(file))
     ]
 
 
-def _first_line(function: Function) -> int:
-    return min([function.lineno, *(each.lineno for each in function.decorator_list)])
+def _mistakes(file: Path) -> Iterator[tuple[range, str]]:
+    """Lines and name of each."""
+    for function, statement in _places(_parsed(file)):
+        head = _head(statement)
+        for number, _ in enumerate(_changes(head)):
+            changed = copy.deepcopy(head)
+            list(_changes(changed))[number]()
+            yield _lines(statement), f"{function.name}: [{_text(head)} => {_text(changed)}]"
+
+
+def _lines(statement: ast.stmt) -> range:
+    inside = [each.lineno for part in ("body", "orelse") for each in getattr(statement, part, [])]
+    end = min([*inside, (statement.end_lineno or statement.lineno) + 1])
+    return range(statement.lineno, max(end, statement.lineno + 1))
 
 
 def _parsed(path: Path) -> ast.Module:
     return ast.parse((ROOT / path).read_text(encoding="utf-8"))
 
 
-def _places(path: Path) -> list[tuple[Function, ast.stmt, Change]]:
-    return _changes_of(_parsed(path))
-
-
-def _changes_of(tree: ast.Module) -> list[tuple[Function, ast.stmt, Change]]:
-    """Every change, with the function and statement that it is in."""
+def _places(tree: ast.Module) -> list[tuple[Function, ast.stmt]]:
+    """Every statement that may be changed, with its function."""
     functions = [each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)]
-    return [
-        (function, statement, change)
-        for function in functions
-        for statement in _statements(function)
-        for change in _changes(statement)
-    ]
+    return [(function, statement) for function in functions for statement in _statements(function)]
 
 
 def _statements(function: ast.AST) -> Iterator[ast.stmt]:
@@ -107,13 +105,17 @@ def _statements(function: ast.AST) -> Iterator[ast.stmt]:
         yield from _statements(child)
 
 
-def _head(statement: ast.stmt) -> str:
-    """The statement's code, without that of statements in it."""
+def _head(statement: ast.stmt) -> ast.stmt:
+    """The statement without those in it."""
     head = copy.copy(statement)
     for part in ("body", "orelse", "finalbody"):
         if getattr(head, part, None):
             setattr(head, part, [ast.Pass()])
-    return " ".join(ast.unparse(head).split())
+    return head
+
+
+def _text(statement: ast.stmt) -> str:
+    return " ".join(ast.unparse(statement).split())
 
 
 def _changes(statement: ast.stmt) -> Iterator[Change]:
