@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import can
 from hypothesis import strategies as st
@@ -25,28 +26,56 @@ from mcp_asdf_tools.bus.frames import (
 
 DEFAULT = FrameFormat()
 
-_nodes, _transfers, _words = st.integers(0, 127), st.integers(0, 31), st.integers(0, 2**32 - 1)
-_bytes, _ratios = st.integers(0, 255), st.integers(0, 2**23)
-_alphas = _words.map(lambda word: alpha_word(alpha_units(word)))
-"""Words with the smallest shift, as decoding gives them."""
 
-estimates = st.builds(Message, _nodes, _ratios, _alphas, _transfers)
-messages = st.one_of(
-    estimates,
-    st.builds(Heartbeat, _nodes, _words, _transfers, st.sampled_from(Health), st.sampled_from(Mode), _bytes),
-    st.builds(Telemetry, _nodes, _ratios, st.integers(MIN_B_HAT, MAX_B_HAT), _bytes, _transfers),
-    st.builds(Command, _nodes, _words, _nodes | st.just(EVERY_ROBOT), st.sampled_from(Action), _transfers),
-)
+class Kind(NamedTuple):
+    """A kind of message: its subject, its name, and its codec with the default format."""
+
+    subject: int
+    name: str
+    encode: Callable[[Any], can.Message]
+    decode: Callable[[can.Message], Any]
+
+
+KINDS: dict[type, Kind] = {
+    Message: Kind(
+        3000, "estimate", lambda it: frames.encode(it, DEFAULT), lambda frame: frames.decode(frame, DEFAULT)
+    ),
+    Heartbeat: Kind(7509, "heartbeat", frames.encode_heartbeat, frames.decode_heartbeat),
+    Telemetry: Kind(3001, "telemetry", frames.encode_telemetry, frames.decode_telemetry),
+    Command: Kind(3002, "command", frames.encode_command, frames.decode_command),
+}
+
+
+def up_to(high: int, beyond: int, low: int = 0) -> st.SearchStrategy[int]:
+    """Numbers ``low`` .. ``high``, or some that are up to ``beyond`` out of this range."""
+    legal = st.integers(low, high)
+    return legal | st.integers(high, high + beyond) | st.integers(low - min(low, beyond), low)
+
+
+def drawn(beyond: int = 0) -> st.SearchStrategy[Any]:
+    """Messages of every kind, with fields up to ``beyond`` out of range."""
+    nodes, transfers, words = up_to(127, beyond), st.integers(0, 31), st.integers(0, 2**32 - 1)
+    ratios, codes = up_to(2**23, beyond), st.integers(0, 255)
+    b_hats, targets = up_to(MAX_B_HAT, beyond, MIN_B_HAT), nodes | st.just(EVERY_ROBOT)
+    return st.one_of(
+        st.builds(Message, nodes, ratios, words | st.sampled_from([0xFF, 0x100, 0xFFFFFF1F]), transfers),
+        st.builds(Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), codes),
+        st.builds(Telemetry, nodes, ratios, b_hats, codes, transfers),
+        st.builds(Command, nodes, words, targets, st.sampled_from(Action), transfers),
+    )
+
+
+def as_decoded(message: Any) -> Any:
+    """The message with the smallest shift of alpha, as decoding gives it."""
+    if not isinstance(message, Message):
+        return message
+    return Message(message.sender, message.x_hat, alpha_word(alpha_units(message.alpha)), message.transfer_id)
+
+
+messages = drawn().map(as_decoded)
+estimates = messages.filter(lambda message: isinstance(message, Message))
 
 
 def encoded(message: Any) -> can.Message:
     """The frame of a message of any kind."""
-    match message:
-        case Message():
-            return frames.encode(message, DEFAULT)
-        case Heartbeat():
-            return frames.encode_heartbeat(message)
-        case Telemetry():
-            return frames.encode_telemetry(message)
-        case _:
-            return frames.encode_command(message)
+    return KINDS[type(message)].encode(message)

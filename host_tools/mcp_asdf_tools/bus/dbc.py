@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
-    MAX_NODE_ID,
     TELEMETRY,
     FrameFormat,
     Heartbeat,
     encode_heartbeat,
 )
+from mcp_asdf_tools.common.errors import UsageError
 
 ANY_NODE_MASK = 0x1FFF_FF00
 """Mask of the identifier bits to compare when one entry serves all nodes."""
@@ -71,45 +70,38 @@ CM_ SG_ # start_end_toggle "7: the transfer is this one frame";
 """
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A message of the file.
+def dbc_text(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> str:
+    """The text of a DBC file: all kinds from each of ``nodes`` or, if None, one entry a kind for any node.
 
-    Attributes:
-        kind: Kind of the message.
-        name: That of the kind, with the node's id if the entry is for one node.
-        identifier: 29 bits; for any node, those of node 0.
-        sender: Name of the node that sends it.
+    Entries for any node have the identifier of node 0. Raises UsageError if a node is not 0 .. 127 or listed
+    twice, or if the subject of ``estimates`` is that of telemetry or of commands. O(len(nodes)).
     """
-
-    kind: str
-    name: str
-    identifier: int
-    sender: str
-
-
-def dbc_entries(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> list[Entry]:
-    """The messages of a file: all kinds from each of ``nodes`` or, if None, one entry a kind for any node.
-
-    Raises ValueError if a node is not 0 .. 127 or listed twice, or if the subject of ``estimates`` is that
-    of telemetry or of commands.
-    """
-    for other in (TELEMETRY, COMMANDS):
-        if estimates.subject == other.subject:
-            raise ValueError(
-                f"subject {other.subject} is that of telemetry or commands; choose another for estimates"
-            )
-    for node in nodes or ():
-        if not 0 <= node <= MAX_NODE_ID:
-            raise ValueError(f"node {node} does not exist; ids are 0 to {MAX_NODE_ID}")
+    if estimates.subject in (TELEMETRY.subject, COMMANDS.subject):
+        raise UsageError(
+            f"subject {estimates.subject} is that of telemetry or commands; choose another for estimates"
+        )
     if nodes is not None and len(set(nodes)) < len(nodes):
         twice = next(node for node in nodes if nodes.count(node) > 1)
-        raise ValueError(f"node {twice} is listed twice; each id belongs to one node")
-    return [
-        Entry(kind, f"{kind}{suffix}", identifier, f"Robot{suffix}")
-        for node, suffix in ([(0, "")] if nodes is None else [(node, f"_{node}") for node in nodes])
+        raise UsageError(f"node {twice} is listed twice; each id belongs to one node")
+    senders = [(0, "")] if nodes is None else [(node, f"_{node}") for node in nodes]
+    entries = [
+        (kind, suffix, identifier | _EXTENDED)
+        for node, suffix in senders
         for kind, identifier in zip(_KINDS, _identifiers(estimates, node), strict=True)
     ]
+    parts = [
+        'VERSION ""\n',
+        "NS_ :\n",
+        "BS_:\n",
+        f"BU_: {' '.join(f'Robot{suffix}' for _, suffix in senders)}\n",
+    ]
+    for kind, suffix, identifier in entries:
+        signals = "".join(f' {line} "" Vector__XXX\n' for line in _lines(kind, identifier, "SG_"))
+        parts.append(f"BO_ {identifier} {kind}{suffix}: 8 Robot{suffix}\n{signals}")
+    for section in ("CM_", "VAL_", "SIG_VALTYPE_"):
+        lines = [line for kind, _, identifier in entries for line in _lines(kind, identifier, section)]
+        parts.append("".join(f"{line}\n" for line in lines))
+    return "\n".join(parts)
 
 
 def _identifiers(estimates: FrameFormat, node: int) -> tuple[int, ...]:
@@ -117,19 +109,7 @@ def _identifiers(estimates: FrameFormat, node: int) -> tuple[int, ...]:
     return estimates.identifier(node), heartbeat, TELEMETRY.identifier(node), COMMANDS.identifier(node)
 
 
-def dbc_text(messages: Sequence[Entry]) -> str:
-    """The text of a DBC file. O(len(messages))."""
-    senders = " ".join(dict.fromkeys(entry.sender for entry in messages))
-    parts = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {senders}\n"]
-    for entry in messages:
-        signals = "".join(f' {line} "" Vector__XXX\n' for line in _lines(entry, "SG_"))
-        parts.append(f"BO_ {entry.identifier | _EXTENDED} {entry.name}: 8 {entry.sender}\n{signals}")
-    for section in ("CM_", "VAL_", "SIG_VALTYPE_"):
-        parts.append("".join(f"{line}\n" for entry in messages for line in _lines(entry, section)))
-    return "\n".join(parts)
-
-
-def _lines(entry: Entry, keyword: str) -> list[str]:
+def _lines(kind: str, identifier: int, keyword: str) -> list[str]:
     """The lines of a message that begin with a keyword."""
-    text = (_KINDS[entry.kind] + _TAIL).replace("#", str(entry.identifier | _EXTENDED))
+    text = (_KINDS[kind] + _TAIL).replace("#", str(identifier))
     return [line for line in text.splitlines() if line.startswith(f"{keyword} ")]

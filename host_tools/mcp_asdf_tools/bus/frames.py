@@ -55,40 +55,28 @@ SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
 
 
 class Rejection(Enum):
-    """Reason why a frame is not the expected message.
+    """Reason why a frame is not the expected message (table in docs/frame.md).
 
     The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``.
-
-    Attributes:
-        text: The reason in words.
     """
 
-    text: str
-
-    ERROR_FRAME = -21, "error frame"
-    REMOTE_FRAME = -22, "remote frame"
-    FD_FRAME = -23, "CAN FD frame"
-    STANDARD_ID = -24, "11-bit identifier"
-    SERVICE = -25, "service transfer"
-    ANONYMOUS = -26, "anonymous sender"
-    RESERVED_BITS = -27, "reserved identifier bit set"
-    SUBJECT = -28, "another subject"
-    LENGTH = -29, "not 8 bytes"
-    MULTI_FRAME = -30, "not a single-frame transfer"
-    X_HAT = -31, "x_hat above 1"
-    ALPHA = -32, "alpha negative, infinite or NaN"
-    MODE = -33, "unknown node mode"
-    X = -34, "x above 1"
-    B_HAT = -35, "b_hat outside 2**-20 to 1 - 2**-20"
-    TARGET = -36, "target neither a robot nor all"
-    ACTION = -37, "unknown action"
-
-    def __new__(cls, code: int, text: str) -> Rejection:
-        """Make a member."""
-        member = object.__new__(cls)
-        member._value_ = code
-        member.text = text
-        return member
+    ERROR_FRAME = -21
+    REMOTE_FRAME = -22
+    FD_FRAME = -23
+    STANDARD_ID = -24
+    SERVICE = -25
+    ANONYMOUS = -26
+    RESERVED_BITS = -27
+    SUBJECT = -28
+    LENGTH = -29
+    MULTI_FRAME = -30
+    X_HAT = -31
+    ALPHA = -32
+    MODE = -33
+    X = -34
+    B_HAT = -35
+    TARGET = -36
+    ACTION = -37
 
 
 def _check(name: str, value: int, high: int, low: int = 0) -> None:
@@ -159,9 +147,6 @@ class Mode(Enum):
     INITIALIZATION = 1
     MAINTENANCE = 2
     SOFTWARE_UPDATE = 3
-
-
-_LAST_MODE = max(mode.value for mode in Mode)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,9 +228,10 @@ class Command:
 
 
 def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
-    """Return ``message`` as a frame stamped ``timestamp`` (seconds).
+    """The frame of ``message``, stamped ``timestamp`` (seconds).
 
-    Raises ValueError if a field is out of range, so that no frame is sent that a decoder would refuse.
+    Raises UsageError if a field is out of range, so that no frame is sent that a decoder would refuse; so do
+    the other encoders.
     """
     _check("x_hat", message.x_hat, ONE)
     _check("alpha", message.alpha, 0xFFFF_FFFF)
@@ -255,10 +241,9 @@ def encode(message: Message, frame_format: FrameFormat, timestamp: float = 0.0) 
 
 def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection:
     """Estimate in any frame, or the reason why there is none."""
-    reason = _why_no_transfer(frame, frame_format.subject)
-    if reason is not None:
-        return reason
-    content = int.from_bytes(frame.data, "little")
+    content = _content(frame, frame_format.subject)
+    if isinstance(content, Rejection):
+        return content
     x_hat, alpha = content & 0xFF_FFFF, content >> 24 & 0xFFFF_FFFF
     if x_hat > ONE:
         return Rejection.X_HAT
@@ -268,18 +253,15 @@ def decode(frame: can.Message, frame_format: FrameFormat) -> Message | Rejection
     return Message(sender, x_hat, word_of(alpha), transfer_id)
 
 
-def encode_heartbeat(heartbeat: Heartbeat, priority: int = 4, timestamp: float = 0.0) -> can.Message:
-    """Return ``heartbeat`` as a frame stamped ``timestamp`` (seconds).
-
-    Raises ValueError if a field is out of range.
-    """
-    _check("priority", priority, MAX_PRIORITY)
+def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Message:
+    """The frame of ``heartbeat``, stamped ``timestamp`` (seconds)."""
     _check("uptime", heartbeat.uptime, 0xFFFF_FFFF)
     _check("vendor_status", heartbeat.vendor_status, 0xFF)
     payload = heartbeat.uptime | heartbeat.health.value << 32 | heartbeat.mode.value << 40
     payload |= heartbeat.vendor_status << 48
-    identifier = _identifier(priority, HEARTBEAT_SUBJECT, heartbeat.sender)
-    return _frame(identifier, payload, heartbeat.transfer_id, timestamp)
+    return _frame(
+        _identifier(4, HEARTBEAT_SUBJECT, heartbeat.sender), payload, heartbeat.transfer_id, timestamp
+    )
 
 
 def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
@@ -287,23 +269,21 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
 
     Health takes 2 bits and mode 3; the spare bits next to them are ignored, as the specification asks.
     """
-    reason = _why_no_transfer(frame, HEARTBEAT_SUBJECT)
-    if reason is not None:
-        return reason
-    uptime, health, mode, vendor_status, tail = struct.unpack("<IBBBB", frame.data)
-    if mode & 7 > _LAST_MODE:
+    content = _content(frame, HEARTBEAT_SUBJECT)
+    if isinstance(content, Rejection):
+        return content
+    health, mode, status = content >> 32 & 3, content >> 40 & 7, content >> 48 & 0xFF
+    if mode > Mode.SOFTWARE_UPDATE.value:
         return Rejection.MODE
-    sender, transfer_id = frame.arbitration_id & NODE_BITS, tail & _TRANSFER_BITS
-    return Heartbeat(sender, uptime, transfer_id, Health(health & 3), Mode(mode & 7), vendor_status)
+    uptime, transfer_id = content & 0xFFFF_FFFF, content >> 56 & _TRANSFER_BITS
+    sender = frame.arbitration_id & NODE_BITS
+    return Heartbeat(sender, uptime, transfer_id, Health(health), Mode(mode), status)
 
 
 def encode_telemetry(
     telemetry: Telemetry, frame_format: FrameFormat = TELEMETRY, timestamp: float = 0.0
 ) -> can.Message:
-    """Return ``telemetry`` as a frame stamped ``timestamp`` (seconds).
-
-    Raises ValueError if a field is out of range.
-    """
+    """The frame of ``telemetry``, stamped ``timestamp`` (seconds)."""
     _check("x", telemetry.x, ONE)
     _check("b_hat", telemetry.b_hat, MAX_B_HAT, MIN_B_HAT)
     _check("updates", telemetry.updates, 0xFF)
@@ -313,10 +293,9 @@ def encode_telemetry(
 
 def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) -> Telemetry | Rejection:
     """Telemetry in any frame, or the reason why there is none."""
-    reason = _why_no_transfer(frame, frame_format.subject)
-    if reason is not None:
-        return reason
-    content = int.from_bytes(frame.data, "little")
+    content = _content(frame, frame_format.subject)
+    if isinstance(content, Rejection):
+        return content
     x, b_hat, updates = content & 0xFF_FFFF, content >> 24 & 0xFF_FFFF, content >> 48 & 0xFF
     if x > ONE:
         return Rejection.X
@@ -328,10 +307,7 @@ def decode_telemetry(frame: can.Message, frame_format: FrameFormat = TELEMETRY) 
 def encode_command(
     command: Command, frame_format: FrameFormat = COMMANDS, timestamp: float = 0.0
 ) -> can.Message:
-    """Return ``command`` as a frame stamped ``timestamp`` (seconds).
-
-    Raises ValueError if a field is out of range.
-    """
+    """The frame of ``command``, stamped ``timestamp`` (seconds)."""
     _check("tick", command.tick, 0xFFFF_FFFF)
     if command.target != EVERY_ROBOT:
         _check("target", command.target, MAX_NODE_ID)
@@ -344,15 +320,17 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMANDS) -> 
 
     The spare byte is ignored, as the specification asks.
     """
-    reason = _why_no_transfer(frame, frame_format.subject)
-    if reason is not None:
-        return reason
-    tick, target, action, _, tail = struct.unpack("<IBBBB", frame.data)
+    content = _content(frame, frame_format.subject)
+    if isinstance(content, Rejection):
+        return content
+    tick, target, action = content & 0xFFFF_FFFF, content >> 32 & 0xFF, content >> 40 & 0xFF
     if target > MAX_NODE_ID and target != EVERY_ROBOT:
         return Rejection.TARGET
     if action > Action.SETTLE.value:
         return Rejection.ACTION
-    return Command(frame.arbitration_id & NODE_BITS, tick, target, Action(action), tail & _TRANSFER_BITS)
+    return Command(
+        frame.arbitration_id & NODE_BITS, tick, target, Action(action), content >> 56 & _TRANSFER_BITS
+    )
 
 
 Content = Message | Heartbeat | Telemetry | Rejection
@@ -409,8 +387,8 @@ def bits_of(value: float) -> int:
     return bits
 
 
-def _why_no_transfer(frame: can.Message, subject: int) -> Rejection | None:
-    """Reason why the frame is no single-frame message of the subject; None if it is one."""
+def _content(frame: can.Message, subject: int) -> int | Rejection:
+    """The 64 bits of a single-frame message of the subject, or the reason why the frame is none."""
     special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
     if special or frame.arbitration_id & _ALWAYS_0:
         return _what_is_special(frame)
@@ -420,13 +398,13 @@ def _why_no_transfer(frame: can.Message, subject: int) -> Rejection | None:
         return Rejection.LENGTH
     if frame.data[-1] & ~_TRANSFER_BITS != SINGLE_FRAME:
         return Rejection.MULTI_FRAME
-    return None
+    return int.from_bytes(frame.data, "little")
 
 
 def _what_is_special(frame: can.Message) -> Rejection:
     """Reason why a frame that has any is no message of any subject."""
     identifier = frame.arbitration_id
-    findings = (
+    found = (
         (frame.is_error_frame, Rejection.ERROR_FRAME),
         (frame.is_remote_frame, Rejection.REMOTE_FRAME),
         (frame.is_fd, Rejection.FD_FRAME),
@@ -435,7 +413,7 @@ def _what_is_special(frame: can.Message) -> Rejection:
         (identifier & _ANONYMOUS, Rejection.ANONYMOUS),
         (identifier & _RESERVED, Rejection.RESERVED_BITS),
     )
-    return next(reason for found, reason in findings if found)
+    return next(reason for is_so, reason in found if is_so)
 
 
 @cache

@@ -8,11 +8,10 @@ import errno
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import can
-from can.cli import add_bus_arguments, create_bus_from_namespace
 from can.typechecking import CanFilters
 from can.util import load_environment_config, load_file_config
 
@@ -34,20 +33,6 @@ _PROTOCOL_ERROR = 0x8
 _ROBOT = "{robot}"
 _UDP_PORT = 43113
 """python-can's."""
-_OPTIONS = ("interface", "channel", "bitrate")
-_SHOWN = {
-    "interface": (
-        "INTERFACE",
-        "kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's",
-    ),
-    "channel": ("CHANNEL", "bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2"),
-    "bitrate": ("BITRATE", "bits per second, where the interface sets them"),
-    "bus_kwargs": (
-        "KEY=VALUE",
-        "further settings of the interface, such as app_name=MyCanApp serial=1234",
-    ),
-}
-"""Options taken from python-can: metavar and help. Those for CAN FD are not, since FD frames are refused."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +41,20 @@ class BusChoice:
 
     Attributes:
         interface: python-can's name of the kind of bus.
-        channel: The bus among those of its kind; None is the interface's own default.
+        settings: Further arguments of ``can.Bus``.
     """
 
     interface: str
-    channel: str | None
-    _args: argparse.Namespace
-    _defaults: dict[str, Any]
-    _is_plain: bool = True
+    settings: dict[str, Any]
 
     def __str__(self) -> str:
         return self.interface + (f" {self.channel}" if self.channel else "")
+
+    @property
+    def channel(self) -> str | None:
+        """The bus among those of its kind; None is the interface's own default."""
+        channel = self.settings.get("channel")
+        return None if channel is None else str(channel)
 
     @property
     def has_channels(self) -> bool:
@@ -76,26 +64,25 @@ class BusChoice:
     @property
     def is_private(self) -> bool:
         """True if no other program can be on the bus, and the user gave nothing but its name."""
-        return self.interface == DEFAULT_INTERFACE and self._is_plain
+        plain = _DEFAULTS[DEFAULT_INTERFACE] | {"channel": self.settings.get("channel")}
+        return self.interface == DEFAULT_INTERFACE and self.settings == plain
 
     def of_robot(self, robot: int) -> BusChoice:
         """The bus of a robot, if each has one, else this bus."""
         if self.channel is None or not self.has_channels:
             return self
-        channel = self.channel.replace(_ROBOT, str(robot))
-        own: dict[str, Any] = {"channel": channel}
+        own: dict[str, Any] = {"channel": self.channel.replace(_ROBOT, str(robot))}
         if self.interface == "udp_multicast":
             # Linux hands the frames of every group joined on this host to all sockets of a port.
-            given = getattr(self._args, "bus_kwargs", {})
-            own |= {"bus_kwargs": given | {"port": int(given.get("port", _UDP_PORT)) + robot}}
-        return replace(self, channel=channel, _args=argparse.Namespace(**vars(self._args) | own))
+            own["port"] = int(self.settings.get("port", _UDP_PORT)) + robot
+        return BusChoice(self.interface, self.settings | own)
 
     def open(self) -> can.BusABC:
         """Join the bus as one more node. Raises UsageError if that is impossible."""
         try:
-            bus = create_bus_from_namespace(self._args, **self._defaults)
-        except argparse.ArgumentError as error:
-            raise UsageError(f"cannot open the bus {self}: {self._explain(error.__cause__)}") from error
+            bus = can.Bus(interface=self.interface, single_handle=True, **self.settings)
+        except Exception as error:  # an interface may raise anything
+            raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         return wrapped(self.interface, bus, self.channel or self.interface)
 
     def arguments(self) -> list[str]:
@@ -108,15 +95,10 @@ class BusChoice:
                 f"the bus {self} is inside this process, so no other can join it; "
                 "choose --interface socketcan or udp_multicast"
             )
-        words = [f"--interface={self.interface}", *([f"--channel={self.channel}"] if self.channel else [])]
-        if getattr(self._args, "bitrate", None) is not None:
-            words.append(f"--bitrate={self._args.bitrate}")
-        kwargs = getattr(self._args, "bus_kwargs", {})
-        return words + (
-            ["--bus-kwargs", *(f"{key}={value}" for key, value in kwargs.items())] if kwargs else []
-        )
+        words = [f"{name}={value}" for name, value in self.settings.items()]
+        return [f"--interface={self.interface}", *(["--bus-kwargs", *words] if words else [])]
 
-    def _explain(self, cause: BaseException | None) -> str:
+    def _explain(self, cause: Exception) -> str:
         """The failure and its fix."""
         if self.interface not in can.VALID_INTERFACES:
             return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
@@ -158,9 +140,13 @@ class _Wrapper(can.BusABC):
         return self._bus.fileno()
 
     def shutdown(self) -> None:
-        """Leave the bus."""
+        """Leave the bus, even if its adapter is unplugged."""
         super().shutdown()
-        self._bus.shutdown()
+        with suppress(can.CanError):
+            self._bus.shutdown()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self._bus._recv_internal(timeout)
 
 
 class AllReceived(_Wrapper):
@@ -170,7 +156,7 @@ class AllReceived(_Wrapper):
     """
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame, is_filtered = self._bus._recv_internal(timeout)
+        frame, is_filtered = super()._recv_internal(timeout)
         if frame is not None:
             frame.is_rx = True
         return frame, is_filtered
@@ -183,7 +169,6 @@ class WithoutEcho(_Wrapper):
     """Connection without its own frames, to a bus that returns every frame sent."""
 
     def __init__(self, bus: can.BusABC) -> None:
-        """Take over ``bus``, which closes with this connection."""
         super().__init__(bus)
         # If a returned frame is lost, one from elsewhere with the same id and data is taken for it, once.
         self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
@@ -229,22 +214,10 @@ class Multicast(WithoutEcho):
         )
 
 
-class ByAdapter(_Wrapper):
-    """Connection through an adapter on a serial line; it closes even if the adapter is unplugged."""
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return self._bus._recv_internal(timeout)
-
-    def shutdown(self) -> None:
-        """Leave the bus, even if the adapter is gone."""
-        with suppress(can.CanError):
-            super().shutdown()
-
-
 _WRAPPERS: dict[str, type[_Wrapper]] = {
     "socketcan": AllReceived,
     "udp_multicast": Multicast,
-    "slcan": ByAdapter,
+    "slcan": _Wrapper,
 }
 
 
@@ -254,42 +227,41 @@ def _content(frame: can.Message) -> tuple[int, bytes]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus options that python-can's own tools have, except those for CAN FD."""
-    theirs = argparse.ArgumentParser(add_help=False)
-    add_bus_arguments(theirs)
     group = parser.add_argument_group(
-        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)"
+        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)",
+        argument_default=argparse.SUPPRESS,
     )
-    for action in theirs._actions:
-        if action.dest in _SHOWN:
-            action.metavar, action.help = _SHOWN[action.dest]
-            group._add_action(action)
+    kinds = "kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's"
+    known = sorted(can.VALID_INTERFACES)
+    group.add_argument("-i", "--interface", metavar="INTERFACE", choices=known, help=kinds)
+    channels = "bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2"
+    group.add_argument("-c", "--channel", metavar="CHANNEL", help=channels)
+    group.add_argument("-b", "--bitrate", type=int, help="bits per second, where the interface sets them")
+    further = "further settings of the interface, such as app_name=MyCanApp serial=1234"
+    group.add_argument("--bus-kwargs", type=_setting, nargs="+", metavar="KEY=VALUE", help=further)
+
+
+def _setting(text: str) -> tuple[str, str]:
+    name, is_one, value = text.partition("=")
+    if not is_one:
+        raise argparse.ArgumentTypeError(f"{text} is no KEY=VALUE")
+    return name, value
 
 
 def choose_bus(args: argparse.Namespace) -> BusChoice:
     """Decide on a bus. Raises UsageError if python-can's variables or files cannot be read."""
-    asked = _inherited() | _given(args)
-    interface = str(asked.get("interface") or asked.get("bustype") or DEFAULT_INTERFACE)
-    defaults = {"interface": interface, **_DEFAULTS.get(interface, {})}
-    defaults = {key: value for key, value in defaults.items() if key not in asked}
-    channel = asked.get("channel", defaults.get("channel"))
-    is_plain = asked.keys() <= {"interface", "bustype", "channel"}
-    return BusChoice(interface, None if channel is None else str(channel), args, defaults, is_plain)
+    given = {name: getattr(args, name) for name in ("interface", "channel", "bitrate") if name in args}
+    asked = _inherited() | given | dict(getattr(args, "bus_kwargs", ()))
+    kind, interface = asked.pop("bustype", None), asked.pop("interface", None)
+    chosen = str(interface or kind or DEFAULT_INTERFACE)
+    return BusChoice(chosen, _DEFAULTS.get(chosen, {}) | asked)
 
 
 def _inherited() -> dict[str, Any]:
     """Settings of files, variables and ``can.rc``; later ones override earlier ones."""
-    merged: dict[str, Any] = {}
     try:
-        merged |= load_file_config()
-        merged |= load_environment_config()
+        return load_file_config() | load_environment_config() | can.rc
     except (configparser.Error, OSError, TypeError, ValueError) as error:
         raise UsageError(
             f"python-can's CAN_* variables or configuration files are not valid: {error}"
         ) from error
-    return merged | can.rc
-
-
-def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """Settings of arguments."""
-    given = {name: getattr(args, name) for name in _OPTIONS if name in args}
-    return given | getattr(args, "bus_kwargs", {})

@@ -29,7 +29,7 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     float_of,
 )
-from messages import DEFAULT, encoded, estimates, messages
+from messages import DEFAULT, KINDS, encoded, estimates, messages
 from support import PATIENCE, ROOT, draws
 
 pytestmark = pytest.mark.random
@@ -40,7 +40,6 @@ media = importlib.import_module("pycyphal.transport.can.media")
 pythoncan = importlib.import_module("pycyphal.transport.can.media.pythoncan")
 cyphal_can = importlib.import_module("pycyphal.transport.can")
 
-LARGEST_BITS = 0x7F7FFFFF
 fixed = settings(derandomize=True, deadline=None, max_examples=draws(200))
 
 # The specification's types, without their comments: pycyphal does not bring them along.
@@ -52,20 +51,9 @@ REGULATED = {
 }
 
 
-@dataclass(frozen=True)
-class Types:
-    """Classes that pycyphal's compiler made from DSDL."""
-
-    estimate: Any
-    telemetry: Any
-    command: Any
-    heartbeat: Any
-    health: Any
-    mode: Any
-
-
 @pytest.fixture(scope="module")
-def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Types]:
+def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[type, Any]]:
+    """Classes that pycyphal's compiler made from DSDL, by our kinds of messages."""
     folder = tmp_path_factory.mktemp("dsdl")
     regulated, compiled = folder / "uavcan/node", folder / "compiled"
     regulated.mkdir(parents=True)
@@ -76,25 +64,20 @@ def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Types]:
     before = set(sys.modules)
     sys.path.insert(0, str(compiled))
     try:
-        yield load_types()
+        made, node = importlib.import_module("mcp_asdf_messages"), importlib.import_module("uavcan.node")
+        yield {
+            Message: made.Estimate_1_0,
+            Telemetry: made.Telemetry_1_0,
+            Command: made.Command_1_0,
+            Heartbeat: node.Heartbeat_1_0,
+            Health: node.Health_1_0,
+            Mode: node.Mode_1_0,
+        }
     finally:
         sys.path.remove(str(compiled))
         for name in set(sys.modules) - before:
             if name.partition(".")[0] in ("mcp_asdf_messages", "uavcan", "nunavut_support"):
                 del sys.modules[name]
-
-
-def load_types() -> Types:
-    ours = importlib.import_module("mcp_asdf_messages")
-    node = importlib.import_module("uavcan.node")
-    return Types(
-        ours.Estimate_1_0,
-        ours.Telemetry_1_0,
-        ours.Command_1_0,
-        node.Heartbeat_1_0,
-        node.Health_1_0,
-        node.Mode_1_0,
-    )
 
 
 @dataclass(frozen=True)
@@ -128,18 +111,17 @@ def seen_by_pycyphal(frame: can.Message) -> Seen | None:
     )
 
 
-def dsdl_of(types: Types, message: Any) -> tuple[int, Any, tuple[Any, ...]]:
-    """Subject of a message, its DSDL type, and what an object of that has to hold."""
+def members(message: Any) -> tuple[Any, ...]:
+    """What an object of the message's DSDL type has to hold, in its order."""
     match message:
         case Message():
-            return 3000, types.estimate, (message.x_hat, word_to_alpha(message.alpha))
+            return message.x_hat, word_to_alpha(message.alpha)
         case Heartbeat():
-            content = (message.uptime, message.health.value, message.mode.value, message.vendor_status)
-            return 7509, types.heartbeat, content
+            return message.uptime, message.health.value, message.mode.value, message.vendor_status
         case Telemetry():
-            return 3001, types.telemetry, (message.x, message.b_hat, message.updates)
+            return message.x, message.b_hat, message.updates
         case _:
-            return 3002, types.command, (message.tick, message.target, message.action.value)
+            return message.tick, message.target, message.action.value
 
 
 def content_of(found: Any) -> tuple[Any, ...]:
@@ -154,20 +136,19 @@ def content_of(found: Any) -> tuple[Any, ...]:
 @example(Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, 255))
 @example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
-def test_pycyphal_reads_our_frames(types: Types, message: Any) -> None:
-    seen, (subject, kind, expected) = seen_by_pycyphal(encoded(message)), dsdl_of(types, message)
+def test_pycyphal_reads_our_frames(types: dict[type, Any], message: Any) -> None:
+    seen, subject = seen_by_pycyphal(encoded(message)), KINDS[type(message)].subject
     assert seen is not None
     assert (seen.subject, seen.sender, seen.transfer_id) == (subject, message.sender, message.transfer_id)
-    assert content_of(pycyphal.dsdl.deserialize(kind, [memoryview(seen.payload)])) == expected
+    found = pycyphal.dsdl.deserialize(types[type(message)], [memoryview(seen.payload)])
+    assert content_of(found) == members(message)
 
 
-def test_units_and_names_of_the_dsdl_are_ours(types: Types) -> None:
-    assert types.command.EVERY_ROBOT == EVERY_ROBOT
-    assert {each.name: getattr(types.command, each.name) for each in Action} == {
-        each.name: each.value for each in Action
-    }
-    units = (types.estimate.X_LSB, types.telemetry.X_LSB, types.telemetry.B_HAT_LSB)
-    assert units == (2**-23, 2**-23, 2**-24)
+def test_units_and_names_of_the_dsdl_are_ours(types: dict[type, Any]) -> None:
+    command, estimate, telemetry = types[Command], types[Message], types[Telemetry]
+    assert command.EVERY_ROBOT == EVERY_ROBOT
+    assert all(getattr(command, each.name) == each.value for each in Action)
+    assert (estimate.X_LSB, telemetry.X_LSB, telemetry.B_HAT_LSB) == (2**-23, 2**-23, 2**-24)
 
 
 @fixed
@@ -209,24 +190,23 @@ async def sent_by_pycyphal(channel: str, subject: int, contents: Sequence[Any]) 
     return [frame for frame in received if frame is not None]
 
 
-def test_we_read_the_estimates_that_pycyphal_sends(types: Types) -> None:
+def test_we_read_what_pycyphal_sends(types: dict[type, Any]) -> None:
     """Alpha may be any binary32 number, which need not be on the firmware's grid, and may be beyond it."""
-    grid = [(0, 0.0), (2**23, word_to_alpha(ALPHA_MAX)), (1, 2.0**-24), (2**22, 1.0)]
-    others = [(3, float_of(0x7F7FFFFF)), (4, float_of(1)), (5, 3 * 2.0**-25)]
-    values = (grid + others) * 6  # transfer ids wrap
-    contents = [types.estimate(x, alpha) for x, alpha in values]
+    alphas = (0.0, word_to_alpha(ALPHA_MAX), 2.0**-24, 1.0, float_of(0x7F7FFFFF), float_of(1), 3 * 2.0**-25)
+    sent = [(2**23 - x, alpha) for x, alpha in enumerate(alphas * 5)]  # transfer ids wrap
+    contents = [types[Message](*each) for each in sent]
     received = asyncio.run(sent_by_pycyphal("estimates", 3000, contents))
-    for count, (frame, (x_hat, alpha)) in enumerate(zip(received, values, strict=True)):
+    for count, (frame, (x_hat, alpha)) in enumerate(zip(received, sent, strict=True)):
         message = Message(42, x_hat, alpha_to_word(alpha), count % 32)
         assert frames.decode(frame, DEFAULT) == message
-        assert frame.arbitration_id == frames.encode(message, DEFAULT).arbitration_id
-
-
-def test_we_read_the_other_kinds_that_pycyphal_sends(types: Types) -> None:
-    beat = types.heartbeat(123456, types.health(2), types.mode(1), 77)
-    (frame,) = asyncio.run(sent_by_pycyphal("beats", 7509, [beat]))
-    assert frames.decode_heartbeat(frame) == Heartbeat(42, 123456, 0, Health.CAUTION, Mode.INITIALIZATION, 77)
-    (frame,) = asyncio.run(sent_by_pycyphal("telemetry", 3001, [types.telemetry(5, 2**23, 9)]))
-    assert frames.decode_telemetry(frame) == Telemetry(42, 5, 2**23, 9, 0)
-    (frame,) = asyncio.run(sent_by_pycyphal("commands", 3002, [types.command(7, 255, types.command.SETTLE)]))
-    assert frames.decode_command(frame) == Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0)
+        assert frame.arbitration_id == encoded(message).arbitration_id
+    beat = Heartbeat(42, 12345, 0, Health.CAUTION, Mode.INITIALIZATION, 77)
+    others: list[tuple[Any, tuple[Any, ...]]] = [
+        (beat, (12345, types[Health](2), types[Mode](1), 77)),
+        (Telemetry(42, 5, 2**23, 9, 0), (5, 2**23, 9)),
+        (Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0), (7, 255, 3)),
+    ]
+    for other, content in others:
+        subject, name, _, decode = KINDS[type(other)]
+        (frame,) = asyncio.run(sent_by_pycyphal(name, subject, [types[type(other)](*content)]))
+        assert decode(frame) == other

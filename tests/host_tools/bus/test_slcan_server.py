@@ -31,16 +31,6 @@ def server() -> Iterator[SlcanServer]:
         yield running
 
 
-def require_serial() -> None:
-    pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
-
-
-def client(server: SlcanServer) -> can.BusABC:
-    require_serial()
-    channel = f"socket://127.0.0.1:{server.port}"
-    return can.Bus(interface="slcan", channel=channel, sleep_after_open=0, ignore_config=True)
-
-
 def wait_until_open(server: SlcanServer) -> None:
     deadline = time.monotonic() + PATIENCE
     while not server._is_open:
@@ -58,24 +48,21 @@ FRAMES = [
 ]
 
 
-def essence(frame: can.Message | None) -> tuple[Any, ...]:
-    assert frame is not None
+def essence(frame: can.Message) -> tuple[Any, ...]:
     flags = (frame.is_extended_id, frame.is_remote_frame, frame.is_fd, frame.is_error_frame)
     return (frame.arbitration_id, *flags, frame.dlc, bytes(frame.data))
 
 
-def received(bus: can.BusABC) -> can.Message | None:
+def received(bus: can.BusABC) -> can.Message:
     """The next frame; python-can's slcan ends a wait early on an answer of the adapter."""
-    deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline:
-        frame = bus.recv(0.1)
-        if frame is not None:
-            return frame
-    return None
+    return next(frame for _ in range(int(PATIENCE * 10)) if (frame := bus.recv(0.1)) is not None)
 
 
 def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
-    with join() as bus, client(server) as program:
+    pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
+    where = f"socket://127.0.0.1:{server.port}"
+    client = can.Bus(interface="slcan", channel=where, sleep_after_open=0, ignore_config=True)
+    with join() as bus, client as program:
         wait_until_open(server)
         for frame in FRAMES:
             bus.send(frame)

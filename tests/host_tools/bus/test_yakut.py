@@ -68,12 +68,13 @@ def documented(port: str) -> list[str]:
     return command
 
 
+@pytest.mark.slow
 def test_it_prints_what_the_robots_broadcast(environment: dict[str, str], tmp_path: Path) -> None:
     """Every estimate that it shows is in the swarm's own log, member by member."""
     wanted = ["sub", "3000:mcp_asdf_messages.estimate"]
     assert " ".join(["yakut", *wanted]) in PAGE
     with swarm(environment, "--log", str(tmp_path / "run.log")) as yakut:
-        command = [*yakut[:1], "--json", *yakut[1:], *wanted, "--count", "60", "+M"]
+        command = [*yakut[:1], "--json", *yakut[1:], *wanted, "--count", "30", "+M"]
         shown = subprocess.run(
             command, env=environment, capture_output=True, timeout=PATIENCE, check=True
         ).stdout
