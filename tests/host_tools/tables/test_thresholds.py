@@ -218,7 +218,7 @@ def rejection_share(omega: float, m: int, distance: float) -> float:
 
 @pytest.mark.slow
 def test_the_rejections_on_the_page() -> None:
-    distances = {"1/2 sigma": 0.5, "1 sigma": 1, "3/2 sigma": 1.5, "2 sigma": 2, "3 sigma": 3}
+    distances = {"1/2 sigma": 0.5, "1 sigma": 1, "2 sigma": 2, "3 sigma": 3}
     for row in page_rows("What a choice means for one test"):
         m, omega = int(row["m"]), float(row["omega"])
         spread = math.sqrt(1 + 1 / m)  # of the difference of two that vary
