@@ -47,8 +47,8 @@ crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exa
 cost: .venv/ready-to-test ## measure instructions, cycles, bytes and stack again and write them into the documentation
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks.cost --write
 
-targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler at every level
-	@PYTHONPATH=tests $(BIN)/python -m targets.matrix
+targets: .venv/ready-to-test ## run the golden vectors on every target, with every compiler and at every level
+	@$(PYTEST) tests/targets/test_targets.py
 
 socketcan: .venv/ready-to-test ## test on a real CAN bus of the Linux kernel, in an emulator where this kernel has none
 	@$(BIN)/pytest tests/socketcan

@@ -91,16 +91,6 @@ static uint32_t digest_of_state(void)
     return mix(hash, (uint32_t)accuracy->rare_shift << 8 | accuracy->g_shift);
 }
 
-static void tell(uint32_t status, uint32_t state)
-{
-    print_number("call ", number);
-    print_number(" status ", status);
-    print_number(" x ", alive ? mcp_asdf_x(&robot) : 0);
-    print_number(" x_bar ", alive ? mcp_asdf_x_bar(&robot) : 0);
-    print_number(" state ", state);
-    print("\n");
-}
-
 /* Take a call's outcome into the digest: its status and, where `whole`, all that can be seen of the robot. */
 static void note(int32_t status, bool whole)
 {
@@ -110,22 +100,25 @@ static void note(int32_t status, bool whole)
         digest = mix(digest, state);
     }
     if (telling) {
-        tell((uint32_t)status, state);
+        print_number("call ", number);
+        print_number(" status ", (uint32_t)status);
+        print_number(" state ", state);
+        print("\n");
     }
     ++number;
 }
 
 /* ---- Calls ---- */
 
-static void observe(mcp_asdf_observation_t z)
+static void observe(uint8_t z)
 {
-    note(mcp_asdf_observe(&robot, z), true);
+    note(mcp_asdf_observe(&robot, (mcp_asdf_observation_t)z), true);
     ++ticks;
 }
 
-static void step(mcp_asdf_observation_t z)
+static void step(uint8_t z)
 {
-    note(mcp_asdf_step(&robot, z), true);
+    note(mcp_asdf_step(&robot, (mcp_asdf_observation_t)z), true);
     ++ticks;
 }
 
@@ -218,11 +211,11 @@ static void tick_drawn(uint8_t black, uint8_t settled)
     const bool settles = (bits >> 14 & 255) < settled;
     const uint8_t z = rare == 1 ? 2 : (bits & 255) < black;
     if (rare != 0 && settles && (bits >> 22 & 1) != 0) {
-        step((mcp_asdf_observation_t)z);
+        step(z);
         return;
     }
     if (rare != 0) {
-        observe((mcp_asdf_observation_t)z);
+        observe(z);
     }
     if (settles) {
         settle();
@@ -265,32 +258,33 @@ static bool play_item(void)
 {
     switch (take(1)) {
     case OBSERVE:
-        observe((mcp_asdf_observation_t)take(1));
-        return true;
+        observe((uint8_t)take(1));
+        break;
     case STEP:
-        step((mcp_asdf_observation_t)take(1));
-        return true;
+        step((uint8_t)take(1));
+        break;
     case SETTLE:
         settle();
-        return true;
+        break;
     case RECEIVE:
         play_receive();
-        return true;
+        break;
     case RESTORE:
         play_restore();
-        return true;
+        break;
     case DAMAGE:
         play_damage();
-        return true;
+        break;
     case CROWD:
         play_crowd();
-        return true;
+        break;
     case RUN:
         play_run();
-        return true;
+        break;
     default:
         return false;
     }
+    return true;
 }
 
 /* The last outcome of a scenario, in place of a status: messages accepted, and whether the invariants hold.

@@ -1,7 +1,7 @@
-"""A robot that speaks slcan, byte by byte: c_ref/ports/slcan once more, in Python.
+"""A robot that speaks slcan: c_ref/ports/slcan once more, in Python.
 
-Text is matched with regular expressions and the robot is ``robots.node.RobotNode`` with the mirror, so
-that nothing is shared with the C but the documents.
+The server of the tools reads lines and the robot is ``robots.node.RobotNode`` with the mirror, so nothing
+is shared with the C but the documents.
 """
 
 from __future__ import annotations
@@ -9,41 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-import can
-
 from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
-from mcp_asdf_tools.bus.slcan_server import line_of
+from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
 from mcp_asdf_tools.robots.node import RobotNode
 
 OPENING = b"\r\rC\rS8\rO\r"
-LONGEST = 26
-_SHORT, _LONG = rb"([0-7][0-9A-F]{2})", rb"([01][0-9A-F]{7})"
-_FRAMES = {
-    # kind: the line's form, whether the identifier is long, whether it is a remote frame
-    b"t": (re.compile(rb"t" + _SHORT + rb"([0-8])((?:[0-9A-F]{2})*)", re.IGNORECASE), False, False),
-    b"T": (re.compile(rb"T" + _LONG + rb"([0-8])((?:[0-9A-F]{2})*)", re.IGNORECASE), True, False),
-    b"r": (re.compile(rb"r" + _SHORT + rb"([0-8])()", re.IGNORECASE), False, True),
-    b"R": (re.compile(rb"R" + _LONG + rb"([0-8])()", re.IGNORECASE), True, True),
-}
+_LONGEST = 26
 _COMMAND = re.compile(rb"|[OCVNFzZ]|S.|s....", re.DOTALL)
-
-
-def frame_in(line: bytes) -> can.Message | None:
-    """The frame of a line without its end; None if it is none."""
-    form, is_long, is_remote = _FRAMES.get(line[:1], (re.compile(rb"(?!)"), False, False))
-    match = form.fullmatch(line)
-    if match is None:
-        return None
-    data, length = bytes.fromhex(match[3].decode()), int(match[2])
-    if len(data) != (0 if is_remote else length):
-        return None
-    return can.Message(
-        arbitration_id=int(match[1], 16),
-        is_extended_id=is_long,
-        is_remote_frame=is_remote,
-        dlc=length,
-        data=data,
-    )
 
 
 class Model:
@@ -82,17 +54,17 @@ class Model:
         return b""
 
     def _line_ended(self, line: bytes) -> bytes:
-        frame = frame_in(line)
-        if frame is not None:
-            return self._frame(frame)
-        if len(line) > LONGEST or _COMMAND.fullmatch(line) is None:
+        is_frame = line[:1] in (b"t", b"T", b"r", b"R") and frame_of(line) is not None
+        if not is_frame and (len(line) > _LONGEST or _COMMAND.fullmatch(line) is None):
             return self._drop()
-        return self._command(line[:1])
+        return self._frame(line) if is_frame else self._command(line[:1])
 
-    def _frame(self, frame: can.Message) -> bytes:
+    def _frame(self, line: bytes) -> bytes:
         if not self.is_open:
             return self._answer(b"\a")
         is_unwell = self.dropped > 0 or self.refused > 0 or self.node.unsettled > 0
+        frame = frame_of(line)
+        assert frame is not None
         answers = self.node.hear(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):

@@ -1,4 +1,5 @@
-"""The C node says and computes what the Python node does, here and on a Cortex-A8.
+"""The C node says and computes what the Python node does, here and on a Cortex-A8, keeps time, and survives
+faults of its surroundings.
 
 The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`` has those on a real bus.
 """
@@ -6,8 +7,10 @@ The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`
 from __future__ import annotations
 
 import random
+import signal
 import subprocess
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +23,24 @@ from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
     FrameFormat,
+    Health,
+    Heartbeat,
     Message,
+    decode_heartbeat,
     encode,
     encode_command,
 )
 from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from support import PATIENCE, ROOT, require, run
+from support import PATIENCE, ROOT, interruptible, require, run, slow
 from targets.c_node import (
+    CORTEX_A8,
     HOST,
+    PLAIN,
     SOURCES,
+    CNode,
+    Kind,
     Start,
     assert_same_robot,
     built,
@@ -41,93 +51,92 @@ from targets.c_node import (
 from targets.unix_bus import Peer, UnixBus
 
 C_FILES = sorted(SOURCES.glob("*.c"))
-
-
 DEFINITIONS = ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table", f"-I{ROOT / 'c_ref/src'}")
+CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 0x100
+FAST = ("--steps-per-second", 1000)
 
 
-CAN_ERR_PROT = 0x8
+@pytest.fixture(scope="module", params=[HOST, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
+def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    kind: Kind = request.param
+    return built(kind, tmp_path_factory)
 
 
-BOTH = [Observation.WHITE, Observation.BLACK]
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[UnixBus]:
+    with UnixBus(tmp_path / "bus") as opened:
+        yield opened
 
 
-def replay(node: RobotNode, frames: list[can.Message]) -> list[can.Message]:
-    """The answers of a Python node in lockstep to ``frames``."""
-    return node.start() + [answer for frame in frames for answer in node.hear(frame)]
+@pytest.fixture
+def start(command: list[str], bus: UnixBus) -> Iterator[Start]:
+    """Starts nodes on the bus, and stops those that are left."""
+    started: list[CNode] = []
+
+    def start_node(robot_id: int | str, *options: object, **streams: object) -> CNode:
+        started.append(CNode(command, bus.channel_info, robot_id, *options, **streams))
+        return started[-1]
+
+    yield start_node
+    for node in started:
+        node.__exit__()
 
 
-def test_nodes_in_lockstep_say_what_python_nodes_say(start: Start, bus: UnixBus) -> None:
-    options = ("--lockstep", "--filter-period", 10, "--steps-per-second", 7, "--steps", 60)
-    accuracies = (0.95, 0.55, 0.75)
-    nodes, peers = [], []
-    for robot, b_hat in enumerate(accuracies):
-        nodes.append(start(robot, *options, "--b-hat", b_hat))
-        peers.append(bus.accept())
-    drive(bus, range(3), 60, seed=1)
-    tests = updates = 0
-    for robot, b_hat in enumerate(accuracies):
-        expected = twin(robot, b_hat, steps_per_second=7, filter_period=10)
-        assert content(replay(expected, peers[robot].told)) == content(peers[robot].said)
-        figures = nodes[robot].summary()
-        assert_same_robot(figures, expected)
-        assert figures["ended"] == "ticks"
-        assert figures["heartbeats"] == 9
-        tests, updates = tests + figures["tests"], updates + figures["updates"]
-    assert tests > 6 and updates > 0
+# ---- What Python nodes say ----
 
 
-@pytest.mark.parametrize("comms_period", [1, 3])
-def test_robots_of_one_process_hear_each_other_as_robots_of_several_do(
-    start: Start, bus: UnixBus, comms_period: int
+@pytest.mark.parametrize(
+    ("processes", "comms_period"), [({"0": 0.95, "1": 0.55, "2": 0.75}, 1), ({"1-3": 0.7, "4-5": 0.95}, 3)]
+)
+def test_nodes_in_lockstep_say_what_python_nodes_say(
+    start: Start, bus: UnixBus, processes: dict[str, float], comms_period: int
 ) -> None:
-    """One process of robots 1, 2, 3, one of 4 and 5: the same bits as Python nodes that all hear all."""
-    periods = ("--filter-period", 12, "--comms-period", comms_period)
-    options = ("--lockstep", *periods, "--steps", 61, "--activation", "always", "--b-hat", 0.7)
-    ranges = {"1-3": range(1, 4), "4-5": range(4, 6)}
-    nodes, peers = [], []
-    for ids in ranges:
-        nodes.append(start(ids, *options))
-        peers.append(bus.accept())
-    config: dict[str, Any] = {"filter_period": 12, "comms_period": comms_period, "filter": Filter.ALWAYS}
-    twins = {robot: twin(robot, 0.7, **config) for robot in range(1, 6)}
-    for each in twins.values():
-        each.start()
-    draw = random.Random(3)
-    lockstep = Lockstep(bus, timeout=PATIENCE)
+    """Robots of one process hear each other as those of several do."""
+    config: dict[str, Any] = {"filter_period": 12, "comms_period": comms_period, "steps_per_second": 7}
+    options = ("--lockstep", "--filter-period", 12, "--comms-period", comms_period, "--steps-per-second", 7)
+    nodes, twins = [], dict[int, RobotNode]()
+    for ids, b_hat in processes.items():
+        nodes.append((start(ids, *options, "--steps", 61, "--b-hat", b_hat), bus.accept()))
+        first, *last = map(int, ids.split("-"))
+        robots = range(first, (last or [first])[0] + 1)
+        twins |= {robot: twin(robot, b_hat, **config) for robot in robots}
+    said = {robot: each.start() for robot, each in twins.items()}
+    draw, lockstep = random.Random(3), Lockstep(bus, timeout=PATIENCE)
     lockstep.wait_until_up(twins, PATIENCE)
     for tick in range(61):
-        seen = {robot: draw.choice(BOTH) for robot in twins}
+        seen = {robot: Observation(draw.randrange(2)) for robot in twins}
         lockstep.observe(seen)
         if (tick + 1) % comms_period == 0:
             lockstep.estimates(twins)
-        exchange(
-            twins, [Command(DRIVER_ID, tick, robot, Action.observing(z), 0) for robot, z in seen.items()]
-        )
+        exchange(twins, said, {robot: Action.observing(z) for robot, z in seen.items()}, tick)
         lockstep.settle(twins)
-        exchange(twins, [Command(DRIVER_ID, tick, robot, Action.SETTLE, 0) for robot in twins])
-    for node, robots, peer in zip(nodes, ranges.values(), peers, strict=True):
-        for figures, robot in zip(node.summaries(), robots, strict=True):
-            assert (figures["id"], figures["ended"]) == (robot, "ticks")
-            assert_same_robot(figures, twins[robot])
-            assert figures["updates"] > 0 and figures["collisions"] == 0
-        senders = {frame.arbitration_id & MAX_NODE_ID for frame in peer.said}
-        assert senders == set(robots)
+        exchange(twins, said, dict.fromkeys(twins, Action.SETTLE), tick)
+    figures = [each for node, _ in nodes for each in node.summaries()]
+    heard = [frame for _, peer in nodes for frame in peer.said]
+    for (robot, expected), found in zip(twins.items(), figures, strict=True):
+        assert (found["id"], found["ended"], found["collisions"]) == (robot, "ticks", 0)
+        assert_same_robot(found, expected)
+        assert content(said[robot]) == content(
+            frame for frame in heard if frame.arbitration_id & MAX_NODE_ID == robot
+        )
+    assert sum(each["tests"] for each in figures) > 6 and sum(each["updates"] for each in figures) > 0
 
 
-def exchange(nodes: dict[int, RobotNode], commands: list[Command]) -> None:
-    """Let Python nodes hear the commands, and each of them all that the others say then."""
-    for command in commands:
-        frame = encode_command(command, Subjects().commands)
+def exchange(
+    nodes: dict[int, RobotNode], said: dict[int, list[can.Message]], orders: dict[int, Action], tick: int
+) -> None:
+    """Let Python nodes hear a command for each, and each of them all that the others say then."""
+    for target, action in orders.items():
+        frame = encode_command(Command(DRIVER_ID, tick, target, action, 0), Subjects().commands)
         for robot, node in nodes.items():
-            for answer in node.hear(frame):
+            answers = node.hear(frame)
+            said[robot] += answers
+            for answer in answers:
                 for other in nodes.keys() - {robot}:
                     nodes[other].hear(answer)
 
 
 SUBJECTS = Subjects(FrameFormat(7, 0), FrameFormat(8, 6), FrameFormat(9, 3))
-
-
 ODD_SUBJECTS = ("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, "--priority", 0)
 
 
@@ -139,11 +148,9 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: i
     expected = twin(5, 0.95, SUBJECTS, 3, comms_period=2, filter_period=4, filter=Filter.ALWAYS, memory=64)
     draw = random.Random(seed)
     frames = [any_frame(draw) for _ in range(3000)]
-    answers = replay(expected, frames)
-    last = expected._tick_of_command or 0
-    frames += [
-        command_frame(last, 5, action) for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)
-    ]
+    answers = expected.start() + [answer for frame in frames for answer in expected.hear(frame)]
+    ends = (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)  # the last answer shows that all was heard
+    frames += [command_frame(expected._tick_of_command or 0, 5, action) for action in ends]
     answers += [answer for frame in frames[-3:] for answer in expected.hear(frame)]
     tell_and_hear(bus, peer, frames, len(answers))
     assert content(answers) == content(peer.said)
@@ -151,8 +158,17 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, seed: i
     assert_same_robot(figures, expected)
     rejected = figures["refused"] + figures["others"] + figures["error_frames"]
     assert rejected == expected.reception.rejected.total()
-    assert all(figures[name] > 50 for name in ("refused", "others", "error_frames", "collisions"))
-    assert all(figures[name] > 50 for name in ("obeyed", "disobeyed", "unsettled", "repeated", "rejected"))
+    often = (
+        "refused",
+        "others",
+        "error_frames",
+        "collisions",
+        "obeyed",
+        "disobeyed",
+        "unsettled",
+        "repeated",
+    )
+    assert all(figures[name] > 50 for name in (*often, "rejected"))
     assert figures["updates"] >= 5
 
 
@@ -163,33 +179,27 @@ def command_frame(tick: int, target: int, action: Action) -> can.Message:
 def any_frame(draw: random.Random) -> can.Message:
     """A frame for the test above: legal, or with something wrong."""
     if draw.random() < 0.5:
-        message = Message(
-            draw.randrange(8), draw.randrange(2**23 + 1), draw.choice((0, 0xFF, draw.getrandbits(32))), 0
-        )
-        frame = encode(message, SUBJECTS.estimates)
+        alpha = draw.choice((0, 0xFF, draw.getrandbits(32)))
+        frame = encode(Message(draw.randrange(8), draw.randrange(2**23 + 1), alpha, 0), SUBJECTS.estimates)
     else:
-        action = draw.choice(list(Action))
-        frame = command_frame(draw.randrange(2), draw.choice((5, 5, 255, 4)), action)
+        frame = command_frame(draw.randrange(2), draw.choice((5, 5, 255, 4)), draw.choice(list(Action)))
     if draw.random() < 0.7:
         return frame
-    return draw.choice(SPOILERS)(frame, draw)
+    changes = draw.choice(SPOILT)(frame, draw)
+    fields: dict[str, Any] = {"arbitration_id": frame.arbitration_id, "data": frame.data}
+    return can.Message(**fields | changes)
 
 
-def spoilt(frame: can.Message, **changes: object) -> can.Message:
-    fields = {"arbitration_id": frame.arbitration_id, "data": frame.data} | changes
-    return can.Message(**fields)  # type: ignore[arg-type]
-
-
-SPOILERS: tuple[Callable[[can.Message, random.Random], can.Message], ...] = (
-    lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id ^ 1 << draw.randrange(29)),
-    lambda frame, draw: spoilt(frame, data=draw.randbytes(8)),
-    lambda frame, draw: spoilt(frame, data=frame.data[:3] + draw.randbytes(4) + frame.data[7:]),
-    lambda frame, draw: spoilt(frame, data=frame.data[: draw.randrange(8)]),
-    lambda frame, draw: spoilt(frame, data=b"\xff" * 7 + frame.data[7:]),
-    lambda frame, draw: spoilt(frame, arbitration_id=frame.arbitration_id & 0x7FF, is_extended_id=False),
-    lambda frame, draw: spoilt(frame, data=None, dlc=8, is_remote_frame=True),
-    lambda frame, draw: spoilt(frame, is_fd=True),
-    lambda frame, draw: spoilt(frame, arbitration_id=CAN_ERR_PROT, is_error_frame=True),
+SPOILT: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
+    lambda frame, draw: {"arbitration_id": frame.arbitration_id ^ 1 << draw.randrange(29)},
+    lambda frame, draw: {"data": draw.randbytes(8)},
+    lambda frame, draw: {"data": frame.data[:3] + draw.randbytes(4) + frame.data[7:]},
+    lambda frame, draw: {"data": frame.data[: draw.randrange(8)]},
+    lambda frame, draw: {"data": b"\xff" * 7 + frame.data[7:]},
+    lambda frame, draw: {"arbitration_id": frame.arbitration_id & 0x7FF, "is_extended_id": False},
+    lambda frame, draw: {"data": None, "dlc": 8, "is_remote_frame": True},
+    lambda frame, draw: {"is_fd": True},
+    lambda frame, draw: {"arbitration_id": CAN_ERR_PROT, "is_error_frame": True},
 )
 
 
@@ -204,15 +214,14 @@ def tell_and_hear(bus: UnixBus, peer: Peer, frames: list[can.Message], answers: 
         assert bus.recv(PATIENCE) is not None, f"{len(peer.said)} answers, expected {answers}"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_it_notices_the_id_conflicts_that_a_python_node_does(start: Start, bus: UnixBus, seed: int) -> None:
     """Some ids have two senders; messages are lost, repeated and late, and senders restart."""
-    draw, watch = random.Random(seed), IdConflictWatch(5)
-    messages = arriving_messages(draw)
+    watch, messages = IdConflictWatch(5), arriving_messages(random.Random(seed))
     for message in messages:
         watch.hear(message)
     order = list(watch.found)
-    node = start(5, "--lockstep", "--subject", 7, "--command-subject", 9, "--priority", 0)
+    node = start(5, "--lockstep", *ODD_SUBJECTS)
     peer = bus.accept()
     frames = [encode(message, SUBJECTS.estimates) for message in messages]
     tell_and_hear(bus, peer, [*frames, command_frame(1, 5, Action.OBSERVE_BLACK)], 2)
@@ -240,51 +249,47 @@ def arriving_messages(draw: random.Random) -> list[Message]:
     return [message for _, message in sorted(arrivals, key=lambda each: each[0])]
 
 
+# ---- Usage ----
+
+LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ("--id 128 --lockstep", "--id is 128; choose a whole number, 0 to 127"),
-        ("--id 1x --lockstep", "--id is 1x; "),
-        ("--id 5-3 --lockstep", "--id is 5-3; choose a whole number, 0 to 127, or a range such as 0-126"),
-        ("--id 0-128 --lockstep", "--id is 0-128; "),
-        ("--id 0-3 --sensor x", "--sensor is x; one sensor is for one robot"),
-        ("--id 0-3 --lockstep --state x", "--state is x; robots need a file each: write {id} where"),
-        (f"--id 0 --lockstep --state {'x' * 4096}", "x; choose a shorter path"),
-        ("--lockstep", "--id is missing; see --help"),
-        ("--id 1", "choose one of --lockstep, --observations, --sensor"),
-        ("--id 1 --lockstep --b-hat 1", "--b-hat is 1; choose 2^-20 to 1 - 2^-20"),
-        ("--id 1 --lockstep --b-hat nan", "--b-hat is nan; "),
-        (
-            "--id 1 --lockstep --comms-period 3",
-            "--filter-period is 1000; choose a multiple",
-        ),
-        ("--id 1 --lockstep --memory 66", "--memory is 66; choose a multiple of 4"),
-        ("--id 1 --lockstep --steps 4294967296", "--steps is 4294967296; "),
-        ("--id 1 --lockstep --subject 3002", "choose three different subjects"),
-        ("--id 1 --observations /no/such/file", "/no/such/file"),
-        ("--id 1 --lockstep surplus", "surplus belongs to no option"),
+        (ON_A_BUS + "--id 1x --lockstep", "--id is 1x; choose a whole number, 0 to 127"),
+        (ON_A_BUS + "--id 0-128 --lockstep", "--id is 0-128; "),
+        (ON_A_BUS + "--id 0-3 --sensor x", "--sensor is x; one sensor is for one robot"),
+        (ON_A_BUS + "--id 0-3 --lockstep --state x", "robots need a file each: write {id} where"),
+        (ON_A_BUS + f"--id 0 --lockstep --state {'x' * 4096}", "x; choose a shorter path"),
+        (ON_A_BUS + "--lockstep", "--id is missing; see --help"),
+        (ON_A_BUS + "--id 1", "choose one of --lockstep, --observations, --sensor"),
+        (ON_A_BUS + f"{LOCKSTEP} --b-hat nan", "--b-hat is nan; choose 2^-20 to 1 - 2^-20"),
+        (ON_A_BUS + f"{LOCKSTEP} --comms-period 3", "--filter-period is 1000; choose a multiple"),
+        (ON_A_BUS + f"{LOCKSTEP} --memory 66", "--memory is 66; choose a multiple of 4"),
+        (ON_A_BUS + f"{LOCKSTEP} --steps 4294967296", "--steps is 4294967296; "),
+        (ON_A_BUS + f"{LOCKSTEP} --subject 3002", "choose three different subjects"),
+        (ON_A_BUS + f"{LOCKSTEP} surplus", "surplus belongs to no option"),
+        (ON_A_BUS + "--id 1 --observations /no/such/file", "/no/such/file"),
+        (LOCKSTEP, "--interface is missing"),
+        (f"{LOCKSTEP} --interface nocan7", "modprobe vcan\n  ip link add dev nocan7 type vcan\n"),
+        (ON_A_BUS + LOCKSTEP, "cannot join unix:/no/such/socket: "),
+        (f"{LOCKSTEP} --interface unix:/{'x' * 200}", "cannot join unix:/xxx"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path_factory: pytest.TempPathFactory, options: str, told: str) -> None:
-    command = built(HOST, tmp_path_factory)
-    assert told in refusal(command, "--interface", "unix:/no/such/socket", *options.split())
-
-
-def refusal(command: list[str], *options: str) -> str:
-    """The node's error message for invalid options."""
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=PATIENCE)
+    node = [*built(HOST, tmp_path_factory), *options.split()]
+    done = subprocess.run(node, capture_output=True, text=True, check=False, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (2, "")
-    return done.stderr
+    assert told in done.stderr
 
 
-def test_a_bus_that_cannot_be_joined_is_named(command: list[str], tmp_path: Path) -> None:
-    node = ("--id", "1", "--lockstep")
-    assert "--interface is missing" in refusal(command, *node)
-    told = refusal(command, *node, "--interface", "nocan7")
-    commands = ("modprobe vcan", "ip link add dev nocan7 type vcan", "ip link set nocan7 up")
-    assert [line.strip() for line in told.splitlines()[1:]] == list(commands)
-    for path in ("/no/such/socket", str(tmp_path), "/" + "x" * 200):
-        assert f"cannot join unix:{path}: " in refusal(command, *node, "--interface", f"unix:{path}")
+def test_analysers_find_nothing(tmp_path: Path) -> None:
+    checks = ("--enable=warning,style,performance,portability", "--std=c99", "--quiet", "--error-exitcode=1")
+    known = "--suppress=knownConditionTrueFalse"
+    run(require("cppcheck", "cppcheck"), *checks, known, *DEFINITIONS, *C_FILES)
+    options = ("-std=c99", "-fanalyzer", "-O2", "-Werror", *DEFINITIONS)
+    run(require("gcc", "gcc"), *options, "-c", *C_FILES, cwd=tmp_path)
 
 
 @pytest.mark.slow
@@ -293,13 +298,236 @@ def test_clang_tidy_finds_nothing(path: Path) -> None:
     run(require("clang-tidy"), "--quiet", path, "--", "-std=c99", *DEFINITIONS)
 
 
-def test_cppcheck_finds_nothing() -> None:
-    checks = ("--enable=warning,style,performance,portability", "--std=c99", "--quiet", "--error-exitcode=1")
-    run(
-        require("cppcheck", "cppcheck"), *checks, "--suppress=knownConditionTrueFalse", *DEFINITIONS, *C_FILES
+# ---- Observations and time ----
+
+
+def test_observations_come_from_a_file_or_the_standard_input(
+    start: Start, bus: UnixBus, tmp_path: Path
+) -> None:
+    draw, text = random.Random(7), tmp_path / "observations"
+    symbols = [draw.choice("01-") for _ in range(300)]
+    text.write_text("\n".join(symbols) + " \t\n", encoding="ascii")
+    options = (*FAST, "--telemetry-period", 100, "--filter-period", 30, "--observations")
+    expected = twin(5, filter_period=30)
+    for symbol in symbols:
+        expected.observe(None if symbol == "-" else Observation(int(symbol)))
+        expected.settle()
+    for path in (text, "-"):
+        with text.open() as stream:
+            node = start(5, *options, path, stdin=stream)
+        bus.hear_out(bus.accept())
+        figures = node.summary()
+        assert (figures["ended"], figures["ticks"], figures["missing"]) == ("observations", 300, 0)
+        assert (figures["t"], figures["n"]) == (300 - symbols.count("-"), symbols.count("1"))
+        assert figures["x"] == int(expected.robot.x * 2**23)
+        assert (figures["estimates"], figures["telemetry"], figures["heartbeats"]) == (300, 3, 1)
+
+
+def test_an_input_without_observations_is_missed_but_not_waited_for(start: Start, bus: UnixBus) -> None:
+    """A row that has come in part waits for its rest, and shifts no robot's observations."""
+    ticks = ("--steps-per-second", 200, "--steps", 40, "--filter", "none")
+    node = start("7-8", *ticks, "--observations", "-", stdin=subprocess.PIPE)
+    bus.accept()
+    assert node.process.stdin is not None
+    for part in ("1 0 1", "0 10 1"):
+        node.process.stdin.write(part)
+        node.process.stdin.flush()
+        time.sleep(0.05)
+    node.process.wait(PATIENCE)
+    figures = node.summaries()
+    assert [(each["t"], each["n"], each["ended"], each["missing"]) for each in figures] == [
+        (3, 3, "ticks", 37),
+        (3, 0, "ticks", 37),
+    ]
+
+
+def test_a_sensor_s_file_is_read_anew_in_every_tick(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    sensor = tmp_path / "value"
+    sensor.write_text("1\n", encoding="ascii")
+    node = start(5, "--steps-per-second", 100, "--sensor", sensor)
+    peer = bus.accept()
+    for value in ("1\n", "0\n", "what?\n", None, "1"):
+        sensor.with_suffix(".new").write_text(value or "", encoding="ascii")
+        sensor.with_suffix(".new").replace(sensor)
+        if value is None:
+            sensor.unlink()
+        wait_for_more(bus, peer, 6)
+    figures = node.stop()
+    assert 5 < figures["n"] < figures["t"]
+    assert figures["missing"] > 5
+    assert figures["t"] + figures["missing"] == figures["ticks"]
+    assert figures["ended"] == "signal"
+
+
+def wait_for_more(bus: UnixBus, peer: Peer, frames: int) -> None:
+    goal = len(peer.said) + frames
+    while len(peer.said) < goal:
+        assert bus.recv(PATIENCE) is not None
+
+
+@pytest.fixture
+def blacks(tmp_path: Path) -> tuple[object, ...]:
+    """Options of a robot that sees black 400 times."""
+    (tmp_path / "observations").write_text("1" * 400, encoding="ascii")
+    return ("--observations", tmp_path / "observations")
+
+
+def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
+    start: Start, bus: UnixBus, blacks: tuple[object, ...]
+) -> None:
+    begin = time.monotonic()
+    node = start(5, "--steps-per-second", 100, *blacks)
+    peer = bus.accept()
+    wait_for_more(bus, peer, 60)
+    node.process.send_signal(signal.SIGSTOP)
+    time.sleep(0.3)
+    node.process.send_signal(signal.SIGCONT)
+    wait_for_more(bus, peer, 5)
+    figures = node.stop()
+    assert figures["skipped"] >= 25
+    assert figures["worst_lateness_us"] >= 250_000
+    most = 100 * (time.monotonic() - begin) + 1
+    assert figures["ticks"] + figures["skipped"] <= most, "faster than the clock"
+
+
+# ---- Faults around it ----
+
+
+def test_error_frames_show_in_the_node_s_health(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--lockstep", "--steps-per-second", 1)
+    peer = bus.accept()
+    reports = (
+        (CAN_ERR_PROT, 0, Health.NOMINAL),
+        (CAN_ERR_CRTL, 0x08, Health.ADVISORY),
+        (CAN_ERR_CRTL, 0x10, Health.CAUTION),
+        (CAN_ERR_CRTL, 0x40, Health.NOMINAL),
+        (CAN_ERR_BUSOFF, 0, Health.WARNING),
+        (CAN_ERR_PROT, 0, Health.WARNING),
+        (CAN_ERR_RESTARTED, 0, Health.NOMINAL),
     )
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up([5], PATIENCE)
+    for kind, controller, _ in (reports[0], *reports):  # what the first tick says is of before
+        data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
+        bus.send(can.Message(arbitration_id=kind, is_error_frame=True, data=data))
+        lockstep.observe({5: Observation.BLACK})
+        lockstep.estimates([5])
+        lockstep.settle([5])
+    figures = node.stop()
+    beats = [beat for frame in peer.said if isinstance(beat := decode_heartbeat(frame), Heartbeat)]
+    assert [beat.health for beat in beats[1:]] == [health for *_, health in reports]
+    assert (figures["error_frames"], figures["bus_off"]) == (8, 1)
 
 
-def test_gcc_s_analyser_finds_nothing(tmp_path: Path) -> None:
-    options = ("-std=c99", "-fanalyzer", "-O2", "-Werror", *DEFINITIONS)
-    run(require("gcc", "gcc"), *options, "-c", *C_FILES, cwd=tmp_path)
+def test_a_bus_that_closes_ends_the_run_with_a_failure(start: Start, bus: UnixBus) -> None:
+    node = start(5, "--lockstep")
+    bus.accept().connection.close()
+    assert node.summary(status=1)["ended"] == "bus closed"
+
+
+def test_a_full_queue_costs_frames_but_no_tick(
+    start: Start, bus: UnixBus, blacks: tuple[object, ...]
+) -> None:
+    node = start(5, *FAST, *blacks)
+    peer = bus.accept()
+    figures = node.summary()  # meanwhile no one reads
+    assert figures["t"] == 400
+    assert figures["unsent"] > 0 < figures["queue_full"]
+    bus.hear_out(peer)
+    assert len(peer.said) == figures["estimates"] + figures["heartbeats"] - figures["unsent"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@interruptible()
+def test_signals_end_the_run_cleanly(start: Start, bus: UnixBus, number: signal.Signals) -> None:
+    node = start(5, "--lockstep")
+    bus.accept()
+    drive(bus, [5], 1, seed=1)
+    figures = node.stop(number)
+    assert (figures["ended"], figures["ticks"]) == ("signal", 1)
+
+
+# ---- The state in a file ----
+
+
+def saved(node: RobotNode) -> bytes:
+    """The state of a Python node's robot."""
+    image: bytes = node.robot.save()  # type: ignore[attr-defined]
+    return image
+
+
+def test_nodes_go_on_where_they_were(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    """Three robots of a process by rising id: three steps in each of two runs."""
+    text, expected = tmp_path / "observations", {robot: twin(robot, filter=Filter.OFF) for robot in (7, 8, 9)}
+    options = (*FAST, "--filter", "none", "--state", tmp_path / "of {id}.state")
+    for symbols in ("01-\n11-\n101", "-01\n0-1\n111"):
+        text.write_text(symbols, encoding="ascii")
+        node = start("7-9", *options, "--observations", text)
+        bus.hear_out(bus.accept())
+        assert [each["ended"] for each in node.summaries()] == ["observations"] * 3
+        for place, symbol in enumerate(symbols.replace("\n", "")):
+            if symbol != "-":
+                expected[7 + place % 3].robot.observe(Observation(int(symbol)))
+    for robot, each in expected.items():
+        image = (tmp_path / f"of {robot}.state").read_bytes()
+        assert image[8:16] == saved(each)[8:16], "t and n"
+    assert len(list(tmp_path.glob("*.state*"))) == 3
+
+
+def test_state_is_saved_in_between(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    node = start(5, "--lockstep", "--state", tmp_path / "state", "--save-period", 4)
+    bus.accept()
+    drive(bus, [5], 7, seed=3)
+    node.process.kill()
+    expected, draw = twin(5), random.Random(3)
+    for _ in range(4):
+        expected.robot.step(Observation(draw.randrange(2)))
+    assert (tmp_path / "state").read_bytes() == saved(expected)
+
+
+def test_a_state_that_does_not_fit_is_refused(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    image, state = saved(twin(5)), tmp_path / "state"
+    cases = (
+        (image[:-1], (), "damaged"),
+        (image + b"x", (), "damaged"),
+        (image[:20] + bytes([image[20] ^ 1]) + image[21:], (), "damaged"),
+        (image, ("--filter-period", 10), "periods"),
+        (saved(twin(6)), (), "another robot"),
+        (None, (), str(tmp_path)),
+    )
+    for held, options, why in cases:
+        if held is not None:
+            state.write_bytes(held)
+        node = start(5, "--lockstep", "--state", state if held else tmp_path, *options)
+        printed, complaints = node.process.communicate(timeout=PATIENCE)
+        assert (node.process.returncode, printed) == (2, "")
+        assert why in complaints
+        assert held in (None, state.read_bytes())
+
+
+@pytest.mark.parametrize("fails", ["", ":error=ENOSPC"])
+def test_a_state_is_on_the_disk_before_it_replaces_the_last_one(
+    bus: UnixBus,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    blacks: tuple[object, ...],
+    fails: str,
+) -> None:
+    """A full disk does not stop the robot: the state of before stays, and one line tells."""
+    trace, state = tmp_path / "trace", tmp_path / "state"
+    state.write_bytes(before := saved(twin(5)))
+    strace = [require("strace", "strace"), "-o", str(trace), "-e", "trace=fsync,rename"]
+    command = [*strace, *(["-e", f"inject=fsync{fails}"] if fails else []), *built(PLAIN, tmp_path_factory)]
+    with CNode(command, bus.channel_info, 5, *FAST, *blacks, "--state", state, "--save-period", 300) as node:
+        bus.hear_out(bus.accept())
+        figures = node.summary(status=int(fails != ""))
+    calls = [line for line in trace.read_text(encoding="utf-8").splitlines() if not line.startswith("+++")]
+    assert figures["t"] == 400
+    if fails:
+        told = f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
+        assert node.complaints == [told]
+        assert state.read_bytes() == before
+        assert not state.with_name("state.new").exists()
+    else:
+        assert [call.partition("(")[0] for call in calls] == ["fsync", "rename"] * 2
+        assert all(call.endswith("= 0") for call in calls)

@@ -50,13 +50,10 @@ Argument = tuple[str, int]
 
 
 class Machine(ABC):
-    """A processor with an image loaded and its variables set up.
-
-    Attributes:
-        stack_end: The address behind the stack's first byte.
-    """
+    """A processor with an image loaded and its variables set up."""
 
     stack_end: int
+    """The address behind the stack's first byte."""
 
     def __init__(self, image: Image) -> None:
         self.image = image

@@ -1,4 +1,4 @@
-"""Figures of a target at a level, and the budgets that they keep to."""
+"""Figures of a target at a level."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from pathlib import Path
 from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths, division
-from .robots import SHORT, TESTED, UPDATED, Robot
+from .robots import UPDATED, Robot
 
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "x_bar", "init", "save", "restore", "invariants_hold")
-KINDS = ("step", SHORT, TESTED, UPDATED, "receive", "x")
-BASELINES = ("double", "float")
 SEED = 1
 _OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
@@ -27,8 +25,8 @@ class Figures:
         mean: Instructions of calls in a usual life.
         most: Most instructions that were seen, of calls and kinds of a step.
         cycles: Most cycles that were seen, on an AVR.
-        by_age: The most units (cycles on an AVR) of a step at each power of two of t.
-        by_messages: The same of a round's last message, and of its end.
+        by_age: The most cycles of a step at each power of two of t, on an AVR.
+        by_messages: The same of a round's last message and of its end.
         bound: The longest path of a call through the machine code, where there is no loop; "step" is one in
             which the filter is not due.
         divisions: Those on the longest path of a step.
@@ -41,8 +39,8 @@ class Figures:
     mean: dict[str, float]
     most: dict[str, int]
     cycles: dict[str, int]
-    by_age: dict[int, int]
-    by_messages: dict[int, tuple[int, int]]
+    by_age: list[int]
+    by_messages: list[tuple[int, int]]
     stack: dict[str, tuple[int, int]]
     code: tuple[int, int]
     ram: int
@@ -55,36 +53,31 @@ class Figures:
         return max(self.stack[name][0] for name in TICK_CALLS)
 
 
-def _kept(*names: str) -> list[str]:
-    return [f"-Wl,-u,{name}" for name in ("bench_start", "bench_set", "bench_updates", "bench_size", *names)]
-
-
-def firmware_image(target: Target, level: str, folder: Path) -> Image:
-    """The firmware, ready to be called."""
-    sources = [HERE / "firmware.c", *sorted(FIRMWARE.glob("*.c")), TABLE]
-    return build(target, folder, sources, level, *_kept(*(f"mcp_asdf_{name}" for name in STACK_CALLS)))
+def robot_image(target: Target, level: str, folder: Path, baseline: str = "") -> Image:
+    """The firmware, or the baseline in this type of floating point, ready to be called."""
+    prefix = "plain_robot" if baseline else "mcp_asdf"
+    kept = [f"{prefix}_{name}" for name in (TICK_CALLS if baseline else STACK_CALLS)]
+    kept += [f"bench_{name}" for name in ("start", "set", "updates", "size")]
+    firmware = [HERE / "firmware.c", *sorted(FIRMWARE.glob("*.c"))]
+    sources = [*([HERE / "plain.c"] if baseline else firmware), TABLE]
+    return build(target, folder, sources, level, f"-DREAL={baseline}", *(f"-Wl,-u,{name}" for name in kept))
 
 
 def measure(target: Target, level: str, folder: Path) -> Figures:
     """All of a target at a level."""
-    image = firmware_image(target, level, folder / "firmware")
-    robot, paths, is_avr = Robot(load(image)), Paths(image), target == AVR
-    robot.live()
-    mean = _means(robot)
+    image = robot_image(target, level, folder / "firmware")
+    robot, paths = Robot(load(image)), Paths(image)
+    mean = robot.live()
     robot.suffer(SEED)
-    unit = "cycles" if is_avr else "instructions"
     found = Figures(
         mean=mean,
         most={name: max(cost.instructions for cost in costs) for name, costs in robot.costs.items()},
         cycles={name: max(cost.cycles for cost in costs) for name, costs in robot.costs.items()},
-        by_age={age: max(getattr(cost, unit) for cost in costs) for age, costs in robot.by_age.items()},
-        by_messages={
-            messages: (
-                max(getattr(one, unit) for one, _ in pairs),
-                max(getattr(end, unit) for _, end in pairs),
-            )
-            for messages, pairs in robot.by_messages.items()
-        },
+        by_age=[max(cost.cycles for cost in costs) for costs in robot.by_age.values()],
+        by_messages=[
+            (max(last.cycles for last, _ in pairs), max(end.cycles for _, end in pairs))
+            for pairs in robot.by_messages.values()
+        ],
         stack={name: (paths.deepest(f"mcp_asdf_{name}"), robot.deepest[name]) for name in STACK_CALLS},
         code=(
             code_bytes(target, level, folder / "least"),
@@ -92,36 +85,16 @@ def measure(target: Target, level: str, folder: Path) -> Figures:
         ),
         ram=robot.machine.call("bench_size").value,
     )
-    if not is_avr:
-        found.bound = {
-            name: paths.longest(f"mcp_asdf_{name}") for name in ("observe", "receive", "settle", "x")
-        }
-        found.bound |= {
-            "step": paths.longest("mcp_asdf_step", without="filter"),
-            UPDATED: paths.longest("mcp_asdf_step"),
-        }
+    if target != AVR:
+        calls = ("observe", "receive", "settle", "x")
+        found.bound = {name: paths.longest(f"mcp_asdf_{name}") for name in calls}
+        found.bound["step"] = paths.longest("mcp_asdf_step", without="filter")
+        found.bound[UPDATED] = paths.longest("mcp_asdf_step")
         found.divisions = paths.longest("mcp_asdf_step", division)
-    for kind in BASELINES if not is_avr else ("float",):  # avr-gcc 5 has no double of 64 bits
-        found.times[kind] = baseline(target, level, folder / kind, kind) / (mean["step"] + mean["x"])
+    for kind in ("float",) if target == AVR else ("double", "float"):  # avr-gcc 5 has no double of 64 bits
+        plain = Robot(load(robot_image(target, level, folder / kind, kind)), "plain_robot").live()
+        found.times[kind] = (plain["step"] + plain["x"]) / (mean["step"] + mean["x"])
     return found
-
-
-def _means(robot: Robot) -> dict[str, float]:
-    return {
-        name: sum(cost.instructions for cost in costs) / len(costs) for name, costs in robot.lived.items()
-    }
-
-
-def baseline(target: Target, level: str, folder: Path, kind: str) -> float:
-    """Instructions of a baseline's step and x, in the mean of its life."""
-    names = (f"plain_robot_{name}" for name in TICK_CALLS)
-    robot = Robot(
-        load(build(target, folder, [HERE / "plain.c", TABLE], level, f"-DREAL={kind}", *_kept(*names))),
-        "plain_robot",
-    )
-    robot.live()
-    mean = _means(robot)
-    return mean["step"] + mean["x"]
 
 
 def code_bytes(target: Target, level: str, folder: Path, *flags: str) -> int:
@@ -148,34 +121,3 @@ def kilobot(folder: Path) -> tuple[int, int]:
         if re.fullmatch(r"__vector_\d+", name) and symbol["st_info"]["bind"] == "STB_GLOBAL"
     ]
     return image.flash(), image.ram() + paths.deepest("main") + max(map(paths.deepest, handlers))
-
-
-BUDGETS: dict[str, dict[str, int]] = {
-    "Cortex-M4": {
-        **{"step": 130, "step at -Os": 150, "receive": 52, UPDATED: 375, "x": 80},
-        **{"code": 1600, "RAM": 144, "stack": 96},
-    },
-    "Cortex-M0+": {
-        "step": 390,
-        "receive": 165,
-        UPDATED: 1130,
-        "x": 270,
-        "code": 2300,
-        "RAM": 144,
-        "stack": 160,
-    },
-    "RV32IMC": {"step": 205, "receive": 74, UPDATED: 560, "x": 122, "code": 2250, "RAM": 144, "stack": 112},
-    AVR.name: {"step": 2945, "receive": 1064, UPDATED: 10673, "x": 2367, "code": 9406, "stack": 180},
-}
-"""Limits of the design: most instructions at -O2, bytes of code at -Os, of RAM and of a tick's
-stack; on an AVR a tenth above the first core."""
-
-
-def within(target: str, level: str, found: Figures) -> dict[str, tuple[int, int]]:
-    """By budget that concerns this level: what was measured, and the limit."""
-    figures = {"code": found.code[0]} if level == "-Os" else {}
-    figures |= {f"{name}{'' if level == '-O2' else ' at -Os'}": most for name, most in found.most.items()}
-    if level == "-O2":
-        figures |= {"RAM": found.ram, "stack": found.tick_stack()}
-    limits = BUDGETS.get(target, {})
-    return {name: (figures[name], limit) for name, limit in limits.items() if name in figures}

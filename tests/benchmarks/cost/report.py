@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
-from .measurement import BUDGETS, KINDS, STACK_CALLS, Figures
-from .robots import UPDATED
+from .measurement import STACK_CALLS, Figures
+from .robots import SHORT, TESTED, UPDATED
 
 README, PAGE = ROOT / "README.md", ROOT / "docs/cost.md"
 PAGES = (README, PAGE)
@@ -40,27 +39,26 @@ def sections(cells: Cells, kilobot: tuple[int, int]) -> dict[Path, dict[str, str
     short = {name: short_column(*both) for name, both in columns.items()}
     calls = {f"{name} {level}": call_column(cells[name, level]) for name in columns for level in LEVELS}
     memory = {name: memory_column(*both) for name, both in columns.items()}
-    limits = {name: {what: str(most) for what, most in each.items()} for name, each in BUDGETS.items()}
     return {
         README: {"cost table": f"{table('at -O2', short)}\n\n{_kilobot(cells[AVR.name, '-Os'], kilobot)}"},
         PAGE: {
-            "calls": _transposed("worst observed : bound", calls),
+            "calls": table("worst observed : bound", calls, transposed=True),
             "memory": table("bytes", memory),
-            "budgets": _transposed("limits", limits),
         },
     }
 
 
 def short_column(small: Figures, fast: Figures) -> Rows:
     """The README's figures of a target."""
-    mean, most = fast.mean, fast.most
     said = {"step": "step with 10 neighbours", "receive": "receive", "x": "x", UPDATED: UPDATED}
-    rows = {f"{title}: mean (max)": f"{mean[name]:.0f} ({most[name]})" for name, title in said.items()}
-    for kind in ("double", "float"):
-        times = f"{fast.times[kind]:.1f}" if kind in fast.times else "none"
-        rows[f"plain {kind} C, step and x: times as many"] = times
+    times = {
+        kind: f"{fast.times[kind]:.1f}" if kind in fast.times else "none" for kind in ("double", "float")
+    }
     return {
-        **rows,
+        **{
+            f"{each}: mean (max)": f"{fast.mean[name]:.0f} ({fast.most[name]})" for name, each in said.items()
+        },
+        **{f"plain {kind} C, step and x: times as many": each for kind, each in times.items()},
         "code without save and restore: bytes of flash, -Os (-O2)": f"{small.code[0]} ({fast.code[0]})",
         "RAM of a robot, bytes": str(fast.ram),
         "deepest stack of a tick, bytes": str(fast.tick_stack()),
@@ -70,7 +68,7 @@ def short_column(small: Figures, fast: Figures) -> Rows:
 def call_column(found: Figures) -> Rows:
     """The most instructions of calls, with bounds where there are any; cycles where they are counted."""
     rows = {}
-    for name in KINDS:
+    for name in ("step", SHORT, TESTED, UPDATED, "receive", "x"):
         bound = f" : {found.bound[name]}" if name in found.bound else ""
         cycles = f", {found.cycles[name]} cycles" if found.cycles[name] else ""
         rows[name] = f"{found.most[name]}{bound}{cycles}"
@@ -100,24 +98,12 @@ def _kilobot(avr: Figures, kilobot: tuple[int, int]) -> str:
     )
 
 
-def table(corner: str, columns: dict[str, Rows]) -> str:
-    """A table of one column for each target."""
-    titles = list(dict.fromkeys(title for rows in columns.values() for title in rows))
-    lines = [
-        [corner, *columns],
-        *([title, *(rows.get(title, "") for rows in columns.values())] for title in titles),
-    ]
-    return _lines(lines)
-
-
-def _transposed(corner: str, columns: dict[str, Rows]) -> str:
-    titles = list(dict.fromkeys(title for rows in columns.values() for title in rows))
-    return _lines([[corner, *titles], *([name, *map(rows.get, titles)] for name, rows in columns.items())])
-
-
-def _lines(rows: Iterable[Sequence[str | None]]) -> str:
-    head, *rest = ("| " + " | ".join(each or "" for each in row) + " |" for row in rows)
-    return "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rest])
+def table(corner: str, columns: dict[str, Rows], transposed: bool = False) -> str:
+    """A table of one column for each target, or of one row."""
+    titles = list(next(iter(columns.values())))
+    cells = [[corner, *columns], *([title, *(rows[title] for rows in columns.values())] for title in titles)]
+    rows = ["| " + " | ".join(row) + " |" for row in (zip(*cells, strict=True) if transposed else cells)]
+    return "\n".join([rows[0], "|---" * (rows[0].count("|") - 1) + "|", *rows[1:]])
 
 
 Numbers = dict[tuple[str, str], list[float]]

@@ -107,8 +107,7 @@ class Robot:
     """The robot of an image, of the firmware ("mcp_asdf") or of the baseline ("plain_robot").
 
     Attributes:
-        lived: Costs of calls in a usual life, for the means.
-        costs: Costs in that life and in all situations.
+        costs: Costs so far, by function and kind of step.
         by_age: Costs of a step by the robot's age.
         by_messages: Costs of a round's last message and of its end by the messages.
         deepest: Most stack that each function was seen to use, bytes.
@@ -117,7 +116,6 @@ class Robot:
     def __init__(self, machine: Machine, prefix: str = "mcp_asdf") -> None:
         self.machine, self._prefix = machine, prefix
         self.own: Argument = ("pointer", machine.image.address("robot"))
-        self.lived: dict[str, list[Cost]] = defaultdict(list)
         self.costs: dict[str, list[Cost]] = defaultdict(list)
         self.by_age: dict[int, list[Cost]] = defaultdict(list)
         self.by_messages: dict[int, list[tuple[Cost, Cost]]] = defaultdict(list)
@@ -142,29 +140,31 @@ class Robot:
             alpha = int.from_bytes(struct.pack("<f", word_to_alpha(alpha)), "little")
         return self.call("receive", ("byte", sender), ("word", x_hat), ("word", alpha))
 
-    def step(self, observation: int, due: bool, audible: int) -> tuple[str, Cost]:
-        """Take a whole tick; returns the kind of step and its cost."""
+    def step(self, observation: int, due: bool, audible: int) -> Cost:
+        """Take a whole tick, whose kind depends on whether the filter is due and how many were heard."""
         before = self.machine.call("bench_updates").value
         cost = self.machine.call(f"{self._prefix}_step", self.own, ("enum", observation))
         updates = self.machine.call("bench_updates").value != before
         kind = "step" if not due else SHORT if audible < 2 else UPDATED if updates else TESTED
         self.deepest["step"] = max(self.deepest["step"], cost.stack)
         self.costs[kind].append(cost)
-        return kind, cost
+        return cost
 
-    def live(self, ticks: int = 240, period: int = 20) -> None:
-        """Live among ten neighbours that know better than to take their sensors for 0.55 right."""
+    def live(self, ticks: int = 240, period: int = 20) -> dict[str, float]:
+        """Live among ten neighbours that know better than to take their sensors for 0.55 right; returns the
+        mean instructions of each function and kind of step."""
         rng, config = random.Random(10), Config(filter=Filter.OFF)
         swarm = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
         self.start(int(0.55 * 2**32), period)
         for number in range(1, ticks + 1):
             for sender, other in swarm.items():
                 other.step(Observation(int(rng.random() < _BLACK)))
-                heard = self.receive((sender, other.x_hat_raw, other.alpha_raw))
-                self.lived["receive"].append(heard)
-            kind, cost = self.step(int(rng.random() < _BLACK), number % period == 0, len(swarm))
-            self.lived[kind].append(cost)
-            self.lived["x"].append(self.call("x"))
+                self.receive((sender, other.x_hat_raw, other.alpha_raw))
+            self.step(int(rng.random() < _BLACK), number % period == 0, len(swarm))
+            self.call("x")
+        return {
+            name: sum(cost.instructions for cost in costs) / len(costs) for name, costs in self.costs.items()
+        }
 
     def suffer(self, seed: int) -> None:
         """Live through the dear situations, random ones of every age, and rounds of every size."""
@@ -184,7 +184,7 @@ class Robot:
         """Take the situation's tick, and form x; returns the cost of the step."""
         self._begin(situation, period)
         audible = sum(alpha_units(alpha) > 0 for _, _, alpha in situation.messages)
-        _, cost = self.step(situation.observation, period == 1, audible)
+        cost = self.step(situation.observation, period == 1, audible)
         self.call("x")
         self._begin(situation, period)
         self.call("observe", ("enum", situation.observation))
