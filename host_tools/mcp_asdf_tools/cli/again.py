@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterable
 
 
-def print_again(args: argparse.Namespace, first: Iterable[str] = (), **settled: object) -> None:
+def print_again(args: argparse.Namespace, **settled: object) -> None:
     """Print the command line of this run.
 
-    It is what was typed, with what else decides the run in front: options to be ``first``, and ``settled``
-    parameters (the seed), whose defaults may change.
+    It is what was typed, and in front of it ``settled`` parameters (the seed), whose defaults may change.
     """
     program, *words = args.command_line
     given = {word.partition("=")[0] for word in words}
     more = {f"--{name.replace('_', '-')}": value for name, value in settled.items()}
     options = [f"{option}={value}" for option, value in more.items() if option not in given]
-    print(f"again: {program} {shlex.join([*first, *options, *words])}".rstrip())
+    print(f"again: {program} {shlex.join([*options, *words])}".rstrip())

@@ -41,9 +41,6 @@ GROUPS = {
         "plot": "draw results: scores, curves over any parameter, a trial over time",
         "reproduce": "run the paper's whole study and report which of its claims hold",
     },
-    "Set up your shell": {
-        "completion": "print a script that completes commands and options in bash, zsh or fish",
-    },
 }
 """Commands by purpose, with a line on each. ``NAME`` is the module ``mcp_asdf_tools.cli.NAME``; the lines
 stand here, so that the overview loads none of the libraries that commands use."""
@@ -128,9 +125,7 @@ def _drop(stream: TextIO) -> None:
 
 
 def _flush() -> int:
-    if sys.stdout is None:
-        raise UsageError("standard output is closed, so nothing was printed; send it elsewhere")
-    sys.stdout.flush()
+    print(end="", flush=True)
     return 0
 
 
@@ -156,37 +151,12 @@ def _parser_for(name: str, command: Command) -> Parser:
     return parser
 
 
-def _overview_parser() -> Parser:
+def _show_overview(arguments: Sequence[str]) -> int:
+    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
     from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415
 
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
-    return parser
-
-
-def whole_parser(
-    prepared: Callable[[argparse.ArgumentParser], argparse.ArgumentParser],
-) -> argparse.ArgumentParser:
-    """The parser of the program with those of all commands in it, each as ``prepared``; loads all of them.
-
-    A command whose extra is not installed has no options.
-    """
-    parser = _overview_parser()
-    commands = parser.add_subparsers(parser_class=argparse.ArgumentParser)
-    for name, text in COMMANDS.items():
-        try:
-            parents = [prepared(_parser_for(name, _load(name)))]
-        except ImportError as error:
-            if missing_extra(error) is None:
-                raise
-            parents = []
-        commands.add_parser(name, help=text, description=text, parents=parents, add_help=not parents)
-    return parser
-
-
-def _show_overview(arguments: Sequence[str]) -> int:
-    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
-    parser = _overview_parser()
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     (found, _) = parser.parse_known_args(arguments)
     if found.command is not None:

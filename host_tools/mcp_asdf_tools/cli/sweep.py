@@ -78,5 +78,5 @@ def run(args: argparse.Namespace) -> int:
     else:
         options.show(experiments, limits, str(store.output))
         seeds = {experiment.seed for experiment in given}
-        print_again(args, (), **({"seed": seeds.pop()} if len(seeds) == 1 else {}))
+        print_again(args, **({"seed": seeds.pop()} if len(seeds) == 1 else {}))
     return 0

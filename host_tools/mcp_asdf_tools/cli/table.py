@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
 
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
@@ -75,21 +74,14 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     facts = describe(omega, q)
     if args.json:
         print(json.dumps({"files": files} | facts, indent=2))
-    else:
-        print(_summary(omega, facts))
-        print("\n".join(f"wrote {file}" for file in files))
-        print_again(args, omega=omega, neighbours=q)
-    return 0
-
-
-def _summary(omega: Decimal, facts: dict[str, Any]) -> str:
-    q, error = facts["q"], facts["worst_threshold_error"]
+        return 0
+    error = facts["worst_threshold_error"]
     beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}" if q < MAX_MESSAGES else ""
-    return (
-        f"omega {omega:f}, q {q}: {facts['bytes']} bytes ({facts['bytes_formula']}), "
-        f"entries in units of 2^-{facts['fraction_bits']}\n"
-        f"worst threshold error: {error['rounding']:.2e} by rounding{beyond}"
-    )
+    print(f"omega {omega:f}, q {q}: {facts['bytes']} bytes ({facts['bytes_formula']})")
+    print(f"worst threshold error: {error['rounding']:.2e} by rounding{beyond}")
+    print("\n".join(f"wrote {file}" for file in files))
+    print_again(args, omega=omega, neighbours=q)
+    return 0
 
 
 def _report(findings: Sequence[TableCheck], as_json: bool) -> int:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,9 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)"
     )
     add_where(recording)
-    recording.add_argument(
-        "--events", metavar="FILE", type=Path, help="what happened to the robots (default: LOG.events)"
-    )
     recording.add_argument("--export", metavar="FILE", type=Path, help="write the page as one file: .html")
     truth = parser.add_argument_group("truth of a bus, drawn if known")
     truth.add_argument("--fill-ratio", metavar="F", type=float, help="f, share of black tiles")
@@ -67,22 +62,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_server_options(parser: argparse._ActionsContainer) -> None:
     """Options of everything that serves a page."""
-    parser.add_argument(
-        "--port", type=int, default=0, help="TCP port of the page (default: any that is free)"
-    )
-    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    parser.add_argument("--port", type=int, default=0, help="TCP port of the page (default: any free one)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the recording or the bus, or write the page."""
     if args.file is None:
         return _watch(args)
-    if args.export is not None and args.export.suffix.lower() not in (".html", ".htm"):
+    if args.export is None:
+        return _serve(args, _film_of(args))
+    if args.export.suffix.lower() != ".html":
         raise UsageError(f"cannot export to {args.export.name}: choose a name that ends in .html")
-    if args.export is not None:
-        check_target(args.export)
-    film = _film_of(args)
-    return _serve(args, film) if args.export is None else _export(args, film)
+    check_target(args.export)
+    return _export(args, _film_of(args))
 
 
 def _film_of(args: argparse.Namespace) -> Film:
@@ -94,7 +86,7 @@ def _film_of(args: argparse.Namespace) -> Film:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
-    return film_of_log(args.file, args.events)
+    return film_of_log(args.file)
 
 
 def _chosen(args: argparse.Namespace) -> Trials:
@@ -129,15 +121,11 @@ def _serve(args: argparse.Namespace, film: Film) -> int:
 
 
 def announce(args: argparse.Namespace, url: str) -> None:
-    """Print the address of the page, and open it where there is a screen."""
+    """Print the address of the page."""
     if args.json:
         print(json.dumps({"url": url}), flush=True)
     else:
         print(f"the page is at {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
-    displays = map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))
-    has_screen = sys.platform in ("darwin", "win32") or any(displays)
-    if has_screen and sys.stderr.isatty() and not args.no_browser:
-        webbrowser.open(url)
 
 
 def wait(should_stop: Callable[[], bool]) -> None:
@@ -157,7 +145,7 @@ def _watch(args: argparse.Namespace) -> int:
             "give a recording, or with --interface the bus of robots elsewhere: the bus "
             f"{choice} is inside this process, where nothing else is (mcp-asdf swarm --view shows a swarm)"
         )
-    for option in ("export", "where", "trial", "events"):
+    for option in ("export", "where", "trial"):
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
     try:

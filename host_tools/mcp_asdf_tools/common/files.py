@@ -68,10 +68,8 @@ def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
 
     All are written, or none. Raises UsageError if one cannot be.
     """
-    try:
+    with explaining(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
     with FileSet() as files:
         for name, text in contents.items():
             files.write(folder / name, text)
@@ -111,11 +109,5 @@ def explaining(path: Path | str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise refusal(path, error) from error
-
-
-def refusal(path: Path | str, error: OSError) -> UsageError:
-    """Message for a ``path`` that cannot be written because of ``error``."""
-    return UsageError(
-        f"cannot write {path}: {error.strerror or error}; choose a folder that takes it, or make room there"
-    )
+        fix = "choose a folder that takes it, or make room there"
+        raise UsageError(f"cannot write {path}: {error.strerror or error}; {fix}") from error

@@ -13,9 +13,7 @@ from types import FrameType
 
 from mcp_asdf_tools.common.errors import UsageError
 
-ENDING_SIGNALS = tuple(
-    signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end: Ctrl-C, a kill or service manager, a terminal that closes."""
 
 INTERRUPTED = 130

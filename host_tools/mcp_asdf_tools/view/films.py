@@ -101,12 +101,12 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
     return Film(stage_of(experiment, trial), _in_the_world(experiment, trial, values, spacing))
 
 
-def film_of_log(log: Path, events: Path | None = None) -> Film:
+def film_of_log(log: Path) -> Film:
     """The film of a swarm's log, whose robots run again on what its input log says that they saw and heard.
 
     Raises UsageError if the input log cannot be read, contradicts itself, or is of robots without a world.
     """
-    with InputLogReader(events or input_log_path(log)) as input_log:
+    with InputLogReader(input_log_path(log)) as input_log:
         parameters, names = input_log.header.parameters, parameter_names(Population)
         if not set(names) <= set(parameters):
             raise UsageError(

@@ -19,6 +19,8 @@ flawed = 2
 filter = ["none", "asdf-plus"]
 fill_ratio = [0.55, 0.95]
 """
+SERIES = "--kind series"
+ONE = "--where filter=none --where fill_ratio=.950"
 
 
 @pytest.fixture(scope="module")
@@ -26,28 +28,18 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of four experiments, with values every 10 steps."""
     folder = tmp_path_factory.mktemp("where")
     (folder / "grid.toml").write_text(GRID)
-    words = ["sweep", str(folder / "grid.toml"), "--record", "10", "--workers", "1", "--json"]
-    assert main(words) == 0
+    assert main(["sweep", str(folder / "grid.toml"), "--record", "10", "--workers", "1", "--json"]) == 0
     return folder / "grid.parquet"
 
 
-@pytest.mark.parametrize(
-    ("conditions", "count"),
-    [
-        ([], 4),
-        (["filter=none"], 2),
-        (["fill_ratio=0.95"], 2),
-        (["fill_ratio=.950"], 2),
-        (["filter=none", "fill_ratio=0.95"], 1),
-    ],
-)
-def test_rows_are_picked(
-    conditions: list[str], count: int, grid: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    capsys.readouterr()
-    where = [word for condition in conditions for word in ("--where", condition)]
-    assert main(["plot", str(grid), str(tmp_path / "boxes.svg"), "--json", *where]) == 0
-    assert json.loads(capsys.readouterr().out)["experiments"] == count
+def test_rows_are_picked(grid: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for trials in experiments_in(read_table(grid)):
+        assert trials.records["x"].shape == (2, 5, 4)
+    counts = {"": 4, "--where filter=none": 2, "--where fill_ratio=0.95": 2, ONE: 1, f"{SERIES} {ONE}": 1}
+    for options, count in counts.items():
+        capsys.readouterr()
+        assert main(["plot", str(grid), str(tmp_path / "x.svg"), "--json", *options.split()]) == 0
+        assert json.loads(capsys.readouterr().out)["experiments"] == count, options
 
 
 REFUSED = {
@@ -71,13 +63,6 @@ def test_what_is_not_there_is_named(
     assert REFUSED[options] in err
     assert (out, err.count("\n")) == ("", 1)
     assert not (tmp_path / "no.svg").exists()
-
-
-def test_a_sweep_keeps_values_over_time(grid: Path, tmp_path: Path) -> None:
-    for trials in experiments_in(read_table(grid)):
-        assert trials.records["x"].shape == (2, 5, 4)
-    series = ["--kind", "series", "--where", "filter=none", "--where", "fill_ratio=0.55"]
-    assert main(["plot", str(grid), str(tmp_path / "series.svg"), *series]) == 0
 
 
 @pytest.mark.parametrize("interval", ["-1", "41"])

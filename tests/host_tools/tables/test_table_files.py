@@ -120,7 +120,7 @@ def test_a_bad_value_writes_nothing(option: str, tmp_path: Path, capsys: Capture
         (f"--check {C_FILE} --omega 0.05", "--omega and --neighbours go with --output"),
         ("--verify image.bin --neighbours 30", "--omega and --neighbours go with --output"),
         (f"--check {C_FILE} --output .", "not allowed with argument"),
-        ("--output no_symbol.c", "cannot make the folder no_symbol.c: File exists; choose another"),
+        ("--output no_symbol.c", "cannot write no_symbol.c: File exists; choose a folder"),
         ("--check missing.json", "cannot read missing.json: No such file"),
         ("--check folder.c", "cannot read folder.c: Is a directory"),
         ("--check no_symbol.c", "no_symbol.c names no array mcp_asdf_t_table_omega.._q..; make it anew"),
