@@ -60,8 +60,6 @@ C_NODES = (
     "mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value",
     "tile_sensor | mcp_asdf_node --interface can0 --id 7 --observations -",
     "mcp_asdf_node --interface vcan0 --id 7 --lockstep",
-    "mcp_asdf_node --interface vcan0 --id 0-37 --b-hat 0.55 --observations flawed.txt",
-    "mcp_asdf_node --interface vcan0 --id 38-126 --observations others.txt",
 )
 CAN0 = "--interface socketcan --channel can0"
 NO_CAN = "wants a CAN interface; tests/socketcan has runs on one"

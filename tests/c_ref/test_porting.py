@@ -10,7 +10,7 @@ import subprocess
 import threading
 from collections.abc import Iterable
 from contextlib import suppress
-from itertools import product, repeat
+from itertools import product
 from pathlib import Path
 
 import can
@@ -293,22 +293,6 @@ def test_it_does_the_same_on_bare_metal(target: str, project: Path) -> None:
     expected = GREETING + Expected().play(played)
     image = build(project, "demo_scripted.c", target)
     assert answers([*command, image], [played], len(expected), len(GREETING)) == expected
-
-
-@pytest.mark.slow
-def test_its_interrupts_receive_while_it_sends(project: Path) -> None:
-    """The board with interrupts and a clock of its own. Neighbours say the same without a pause, far faster
-    than any line can: most of it is lost, which shows in the heartbeat only.
-    """
-    command = machine("cortex-m3")
-    neighbours = [frames.encode(Message(node, 2**22, 0x80000006, 0), ESTIMATES) for node in (1, 2)]
-    heard = b"".join(map(packet, neighbours))
-    in_a_tick = bytes([NO_TILE + len(heard)]) + heard + bytes([Observation.WHITE])
-    expected = Expected().play(in_a_tick * 10)
-    image = build(project, "cortex_m/demo_mps2.c", "cortex-m3")
-    sent = answers([*command, image], repeat(heard), len(expected))
-    status = slice(10 * 14 + 11, 11 * 14)  # of the heartbeat: from the number of lost packets on
-    assert sent[: status.start] + sent[status.stop :] == expected[: status.start] + expected[status.stop :]
 
 
 # --- Over a reset ------------------------------------------------------------------------------------------

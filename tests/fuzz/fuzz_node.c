@@ -102,38 +102,29 @@ static void any_command_line(input_t *in)
     }
     options_read(&options, count, arguments);
     const node_settings_t *const node = &options.node;
-    MUST(options.interface != NULL && options.robots >= 1);
-    MUST(node->id + options.robots - 1 <= MCP_ASDF_MAX_ID);
+    MUST(options.interface != NULL && node->id <= MCP_ASDF_MAX_ID);
     MUST(node->comms_period > 0 && node->filter_period % node->comms_period == 0);
     MUST(node->ticks_per_second >= 1 && node->ticks_per_second <= 1000);
     MUST(node->memory % 4 == 0 && node->memory >= MCP_ASDF_MEMORY_MIN && node->memory <= MCP_ASDF_MEMORY_MAX);
     MUST(node->b_hat >= MCP_ASDF_B_HAT_MIN && node->b_hat <= MCP_ASDF_B_HAT_MAX);
-    MUST(node->filter <= MCP_ASDF_OFF && node->estimate.priority <= MCP_ASDF_PRIORITY_MAX);
+    MUST(node->filter <= MCP_ASDF_OFF);
     MUST(node->estimate.subject <= MCP_ASDF_SUBJECT_MAX && node->command.subject <= MCP_ASDF_SUBJECT_MAX);
 }
 
-/* The stream is used up row by row, stops for good at a character that means nothing, and says which. */
+/* The stream is used up, stops for good at a character that means nothing, and says which. */
 static void any_stream(input_t *in)
 {
-    const bool is_sensor = (input_take(in, 1) & 1) != 0;
-    source_t source = {.path = "-", .is_sensor = is_sensor};
-    mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS];
-    source.robots = is_sensor ? 1 : input_take(in, 1) % SOURCE_MOST_ROBOTS + 1;
+    source_t source = {.path = "-", .is_sensor = (input_take(in, 1) & 1) != 0};
+    mcp_asdf_action_t seen;
     outside.stream = in;
     MUST(source_open(&source) == 0);
     for (int tick = 0; tick < 300 && !source.has_ended && in->left > 0; ++tick) {
-        const uint32_t missing = source.missing, ready = source.in_row;
-        const uint32_t taken = source.taken;
-        const bool has_come = source_next(&source, seen);
-        for (unsigned robot = 0; robot < source.robots; ++robot) {
-            MUST(seen[robot] == MCP_ASDF_OBSERVE_NONE ||
-                 (has_come &&
-                  (seen[robot] == MCP_ASDF_OBSERVE_WHITE || seen[robot] == MCP_ASDF_OBSERVE_BLACK)));
-        }
+        const uint32_t missing = source.missing, taken = source.taken;
+        const bool has_come = source_next(&source, &seen);
+        MUST(seen == MCP_ASDF_OBSERVE_NONE || (has_come && seen <= MCP_ASDF_OBSERVE_BLACK));
         MUST(source.at <= source.filled && source.filled <= sizeof source.buffer);
         MUST(source.missing - missing == (!has_come && !source.has_ended ? 1U : 0U));
-        MUST(has_come ? source.in_row == 0 : source.in_row < source.robots);
-        MUST(!has_come || is_sensor || source.taken - taken >= source.robots - ready);
+        MUST(!has_come || source.is_sensor || source.taken > taken);
         MUST(source.odd == 0 || (source.has_ended && strchr("01- \t\n\v\f\r", source.odd) == NULL));
     }
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -55,7 +53,7 @@ def start(build: Callable[[Kind], list[str]], vcan: Vcan) -> Iterator[Start]:
     """Starts C nodes on the interface, and stops those that are left."""
     started: list[CNode] = []
 
-    def start_node(robot_id: int | str, *options: object, kind: Kind = PLAIN, **streams: Any) -> CNode:
+    def start_node(robot_id: int, *options: object, kind: Kind = PLAIN, **streams: Any) -> CNode:
         started.append(CNode(build(kind), vcan.name, robot_id, *options, **streams))
         return started[-1]
 
@@ -116,37 +114,6 @@ def is_needed(frame: can.Message) -> bool:
 def is_command_to(robot: int, frame: can.Message) -> bool:
     command = decode_command(frame)
     return isinstance(command, Command) and command.target == robot
-
-
-def test_127_firmwares_of_two_processes_keep_time(
-    start: Start, vcan: Vcan, tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
-    """At 10 ticks per second, with less than a core for all of them."""
-    ticks, draw, robots = 60, random.Random(5), {"0-63": 64, "64-126": 63}
-    used, nodes = time_used(), []
-    for ids, number in robots.items():
-        seen = tmp_path / ids
-        seen.write_text("".join(draw.choices("01", k=number * ticks)), encoding="ascii")
-        buffer = ("--receive-buffer", 1 << 20)
-        nodes.append(start(ids, "--steps", ticks, "--filter-period", 20, "--observations", seen, *buffer))
-    summaries = [figures for node in nodes for figures in node.summaries()]
-    load = (time_used() - used) / (ticks / 10)
-    lateness = max(each["worst_lateness_us"] for each in summaries)
-    record_property("load", f"{load:.0%} of a core, a tick at most {lateness / 1000:.1f} ms late")
-    assert [each["id"] for each in summaries] == list(range(127))
-    assert {each["overflowed"] + each["unsent"] + each["collisions"] for each in summaries} == {0}
-    # The two processes do not start or end at once, and a late one leaves ticks out.
-    least = min(each["t"] for each in summaries)
-    assert least >= ticks - 1 - max(each["skipped"] for each in summaries)
-    assert min(each["heard"] for each in summaries) >= 62 * least + 64 * (least - 20)
-    assert sum(each["tests"] for each in summaries) > 0
-    assert load < 1
-
-
-def time_used() -> float:
-    """Seconds of processor time of the programs that have ended."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
 
 
 # ---- What the kernel is asked for ----

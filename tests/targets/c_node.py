@@ -90,12 +90,9 @@ class CNode:
     """
 
     def __init__(
-        self, command: Sequence[str], interface: str, robot_id: int | str, *options: object, **streams: Any
+        self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
     ) -> None:
-        """Start it with the options given; ``streams`` are those of subprocess.Popen.
-
-        ``robot_id`` may be a range, such as "0-4".
-        """
+        """Start it with the options given; ``streams`` are those of subprocess.Popen."""
         arguments = ["--interface", interface, "--id", robot_id, *options]
         self.process = subprocess.Popen(
             [*command, *map(str, arguments)],
@@ -106,20 +103,16 @@ class CNode:
         )
 
     def summary(self, status: int = 0) -> dict[str, Any]:
-        """Its last line, when it has ended by itself with ``status``; see ``summaries``."""
-        (figures,) = self.summaries(status)
-        return figures
+        """Its last line, when it has ended by itself with ``status``.
 
-    def summaries(self, status: int = 0) -> list[dict[str, Any]]:
-        """Its last lines, one for each robot, when it has ended by itself with ``status``.
-
-        With status 0 it must not have said anything else but that ids are in conflict.
+        With status 0 it must not have said anything else but that another node has its id.
         """
         printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
         self.complaints = complaints.splitlines()
         assert all("; give one of them another" in each for each in self.complaints) or status
-        return [json.loads(line) for line in printed.splitlines()]
+        figures: dict[str, Any] = json.loads(printed)
+        return figures
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> dict[str, Any]:
         """Its last line, after that signal."""
@@ -135,7 +128,7 @@ class CNode:
 
 
 Start = Callable[..., CNode]
-"""What starts nodes on a bus: an id, or a range of them, and options."""
+"""What starts nodes on a bus: an id and options."""
 
 
 def twin(

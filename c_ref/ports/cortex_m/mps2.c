@@ -1,6 +1,6 @@
 /* First UART of Arm's MPS2 boards with the Cortex-M system design kit (AN385: Cortex-M3, AN386: Cortex-M4).
  */
-#include "uart.h"
+#include "../uart.h"
 
 #include "../port.h"
 

@@ -1,5 +1,5 @@
 /* UART of Nordic's nRF51, as on the BBC micro:bit. */
-#include "uart.h"
+#include "../uart.h"
 
 #include "../port.h"
 

@@ -1,5 +1,5 @@
 /* Start and end of a program on any Cortex-M: vector table, memory, exit through a debugger or emulator. */
-#include "uart.h"
+#include "../uart.h"
 
 #include "../port.h"
 

@@ -1,15 +1,45 @@
-/* mcp_asdf_node: robots on a CAN bus under Linux, one or many. docs/socketcan.md is the manual. */
-#include "image.h"
-#include "run.h"
+/* mcp_asdf_node: a robot on a CAN bus under Linux. docs/socketcan.md is the manual. */
+#include "bus.h"
+#include "options.h"
+#include "source.h"
+#include "state.h"
 
 #include <errno.h>
+#include <inttypes.h>
 #include <poll.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
 #define MOST_PACKETS 256 /* taken in a row, so that a babbling node cannot keep us from ticking */
+#define SECOND INT64_C(1000000000)
+
+/* A clock that ticks at a steady rate, and how late its owner was. Times are nanoseconds.
+ *   period    between ticks
+ *   next      when the next tick is due; the first is due at once
+ *   worst     how late a tick was at most
+ *   skipped   ticks left out, since a node that is a period late or more must not catch up in a burst */
+typedef struct {
+    int64_t period, next, worst;
+    uint32_t skipped;
+} ticker_t;
+
+typedef struct {
+    options_t options;
+    node_t node;
+    uint32_t seen; /* ticks whose end note_progress() has seen */
+    bus_t bus;
+    source_t source;
+    ticker_t clock, reopening;
+    sigset_t when_waiting; /* signals blocked then */
+    const char *ended;     /* why, or NULL */
+    int save_error;        /* the last one, as an errno */
+    int status;
+} run_t;
+
+/* ---- Signals ---------------------------------------------------------------------------------------- */
 
 static volatile sig_atomic_t is_interrupted;
 
@@ -32,16 +62,70 @@ static void heed(run_t *run, int signal, const struct sigaction *action)
 /* Signals come through only while we wait, so none can slip in between a check and the wait. */
 static void catch_signals(run_t *run)
 {
+    static const int signals[] = {SIGINT, SIGTERM, SIGHUP};
     const struct sigaction action = {.sa_handler = interrupt};
     sigset_t caught;
     (void)sigemptyset(&caught);
-    (void)sigaddset(&caught, SIGINT);
-    (void)sigaddset(&caught, SIGTERM);
-    (void)sigaddset(&caught, SIGHUP);
+    for (size_t i = 0; i < sizeof signals / sizeof signals[0]; ++i) {
+        (void)sigaddset(&caught, signals[i]);
+    }
     (void)sigprocmask(SIG_BLOCK, &caught, &run->when_waiting);
-    heed(run, SIGINT, &action);
-    heed(run, SIGTERM, &action);
-    heed(run, SIGHUP, &action);
+    for (size_t i = 0; i < sizeof signals / sizeof signals[0]; ++i) {
+        heed(run, signals[i], &action);
+    }
+}
+
+/* ---- Setting up: what is wrong ends the program with a message that names the value and the fix ------ */
+
+static void fail(const char *what, const char *which, const char *why, const char *fix)
+{
+    (void)fprintf(stderr, "mcp_asdf_node: %s %s: %s; %s\n", what, which, why, fix);
+    exit(EXIT_USAGE);
+}
+
+static void join(bus_t *bus)
+{
+    const int error = bus_open(bus);
+    if (error == ENODEV || error == EAFNOSUPPORT) {
+        (void)fprintf(
+            stderr,
+            "mcp_asdf_node: there is no CAN interface %s; name one that `ip link` shows, or make it:\n"
+            "  modprobe vcan\n  ip link add dev %s type vcan\n  ip link set %s up\n",
+            bus->name, bus->name, bus->name);
+        exit(EXIT_USAGE);
+    }
+    if (error != 0) {
+        fail("cannot join", bus->name, strerror(error), "is --interface right?");
+    }
+}
+
+static void set_up(run_t *run)
+{
+    const options_t *options = &run->options;
+    const node_output_t output = {bus_send, &run->bus};
+    const bool in_lockstep = options->node.lockstep;
+    run->bus.name = options->interface;
+    run->bus.receive_buffer = (int)options->receive_buffer;
+    run->bus.subjects[0] = options->node.estimate.subject;
+    run->bus.subjects[1] = (in_lockstep ? options->node.command : options->node.estimate).subject;
+    run->source.is_sensor = options->sensor != NULL;
+    run->source.path = options->sensor != NULL ? options->sensor : options->observations;
+    if (node_init(&run->node, &options->node, output) != MCP_ASDF_OK) {
+        fail("cannot make the robot", "of these options", "refused by the firmware", "see --help");
+    }
+    if (options->state != NULL) {
+        const char *why = state_load(options->state, &run->node.robot, &run->node.config);
+        if (why != NULL) {
+            fail("cannot use the state", options->state, why, "choose another --state, or remove this one");
+        }
+    }
+    if (!in_lockstep) {
+        const int error = source_open(&run->source);
+        if (error != 0) {
+            fail("cannot open", run->source.path, strerror(error), "choose a file that can be read");
+        }
+    }
+    join(&run->bus);
 }
 
 /* ---- The clock -------------------------------------------------------------------------------------- */
@@ -78,13 +162,11 @@ static void end(run_t *run, const char *why, int status)
 }
 
 /* A full disk must not stop the robot: the state saved last stays, and the status tells in the end. */
-static void save(run_t *run, const member_t *member)
+static void save(run_t *run)
 {
-    char name[PATH_MAX];
-    const char *path = options_state(name, &run->options, member->settings.id);
-    const int error = image_save(path, &member->node.robot);
+    const int error = state_save(run->options.state, &run->node.robot);
     if (error != 0 && error != run->save_error) {
-        (void)fprintf(stderr, "mcp_asdf_node: cannot save the state %s: %s; going on\n", path,
+        (void)fprintf(stderr, "mcp_asdf_node: cannot save the state %s: %s; going on\n", run->options.state,
                       strerror(error));
     }
     if (error != 0) {
@@ -93,66 +175,33 @@ static void save(run_t *run, const member_t *member)
     }
 }
 
-static bool is_own(const run_t *run, uint8_t id)
+/* Called after whatever may have ended a tick. */
+static void note_progress(run_t *run)
 {
-    const uint8_t first = run->options.node.id;
-    return id >= first && id - first < (int)run->options.robots;
-}
-
-static void note_sender(run_t *run, const mcp_asdf_frame_t *frame)
-{
-    mcp_asdf_estimate_t heard;
-    if (mcp_asdf_decode_estimate(&heard, run->options.node.estimate.subject, frame) != MCP_ASDF_FRAME_OK) {
+    const uint32_t ticks = run->node.ticks, period = run->options.save_period;
+    if (!run->node.is_settled || ticks == run->seen) {
         return;
     }
-    const uint8_t own = is_own(run, heard.node) ? heard.node : run->options.node.id;
-    if (conflicts_hear(&run->conflicts, own, &heard)) {
-        (void)fprintf(stderr, "mcp_asdf_node: %s: %u; give one of them another\n",
-                      heard.node == own ? "another node sends under this node's own id"
-                                        : "two nodes send under one id",
-                      heard.node);
-    }
-}
-
-/* Called after whatever may have ended a tick of a robot. */
-static void note_progress(run_t *run, member_t *member)
-{
-    const uint32_t ticks = member->node.ticks, period = run->options.save_period;
-    if (!member->node.is_settled || ticks == member->seen) {
-        return;
-    }
-    member->seen = ticks;
+    run->seen = ticks;
     if (run->options.state != NULL && period != 0 && ticks % period == 0) {
-        save(run, member);
+        save(run);
     }
-}
-
-static void end_after_last_tick(run_t *run)
-{
-    unsigned done = 0;
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        done += run->members[i].seen == run->options.ticks;
-    }
-    if (run->options.ticks != 0 && done == run->options.robots) {
+    if (run->options.ticks != 0 && ticks == run->options.ticks) {
         end(run, "ticks", run->status);
     }
 }
 
 static void take(run_t *run, const mcp_asdf_frame_t *frame)
 {
-    note_sender(run, frame);
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        node_hear(&run->members[i].node, frame);
-        note_progress(run, &run->members[i]);
+    const bool is_first = run->node.counts.collisions == 0;
+    node_hear(&run->node, frame);
+    if (is_first && run->node.counts.collisions != 0) {
+        (void)fprintf(stderr,
+                      "mcp_asdf_node: another node sends under this node's own id: %u; "
+                      "give one of them another\n",
+                      run->options.node.id);
     }
-    end_after_last_tick(run);
-}
-
-static void note_health(run_t *run)
-{
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        run->members[i].node.health = run->bus.health;
-    }
+    note_progress(run);
 }
 
 static void hear(run_t *run)
@@ -164,7 +213,7 @@ static void hear(run_t *run)
         if (event == BUS_NOTHING || event == BUS_CLOSED) {
             break;
         }
-        note_health(run);
+        run->node.health = run->bus.health;
         if (event == BUS_FRAME) {
             take(run, &frame);
         }
@@ -172,22 +221,11 @@ static void hear(run_t *run)
     if (event == BUS_CLOSED) {
         end(run, "bus closed", EXIT_FAILURE);
     }
-    note_health(run);
+    run->node.health = run->bus.health;
 }
 
-static void settle(run_t *run)
-{
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        if (!run->members[i].node.is_settled) {
-            node_settle(&run->members[i].node);
-            note_progress(run, &run->members[i]);
-        }
-    }
-    end_after_last_tick(run);
-}
-
-/* Take an observation for each robot; returns whether the run goes on. */
-static bool look(run_t *run, mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS])
+/* Take an observation; returns whether the run goes on. */
+static bool look(run_t *run, mcp_asdf_action_t *seen)
 {
     source_t *source = &run->source;
     const bool has_come = source_next(source, seen);
@@ -204,12 +242,13 @@ static bool look(run_t *run, mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS])
 /* A tick lasts until the next begins: what is heard meanwhile belongs to its round. */
 static void tick(run_t *run)
 {
-    mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS];
-    settle(run);
-    if (run->ended == NULL && look(run, seen)) {
-        for (unsigned i = 0; i < run->options.robots; ++i) {
-            node_observe(&run->members[i].node, seen[i]);
-        }
+    mcp_asdf_action_t seen;
+    if (!run->node.is_settled) {
+        node_settle(&run->node);
+        note_progress(run);
+    }
+    if (run->ended == NULL && look(run, &seen)) {
+        node_observe(&run->node, seen);
     }
 }
 
@@ -229,19 +268,16 @@ static void wait_for_work(run_t *run)
 
 static void run_until_ended(run_t *run)
 {
-    const bool in_lockstep = run->options.node.lockstep;
     run->reopening = (ticker_t){.period = SECOND, .next = now_ns()};
     run->clock = (ticker_t){.period = SECOND / run->options.node.ticks_per_second, .next = now_ns()};
-    for (unsigned i = 0; i < run->options.robots; ++i) {
-        node_start(&run->members[i].node);
-    }
+    node_start(&run->node);
     while (run->ended == NULL) {
         wait_for_work(run);
         if (run->bus.fd < 0 && is_due(&run->reopening, now_ns())) {
             (void)bus_open(&run->bus);
         }
         hear(run);
-        if (run->ended == NULL && !in_lockstep && is_due(&run->clock, now_ns())) {
+        if (run->ended == NULL && !run->options.node.lockstep && is_due(&run->clock, now_ns())) {
             tick(run);
         }
         if (run->ended == NULL && is_interrupted) {
@@ -250,20 +286,81 @@ static void run_until_ended(run_t *run)
     }
 }
 
+/* ---- The summary: a line of JSON, whose members docs/socketcan.md explains ---------------------------- */
+
+#define NUMBER(name, value) (void)printf(", \"%s\": %" PRIu64, name, (uint64_t)(value))
+
+static void print_robot(const mcp_asdf_t *robot)
+{
+    const mcp_asdf_counters_t counters = mcp_asdf_counters(robot);
+    NUMBER("t", mcp_asdf_t_count(robot));
+    NUMBER("n", mcp_asdf_n_count(robot));
+    NUMBER("b_hat", mcp_asdf_b_hat(robot));
+    NUMBER("x_hat", mcp_asdf_x_hat(robot));
+    NUMBER("alpha", mcp_asdf_alpha(robot));
+    NUMBER("x_bar", mcp_asdf_x_bar(robot));
+    NUMBER("beta", mcp_asdf_beta(robot));
+    NUMBER("x", mcp_asdf_x(robot));
+    NUMBER("accepted", counters.accepted);
+    NUMBER("repeated", counters.repeated);
+    NUMBER("rejected", counters.rejected);
+    NUMBER("tests", counters.tests);
+    NUMBER("updates", counters.updates);
+}
+
+static void print_node(const node_counts_t *counts)
+{
+    NUMBER("estimates", counts->estimates);
+    NUMBER("heartbeats", counts->heartbeats);
+    NUMBER("telemetry", counts->telemetry);
+    NUMBER("unsent", counts->unsent);
+    NUMBER("heard", counts->heard);
+    NUMBER("collisions", counts->collisions);
+    NUMBER("refused", counts->refused);
+    NUMBER("others", counts->others);
+    NUMBER("obeyed", counts->obeyed);
+    NUMBER("disobeyed", counts->disobeyed);
+    NUMBER("unsettled", counts->unsettled);
+}
+
+static void print_bus(const bus_t *bus)
+{
+    (void)printf(", \"filtered_by\": \"%s\"", bus->is_filtered ? "kernel" : "node");
+    NUMBER("received", bus->counts.received);
+    NUMBER("overflowed", bus->counts.overflowed);
+    NUMBER("queue_full", bus->counts.queue_full);
+    NUMBER("error_frames", bus->counts.error_frames);
+    NUMBER("bus_off", bus->counts.bus_off);
+    NUMBER("downs", bus->counts.downs);
+    NUMBER("odd_packets", bus->counts.odd_packets);
+}
+
+/* Returns whether the standard output took it. Estimates and accuracies are the firmware's integers. */
+static bool print_summary(const run_t *run)
+{
+    (void)printf("{\"id\": %u, \"ended\": \"%s\"", run->options.node.id, run->ended);
+    NUMBER("ticks", run->node.ticks);
+    print_robot(&run->node.robot);
+    print_node(&run->node.counts);
+    print_bus(&run->bus);
+    NUMBER("missing", run->source.missing);
+    NUMBER("skipped", run->clock.skipped);
+    NUMBER("worst_lateness_us", run->clock.worst / 1000);
+    (void)printf("}\n");
+    return fflush(stdout) == 0 && ferror(stdout) == 0;
+}
+
 int main(int count, char *arguments[])
 {
     static run_t run;
     options_read(&run.options, count, arguments);
     catch_signals(&run);
-    run_set_up(&run);
+    set_up(&run);
     run_until_ended(&run);
-    bool is_told = true;
-    for (unsigned i = 0; i < run.options.robots; ++i) {
-        if (run.options.state != NULL) {
-            save(&run, &run.members[i]);
-        }
-        is_told = summary_print(&run, &run.members[i].node) && is_told;
+    if (run.options.state != NULL) {
+        save(&run);
     }
+    const bool is_told = print_summary(&run);
     bus_close(&run.bus);
     return is_told ? run.status : EXIT_FAILURE;
 }

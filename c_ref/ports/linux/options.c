@@ -9,7 +9,6 @@
 #include <string.h>
 
 #define LARGEST UINT32_MAX
-#define ID_IN_NAME "{id}"
 
 extern const uint32_t MCP_ASDF_NODE_TABLE[];
 
@@ -24,11 +23,10 @@ enum option_index {
     SUBJECT,
     TELEMETRY_SUBJECT,
     COMMAND_SUBJECT,
-    PRIORITY,
     RECEIVE_BUFFER,
     SAVE_PERIOD,
+    ID,
     INTERFACE,
-    IDS,
     B_HAT,
     FILTER,
     ACTIVATION,
@@ -56,11 +54,10 @@ static const struct {
                 [SUBJECT] = {"subject", 0, MCP_ASDF_SUBJECT_MAX, 3000},
                 [TELEMETRY_SUBJECT] = {"telemetry-subject", 0, MCP_ASDF_SUBJECT_MAX, 3001},
                 [COMMAND_SUBJECT] = {"command-subject", 0, MCP_ASDF_SUBJECT_MAX, 3002},
-                [PRIORITY] = {"priority", 0, MCP_ASDF_PRIORITY_MAX, 4},
                 [RECEIVE_BUFFER] = {"receive-buffer", 0, INT32_MAX, 0},
                 [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
+                [ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
                 [INTERFACE] = {.name = "interface"},
-                [IDS] = {.name = "id"},
                 [B_HAT] = {.name = "b-hat"},
                 [FILTER] = {.name = "filter"},
                 [ACTIVATION] = {.name = "activation"},
@@ -75,10 +72,9 @@ static const struct {
 
 static const char usage[] =
     "A robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
-    "Many of them:         mcp_asdf_node --interface vcan0 --id 0-126 --observations tiles.txt\n"
     "\n"
     "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
-    "  --id N                 of robot and node, 0 to 127; 0-126 for so many robots\n"
+    "  --id N                 of robot and node, 0 to 127\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
     "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
     "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
@@ -88,20 +84,19 @@ static const char usage[] =
     "\n"
     "Clock and observations, one of:\n"
     "  --lockstep             do what command frames say\n"
-    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen, in each step one of these\n"
-    "                         for each robot by rising id; - is the standard input\n"
-    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black; for one robot\n"
+    "  --observations FILE    in real time: 0 white, 1 black, - nothing seen, one of these in each step;\n"
+    "                         - is the standard input\n"
+    "  --sensor FILE          in real time, read anew in every step: 0 white, 1 black\n"
     "\n"
     "  --steps-per-second N   1 to 1000 (10); in lockstep of simulated time\n"
     "  --steps N              end after so many (0: no limit)\n"
     "  --telemetry-period STEPS  between telemetry frames (0: none; in lockstep every step)\n"
     "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
-    "  --priority N           of estimates, 0 to 7 (4)\n"
     "  --receive-buffer BYTES of the kernel (0: its default)\n"
-    "  --state FILE           go on from there, and save there at the end; {id} in its name is the robot's\n"
+    "  --state FILE           go on from there, and save there at the end\n"
     "  --save-period STEPS    save there in between, too (0: no)\n"
     "\n"
-    "Ends with a line of JSON for each robot. Status 0: by --steps, the end of observations, SIGINT or "
+    "Ends with a line of JSON. Status 0: by --steps, the end of observations, SIGINT or "
     "SIGTERM;\n"
     "1: the bus or the observations failed; 2: it could not start.\n";
 
@@ -130,20 +125,6 @@ static uint32_t number(const char *const given[ALL], enum option_index which)
         fail(which, text, fix);
     }
     return (uint32_t)value;
-}
-
-/* An id, or the first and the last of several. */
-static void ids(const char *text, uint8_t *first, unsigned *robots)
-{
-    char *end = NULL;
-    const unsigned long low = strtoul(text, &end, 10);
-    const bool is_range = *end == '-' && end[1] >= '0' && end[1] <= '9';
-    const unsigned long high = is_range ? strtoul(end + 1, &end, 10) : low;
-    if (*text < '0' || *text > '9' || *end != '\0' || low > high || high > MCP_ASDF_MAX_ID) {
-        fail(IDS, text, "choose a whole number, 0 to 127, or a range such as 0-126");
-    }
-    *first = (uint8_t)low;
-    *robots = (unsigned)(high - low) + 1;
 }
 
 static uint32_t b_hat(const char *text)
@@ -229,8 +210,8 @@ static void check_needed(const char *const given[ALL])
     if (given[INTERFACE] == NULL) {
         fail(INTERFACE, "missing", "see --help");
     }
-    if (given[IDS] == NULL) {
-        fail(IDS, "missing", "see --help");
+    if (given[ID] == NULL) {
+        fail(ID, "missing", "see --help");
     }
     if ((given[LOCKSTEP] != NULL) + (given[OBSERVATIONS] != NULL) + (given[SENSOR] != NULL) != 1) {
         fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
@@ -238,21 +219,7 @@ static void check_needed(const char *const given[ALL])
     }
 }
 
-static void check_many(const options_t *options)
-{
-    const char *const sensor = options->sensor, *const state = options->state;
-    if (options->robots > 1 && sensor != NULL) {
-        fail(SENSOR, sensor, "one sensor is for one robot; choose --observations or --lockstep");
-    }
-    if (options->robots > 1 && state != NULL && strstr(state, ID_IN_NAME) == NULL) {
-        fail(STATE, state, "robots need a file each: write {id} where the id is to stand");
-    }
-    if (state != NULL && strlen(state) >= PATH_MAX) {
-        fail(STATE, state, "choose a shorter path");
-    }
-}
-
-static void check_numbers(const node_settings_t *node, const char *const given[ALL])
+static void check_values(const node_settings_t *node, const char *const given[ALL])
 {
     const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
     const uint16_t command = node->command.subject;
@@ -272,19 +239,19 @@ static void check_numbers(const node_settings_t *node, const char *const given[A
 
 static node_settings_t node_settings(const char *const given[ALL])
 {
-    const node_settings_t settings = {
-        .table = MCP_ASDF_NODE_TABLE,
-        .comms_period = number(given, COMMS_PERIOD),
-        .filter_period = number(given, FILTER_PERIOD),
-        .memory = number(given, MEMORY),
-        .filter = filter(given),
-        .estimate = {(uint16_t)number(given, SUBJECT), (uint8_t)number(given, PRIORITY)},
-        .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
-        .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
-        .b_hat = b_hat(given[B_HAT]),
-        .ticks_per_second = number(given, RATE),
-        .telemetry_period = number(given, TELEMETRY_PERIOD),
-        .lockstep = given[LOCKSTEP] != NULL};
+    const node_settings_t settings = {.table = MCP_ASDF_NODE_TABLE,
+                                      .comms_period = number(given, COMMS_PERIOD),
+                                      .filter_period = number(given, FILTER_PERIOD),
+                                      .memory = number(given, MEMORY),
+                                      .filter = filter(given),
+                                      .estimate = {(uint16_t)number(given, SUBJECT), 4},
+                                      .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
+                                      .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
+                                      .b_hat = b_hat(given[B_HAT]),
+                                      .ticks_per_second = number(given, RATE),
+                                      .telemetry_period = number(given, TELEMETRY_PERIOD),
+                                      .id = (uint8_t)number(given, ID),
+                                      .lockstep = given[LOCKSTEP] != NULL};
     return settings;
 }
 
@@ -294,27 +261,14 @@ void options_read(options_t *options, int count, char *const arguments[])
     collect(given, count, arguments);
     answer_questions(given);
     check_needed(given);
-    options_t read = {.node = node_settings(given),
-                      .interface = given[INTERFACE],
-                      .observations = given[OBSERVATIONS],
-                      .sensor = given[SENSOR],
-                      .state = given[STATE],
-                      .save_period = number(given, SAVE_PERIOD),
-                      .ticks = number(given, TICKS),
-                      .receive_buffer = number(given, RECEIVE_BUFFER)};
-    ids(given[IDS], &read.node.id, &read.robots);
-    check_many(&read);
-    check_numbers(&read.node, given);
+    const options_t read = {.node = node_settings(given),
+                            .interface = given[INTERFACE],
+                            .observations = given[OBSERVATIONS],
+                            .sensor = given[SENSOR],
+                            .state = given[STATE],
+                            .save_period = number(given, SAVE_PERIOD),
+                            .ticks = number(given, TICKS),
+                            .receive_buffer = number(given, RECEIVE_BUFFER)};
+    check_values(&read.node, given);
     *options = read;
-}
-
-const char *options_state(char path[PATH_MAX], const options_t *options, uint8_t id)
-{
-    const char *const place = strstr(options->state, ID_IN_NAME);
-    if (place == NULL) {
-        return options->state;
-    }
-    (void)snprintf(path, PATH_MAX, "%.*s%u%s", (int)(place - options->state), options->state, id,
-                   place + strlen(ID_IN_NAME));
-    return path;
 }

@@ -4,15 +4,12 @@
 
 #include "../node/node.h"
 
-#include <limits.h>
-
 typedef struct {
-    node_settings_t node; /* of the first robot; the others have the next ids */
-    unsigned robots;
+    node_settings_t node;
     const char *interface;
     const char *observations; /* a stream, or NULL */
     const char *sensor;       /* a file read in every tick, or NULL */
-    const char *state;        /* a file, or NULL; {id} stands for the robot's id */
+    const char *state;        /* a file, or NULL */
     uint32_t save_period;     /* ticks; 0: at the end only */
     uint32_t ticks;           /* to do; 0: no limit */
     uint32_t receive_buffer;  /* bytes; 0: the kernel's default */
@@ -23,8 +20,5 @@ typedef struct {
 /* Read the command line into *options, which need not be filled. Ends the program after --help and --version,
  * and with EXIT_USAGE and a message that names the value and the fix if something is wrong. */
 void options_read(options_t *options, int count, char *const arguments[]);
-
-/* The name of a robot's state file; `path` is room for it. */
-const char *options_state(char path[PATH_MAX], const options_t *options, uint8_t id);
 
 #endif

@@ -15,7 +15,8 @@ int source_open(source_t *source)
     return source->fd < 0 ? errno : 0;
 }
 
-/* Opened again each time: a file that was replaced is a new one. */
+/* Opened again each time: a file that was replaced is a new one. Here and below MCP_ASDF_SETTLE, which no one
+ * sees, stands for no observation that has come. */
 static mcp_asdf_action_t sense(source_t *source)
 {
     char colour = 0;
@@ -29,7 +30,7 @@ static mcp_asdf_action_t sense(source_t *source)
     if (colour == '1') {
         return MCP_ASDF_OBSERVE_BLACK;
     }
-    return colour == '0' ? MCP_ASDF_OBSERVE_WHITE : MCP_ASDF_OBSERVE_NONE;
+    return colour == '0' ? MCP_ASDF_OBSERVE_WHITE : MCP_ASDF_SETTLE;
 }
 
 /* Make sure that the buffer has a character, if that needs no waiting. */
@@ -49,7 +50,7 @@ static bool fill(source_t *source)
     return size > 0;
 }
 
-static bool take(source_t *source, mcp_asdf_action_t *seen)
+static mcp_asdf_action_t take(source_t *source)
 {
     static const char symbols[] = "01-"; /* at the places of mcp_asdf_action_t */
     while (source->odd == 0 && fill(source)) {
@@ -63,36 +64,19 @@ static bool take(source_t *source, mcp_asdf_action_t *seen)
         ++source->at;
         ++source->taken;
         if (found != NULL) {
-            *seen = (mcp_asdf_action_t)(found - symbols);
-            return true;
+            return (mcp_asdf_action_t)(found - symbols);
         }
     }
-    return false;
+    return MCP_ASDF_SETTLE;
 }
 
-static bool take_row(source_t *source)
+bool source_next(source_t *source, mcp_asdf_action_t *seen)
 {
-    while (source->in_row < source->robots && take(source, &source->row[source->in_row])) {
-        ++source->in_row;
+    *seen = source->is_sensor ? sense(source) : take(source);
+    const bool has_come = *seen != MCP_ASDF_SETTLE;
+    if (!has_come) {
+        *seen = MCP_ASDF_OBSERVE_NONE;
+        source->missing += !source->has_ended;
     }
-    return source->in_row == source->robots;
-}
-
-bool source_next(source_t *source, mcp_asdf_action_t seen[SOURCE_MOST_ROBOTS])
-{
-    bool has_come;
-    if (source->is_sensor) {
-        source->row[0] = sense(source);
-        has_come = source->row[0] != MCP_ASDF_OBSERVE_NONE;
-    } else {
-        has_come = take_row(source);
-    }
-    for (unsigned i = 0; i < source->robots; ++i) {
-        seen[i] = has_come ? source->row[i] : MCP_ASDF_OBSERVE_NONE;
-    }
-    if (has_come) {
-        source->in_row = 0;
-    }
-    source->missing += !has_come && !source->has_ended;
     return has_come;
 }

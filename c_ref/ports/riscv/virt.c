@@ -1,5 +1,5 @@
 /* QEMU's RISC-V board "virt": start, and exit by SiFive's test device. */
-#include "uart.h"
+#include "../uart.h"
 
 #include "../port.h"
 

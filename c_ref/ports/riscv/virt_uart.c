@@ -1,6 +1,6 @@
 /* The serial line of QEMU's RISC-V board "virt": a 16550, whose interrupt goes through SiFive's controller
  * (PLIC). */
-#include "uart.h"
+#include "../uart.h"
 
 #include "../port.h"
 

@@ -1,35 +1,35 @@
-/* The state's file; image.h is the manual. */
-#include "image.h"
+/* The state's file; state.h is the manual. */
+#include "state.h"
 
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
 #include <stdio.h>
+#include <string.h>
 #include <unistd.h>
 
-image_status_t image_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id)
+const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config)
 {
     uint8_t image[MCP_ASDF_IMAGE_SIZE + 1];
     mcp_asdf_t loaded;
     const int fd = open(path, O_RDONLY | O_CLOEXEC);
     if (fd < 0) {
-        return errno == ENOENT ? IMAGE_ABSENT : IMAGE_UNREADABLE;
+        return errno == ENOENT ? NULL : strerror(errno);
     }
     const ssize_t size = read(fd, image, sizeof image);
     const int error = errno;
     (void)close(fd);
     if (size < 0) {
-        errno = error;
-        return IMAGE_UNREADABLE;
+        return strerror(error);
     }
     if (size != MCP_ASDF_IMAGE_SIZE || mcp_asdf_restore(&loaded, config, image) != MCP_ASDF_OK) {
-        return IMAGE_REFUSED;
+        return "it is damaged, or does not fit the periods and the memory";
     }
-    if (loaded.id != id) {
-        return IMAGE_OF_ANOTHER;
+    if (loaded.id != robot->id) {
+        return "it is that of another robot";
     }
     *robot = loaded;
-    return IMAGE_OK;
+    return NULL;
 }
 
 static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
@@ -46,7 +46,7 @@ static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE]
     return close(fd) == 0 || error != 0 ? error : errno;
 }
 
-int image_save(const char *path, const mcp_asdf_t *robot)
+int state_save(const char *path, const mcp_asdf_t *robot)
 {
     char temporary[PATH_MAX];
     uint8_t image[MCP_ASDF_IMAGE_SIZE];

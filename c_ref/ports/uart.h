@@ -1,4 +1,4 @@
-/* The one part of a Cortex-M port that differs from chip to chip. */
+/* The serial line of a board with a start-up file of ours. */
 #ifndef MCP_ASDF_PORT_UART_H
 #define MCP_ASDF_PORT_UART_H
 

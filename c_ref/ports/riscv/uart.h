@@ -1,8 +1,0 @@
-/* The serial line of a RISC-V board. */
-#ifndef MCP_ASDF_PORT_UART_H
-#define MCP_ASDF_PORT_UART_H
-
-/* Switch the serial line on; called once, before main(). */
-void uart_start(void);
-
-#endif
