@@ -27,7 +27,7 @@ from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.recording.recording import LogOutputs
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.processes import NodeProcesses, node_processes
+from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
@@ -199,10 +199,9 @@ def _admit(plan: _Plan, stack: ExitStack) -> int | None:
 def _start(plan: _Plan) -> NodeProcesses:
     """The robots' processes; none unless asked for."""
     settings = plan.settings
-    if not plan.args.processes:
-        return NodeProcesses({})
-    subjects = Subjects(estimates=settings.frames)
-    return node_processes(settings.records(), plan.choice.of_robot, subjects, settings.steps_per_second)
+    robots = settings.records() if plan.args.processes else []
+    subjects = Subjects(estimates=settings.frames) if robots else Subjects()
+    return NodeProcesses(robots, plan.choice.of_robot, subjects, settings.steps_per_second)
 
 
 @contextmanager

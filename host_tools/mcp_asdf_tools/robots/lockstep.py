@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from typing import NoReturn
+from typing import TypeVar
 
 import can
 
@@ -39,6 +39,9 @@ DRIVER_ID = 126
 
 _SLICE = 0.1
 """Seconds between two checks while waiting."""
+
+
+Answer = TypeVar("Answer")
 
 
 class LockstepError(RuntimeError):
@@ -77,7 +80,7 @@ class Lockstep:
         self._commands = 0
         self._estimates: dict[int, Message] = {}
         self._telemetry: dict[int, Telemetry] = {}
-        self._answers: dict[int, int] = {}
+        self._turns: dict[int, int] = {}
         self._orders: Mapping[int, Action] = {}
 
     def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
@@ -106,10 +109,7 @@ class Lockstep:
 
         Raises LockstepError if one sends none within the time limit.
         """
-        waiting = set(robots) - self._estimates.keys()
-        for _ in self._frames_until_none(waiting, "broadcast its estimate", self._timeout, self._orders):
-            waiting.difference_update(self._estimates)
-        return {robot: self._estimates[robot] for robot in robots}
+        return self._answers(robots, self._estimates, "broadcast its estimate")
 
     def settle(self, robots: Collection[int]) -> dict[int, Telemetry]:
         """Let ``robots`` settle and end the tick; returns their answers by id.
@@ -119,13 +119,11 @@ class Lockstep:
         """
         self._telemetry.clear()
         self._order(dict.fromkeys(robots, Action.SETTLE))
-        waiting = set(robots)
-        for _ in self._frames_until_none(waiting, "settle", self._timeout, self._orders):
-            waiting.difference_update(self._telemetry)
-        for robot in robots:
-            self._check_turn(self._telemetry[robot])
+        answers = self._answers(robots, self._telemetry, "settle")
+        for answer in answers.values():
+            self._check_turn(answer)
         self.tick += 1
-        return {robot: self._telemetry[robot] for robot in robots}
+        return answers
 
     def leave_open(self, distance: int = 1) -> None:
         """End the tick without a *settle*, as if all were lost: robots end it when they observe again.
@@ -137,19 +135,16 @@ class Lockstep:
     def _check_turn(self, answer: Telemetry) -> None:
         """Check the answer's transfer_id, which counts settles: it reveals stray answers and restarts."""
         robot, number = answer.sender, answer.transfer_id
-        expected = self._answers.get(robot, number)
+        expected = self._turns.get(robot, number)
         if number != expected:
             raise LockstepError(
                 f"robot {robot} answered in tick {self.tick} with transfer_id {number}, not {expected} "
                 f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
             )
-        self._answers[robot] = (number + 1) % TRANSFER_IDS
+        self._turns[robot] = (number + 1) % TRANSFER_IDS
 
     def _order(self, orders: Mapping[int, Action]) -> None:
         self._orders = orders
-        self._send(orders)
-
-    def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
         for robot, action in orders.items():
             command = Command(DRIVER_ID, self.tick, robot, action, self._commands % TRANSFER_IDS)
@@ -158,6 +153,13 @@ class Lockstep:
         send_all(self._bus, frames, self._timeout)
         for frame in frames:
             self._watch(frame)
+
+    def _answers(self, robots: Collection[int], found: Mapping[int, Answer], what: str) -> dict[int, Answer]:
+        """What is ``found`` of each robot, by id, once all is there."""
+        waiting = set(robots) - found.keys()
+        for _ in self._frames_until_none(waiting, what, self._timeout, self._orders):
+            waiting.difference_update(found)
+        return {robot: found[robot] for robot in robots}
 
     def _frames_until_none(
         self, waiting: set[int], what: str, seconds: float, orders: Mapping[int, Action] | None = None
@@ -173,7 +175,9 @@ class Lockstep:
             now = time.monotonic()
             passed = now - began
             if again and passed > seconds / 2:
-                self._repeat({robot: action for robot, action in again.items() if robot in waiting})
+                late = {robot: action for robot, action in again.items() if robot in waiting}
+                self.repeated += len(late)
+                self._order(late)
                 again, began = {}, time.monotonic() - seconds / 2
             left = (seconds / 2 if again else seconds) - passed
             frame = self._bus.recv(min(_SLICE, max(0.0, left)))
@@ -186,18 +190,11 @@ class Lockstep:
                 yield frame
             # Frames in the queue count even if they are late, but not without end.
             if waiting and passed > (seconds if frame is None else 2 * seconds):
-                self._give_up(waiting, f"{what} within {seconds:g} s")
-
-    def _repeat(self, orders: Mapping[int, Action]) -> None:
-        self.repeated += len(orders)
-        self._send(orders)
-
-    def _give_up(self, waiting: Collection[int], what: str) -> NoReturn:
-        names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
-        raise LockstepError(
-            f"robot {names} did not {what} on {self._bus.channel_info}; is it there, in lockstep, with these "
-            "ids and subjects?"
-        )
+                names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
+                raise LockstepError(
+                    f"robot {names} did not {what} within {seconds:g} s on {self._bus.channel_info}; is it "
+                    "there, in lockstep, with these ids and subjects?"
+                )
 
     def _take(self, frame: can.Message) -> None:
         estimate = decode(frame, self._subjects.estimates)

@@ -216,7 +216,6 @@ class BusLink:
         endures: Whether to go on when the bus fails, as in real time.
         log: Takes all frames sent and received; they are stamped with the time of day.
         failures: How often sending or receiving failed.
-        last_failure: The last reason.
     """
 
     bus: can.BusABC
@@ -224,7 +223,6 @@ class BusLink:
     endures: bool = False
     log: FrameTaker | None = None
     failures: int = 0
-    last_failure: str | None = None
 
     def send(self, frame: can.Message) -> bool:
         """Put a frame on the bus; returns whether that succeeded.
@@ -271,7 +269,6 @@ class BusLink:
 
     def _note(self, error: can.CanError) -> None:
         self.failures += 1
-        self.last_failure = str(error)
         if not self.endures:
             raise error
 
@@ -323,18 +320,13 @@ def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> 
     """
     for frame in frames:
         deadline = time.monotonic() + timeout
-        while not _is_taken(bus, frame, timeout):
-            if time.monotonic() > deadline:
-                raise can.CanTimeoutError(f"the bus took no frame for {timeout:g} s")
-            time.sleep(_PAUSE)
-
-
-def _is_taken(bus: can.BusABC, frame: can.Message, timeout: float) -> bool:
-    """Send a frame; returns whether there was room in the send queue."""
-    try:
-        bus.send(frame, timeout=timeout)
-    except can.CanOperationError as error:
-        if error.error_code != errno.ENOBUFS:
-            raise
-        return False
-    return True
+        while True:
+            try:
+                bus.send(frame, timeout=timeout)
+                break
+            except can.CanOperationError as error:
+                if error.error_code != errno.ENOBUFS:
+                    raise
+                if time.monotonic() > deadline:
+                    raise can.CanTimeoutError(f"the bus took no frame for {timeout:g} s") from error
+                time.sleep(_PAUSE)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
-from numbers import Integral, Real
 from typing import Any, Literal, Self
 
 from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
@@ -67,9 +67,6 @@ class Population(WorldSettings):
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
         except UsageError as error:
             raise ParameterError("omega", str(error)) from None
-        self._check_robots()
-
-    def _check_robots(self) -> None:
         if self.filter_period % self.comms_period:
             raise ParameterError(
                 "filter_period",
@@ -108,7 +105,9 @@ class Population(WorldSettings):
 
     def config(self, robot: int) -> TickConfig:
         """Settings of a robot's firmware. The table covers N - 1 neighbours."""
-        kind = filter_of(self.filters(robot), self.activation)
+        kind = Filter.OFF
+        if self.filters(robot):
+            kind = Filter.ADAPTIVE if self.activation == "adaptive" else Filter.ALWAYS
         table = generate(self.omega, max(2, self.robots - 1)) if kind is Filter.ADAPTIVE else None
         return TickConfig(table, kind, self.comms_period, self.filter_period, self.memory)
 
@@ -118,7 +117,7 @@ class Population(WorldSettings):
 
     def parameters(self) -> dict[str, Any]:
         """All parameters as plain numbers and words, which ``from_parameters`` takes back."""
-        return {name: _plain(getattr(self, name)) for name in parameter_names(type(self))}
+        return {name: _plain(getattr(self, name)) for name in parameters_of(type(self))}
 
     @classmethod
     def from_parameters(cls, parameters: dict[str, Any]) -> Self:
@@ -126,23 +125,11 @@ class Population(WorldSettings):
 
         Raises ParameterError for an unknown name or a value out of range.
         """
-        known = parameter_names(cls)
+        known = parameters_of(cls)
         for key in parameters:
             if key not in known:
                 raise ParameterError(key, f"unknown key {key!r}; known are {', '.join(known)}")
         return cls(**parameters)
-
-
-def filter_of(filters: bool, activation: Activation) -> Filter:
-    """The firmware's filter of a robot that re-estimates its accuracy, or does not."""
-    if not filters:
-        return Filter.OFF
-    return Filter.ADAPTIVE if activation == "adaptive" else Filter.ALWAYS
-
-
-def parameter_names(kind: Any) -> list[str]:
-    """Names of the parameters of a class, in order."""
-    return list(parameters_of(kind))
 
 
 def _plain(value: Any) -> Any:
@@ -153,23 +140,15 @@ def _plain(value: Any) -> Any:
 
 def flawed_count(given: Any, robots: int) -> int:
     """A count or share of ``robots`` as a count. Raises ParameterError if it is neither, or out of range."""
-    count = _count(given, robots)
-    if count is None or not 0 <= count <= robots:
+    text, count = str(given), -1
+    if text.isascii() and text.isdigit():
+        count = int(text)
+    else:
+        with suppress(ValueError):
+            share = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+            count = math.floor(share * robots + 0.5) if 0 <= share <= 1 else -1
+    if not 0 <= count <= robots:
         raise ParameterError(
             "flawed", f"flawed is {given!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3"
         )
     return count
-
-
-def _count(given: Any, robots: int) -> int | None:
-    if isinstance(given, str) and not (given.isascii() and given.isdigit()):
-        number, percent = given.removesuffix("%"), given.endswith("%")
-        try:
-            return _count(float(number) / (100 if percent else 1), robots)
-        except ValueError:
-            return None
-    if isinstance(given, str) or (isinstance(given, Integral) and not isinstance(given, bool)):
-        return int(given)
-    if isinstance(given, Real) and not isinstance(given, bool) and 0 <= float(given) <= 1:
-        return math.floor(float(given) * robots + 0.5)
-    return None

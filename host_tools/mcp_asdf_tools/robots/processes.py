@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -24,17 +24,46 @@ _PATIENCE = 10.0
 class NodeProcesses:
     """Processes of ``mcp-asdf node``. A context manager: entering starts them, leaving ends them all.
 
+    Open the connection that commands them first, then wait until all are up::
+
+        with can_bus as bus, NodeProcesses(robots, lambda robot: choice, Subjects(), 10) as nodes:
+            lockstep = Lockstep(bus, check=nodes.check)
+            lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
+
     They end with this process, however it dies.
 
     Attributes:
         reports: What each node reported at its end, by robot id: ``mcp-asdf node --json``.
     """
 
-    def __init__(self, commands: Mapping[int, Sequence[str]]) -> None:
-        """Prepare a process for each of these ``commands``, by robot id."""
+    def __init__(
+        self,
+        robots: Sequence[RobotRecord],
+        bus_of: Callable[[int], BusChoice],
+        subjects: Subjects,
+        steps_per_second: int,
+    ) -> None:
+        """Prepare a process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
+
+        A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN all processes stay on one processor,
+        see ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
+        """
+        ids = [robot.id for robot in robots]
+        if len(set(ids)) < len(ids):
+            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
         self.reports: dict[int, dict[str, Any]] = {}
-        self._commands = commands
         self._processes: dict[int, subprocess.Popen[str]] = {}
+        self._commands = {
+            robot.id: [
+                *(sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"),
+                *_options(robot, subjects),
+                f"--steps-per-second={steps_per_second}",
+                *bus_of(robot.id).arguments(),
+            ]
+            for robot in robots
+        }
+        if any(bus_of(robot).interface == "socketcan" for robot in ids):
+            keep_order()
 
     def __enter__(self) -> NodeProcesses:
         pipe = subprocess.PIPE
@@ -70,40 +99,6 @@ class NodeProcesses:
                 report = process.communicate()[0]
             with suppress(ValueError):  # it was killed, or failed before it could report
                 self.reports[robot] = json.loads(report)
-
-
-def node_processes(
-    robots: Sequence[RobotRecord],
-    bus_of: Callable[[int], BusChoice],
-    subjects: Subjects,
-    steps_per_second: int,
-) -> NodeProcesses:
-    """A process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
-
-    Open the connection that commands them first, then wait until all are up::
-
-        with can_bus as bus, node_processes(robots, lambda robot: choice, Subjects(), 10) as nodes:
-            lockstep = Lockstep(bus, check=nodes.check)
-            lockstep.wait_until_up([robot.id for robot in robots], timeout=60)
-
-    A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN all processes stay on one processor, see
-    ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
-    """
-    ids = [robot.id for robot in robots]
-    if len(set(ids)) < len(ids):
-        raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-    commands = {
-        robot.id: [
-            *(sys.executable, "-m", "mcp_asdf_tools.cli.main", "node", "--until-eof", "--json"),
-            *_options(robot, subjects),
-            f"--steps-per-second={steps_per_second}",
-            *bus_of(robot.id).arguments(),
-        ]
-        for robot in robots
-    }
-    if any(bus_of(robot).interface == "socketcan" for robot in ids):
-        keep_order()
-    return NodeProcesses(commands)
 
 
 def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.figures import (
@@ -28,8 +27,7 @@ _PANELS = (
     ("x_hat", r"local estimate $\hat{x}$", "f"),
     ("x", r"informed estimate $x$", "f"),
 )
-_BEYOND = 0.02
-"""Share of the time axis behind the last step, which shows what the last filter step changed."""
+_LABELS = ("flawed robots", "healthy robots", "true value")
 
 
 @dataclass(frozen=True)
@@ -63,39 +61,34 @@ def draw_time_series(runs: Sequence[TimeSeries]) -> Figure:
     for row, (name, label, truth) in zip(grid, _PANELS, strict=True):
         row[0].set_ylabel(label, fontsize=MEDIUM)
         row[0].set_ylim(*_limits([(run.values[name], run.truths[truth]) for run in runs]))
-    last = max(1.0, *(float(run.steps[-1]) for run in runs))
-    grid[0, 0].set_xlim(0, (1 + _BEYOND) * last)
-    add_legend(figure, _legend_of(runs))
+    grid[0, 0].set_xlim(0, max(1.0, *(float(run.steps[-1]) for run in runs)))
+    lines = {line.get_label(): line for axes in grid[0] for line in axes.lines}
+    add_legend(figure, [lines[label] for label in _LABELS if label in lines])
     return figure
 
 
 def _draw_panel(axes: Axes, run: TimeSeries, name: str, truth: float, letter: str) -> None:
     """A line for each robot, the flawed ones on top, and the true value."""
     values = run.values[name]
+    style = "steps-post" if name == "b_hat" else "default"  # b_hat stands still between its jumps
     for robot in range(values.shape[1] - 1, -1, -1):
+        color, label = (FLAWED, _LABELS[0]) if robot < run.flawed else (OTHER, _LABELS[1])
         axes.plot(
-            *_line(run.steps, values[:, robot], name),
-            color=FLAWED if robot < run.flawed else OTHER,
+            run.steps,
+            values[:, robot],
+            color=color,
+            label=label,
             linewidth=1.1,
             alpha=0.75,
-            drawstyle="steps-post" if name == "b_hat" else "default",
+            drawstyle=style,
         )
-    axes.axhline(truth, color=INK, linewidth=1.2, linestyle=(0, (5, 3)))
+    axes.axhline(truth, color=INK, label=_LABELS[2], linewidth=1.2, linestyle=(0, (5, 3)))
     place, offset = (1, truth), (3, 0)
     words = f"{letter} = {truth:g}"
     axes.annotate(
         words, place, offset, ("axes fraction", "data"), "offset points", va="center", fontsize=SMALL
     )
     clean(axes)
-
-
-def _line(
-    steps: NDArray[np.float64], values: NDArray[np.float64], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """b_hat stands still between its jumps, so that the last one is followed by what it led to."""
-    if name != "b_hat":
-        return steps, values
-    return np.append(steps, (1 + _BEYOND) * steps[-1]), np.append(values, values[-1])
 
 
 def _limits(shown: Sequence[tuple[NDArray[np.float64], float]]) -> tuple[float, float]:
@@ -105,13 +98,3 @@ def _limits(shown: Sequence[tuple[NDArray[np.float64], float]]) -> tuple[float, 
     high = max(*(float(each.max()) for each in settled), *(truth for _, truth in shown))
     margin = max(0.06 * (high - low), 0.01)
     return low - margin, high + margin
-
-
-def _legend_of(runs: Sequence[TimeSeries]) -> list[Line2D]:
-    robots = {run.values["x"].shape[1] - run.flawed > 0 for run in runs}
-    lines = []
-    if any(run.flawed for run in runs):
-        lines.append(Line2D([], [], color=FLAWED, label="flawed robots"))
-    if True in robots:
-        lines.append(Line2D([], [], color=OTHER, label="healthy robots"))
-    return [*lines, Line2D([], [], color=INK, linestyle="--", label="true value")]

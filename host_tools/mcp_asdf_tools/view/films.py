@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
-from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population, parameter_names
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
@@ -107,7 +108,7 @@ def film_of_log(log: Path) -> Film:
     Raises UsageError if the input log cannot be read, contradicts itself, or is of robots without a world.
     """
     with InputLogReader(input_log_path(log)) as input_log:
-        parameters, names = input_log.header.parameters, parameter_names(Population)
+        parameters, names = input_log.header.parameters, list(parameters_of(Population))
         if not set(names) <= set(parameters):
             raise UsageError(
                 f"{log} is not of a swarm, so there is nothing to see; mcp-asdf replay checks it"

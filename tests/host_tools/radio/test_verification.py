@@ -36,7 +36,7 @@ from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES, Update, update_of
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, markdown
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.processes import node_processes
+from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -532,7 +532,7 @@ def test_a_controller_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
 def test_a_process_is_verified_over_a_real_socket(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     choice, own = multicast(9), record(3, "native", B_HAT, memory=64)
     log = tmp_path / "run.log"
-    with choice.open() as bus, node_processes([own], lambda robot: choice, Subjects(), 10) as nodes:
+    with choice.open() as bus, NodeProcesses([own], lambda robot: choice, Subjects(), 10) as nodes:
         Lockstep(bus, check=nodes.check).wait_until_up({3}, PATIENCE)
         options = f"{CONTROLLER} --memory 64 --verify --robots 5 --steps 5 --timeout 30 --log {log}"
         assert radio(f"{options} {shlex.join(choice.arguments())}") == 0

@@ -13,6 +13,8 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
 from mcp_asdf_tools.bus.frames import (
+    Action,
+    Command,
     FrameFormat,
     Heartbeat,
     Message,
@@ -21,6 +23,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_heartbeat,
     decode_telemetry,
     encode,
+    encode_command,
     encode_heartbeat,
     encode_telemetry,
 )
@@ -45,38 +48,59 @@ def said(frames: list[can.Message]) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize(("comms", "tau"), [(1, 10), (2, 10), (5, 20), (7, 7)])
 def test_nodes_do_what_the_plain_firmware_does(comms: int, tau: int) -> None:
-    """The same state after every tick as by docs/design.md, also after ticks that are not due, without an
-    observation, or with a message that is repeated."""
+    """The same state at any time as by docs/design.md, with commands lost and estimates whenever they come.
+
+    Each observe counts, each round is closed once, and each settle is answered; a tick whose settle is lost
+    ends with the next observe.
+    """
     own = record(5, "mirror", 0.55, comms_period=comms, filter_period=tau)
     plain = MirrorRobot(Config(own.config.table, filter_period=tau // comms), 5, 0.55)
     node, member = RobotNode(own), BusRobot(own, ESTIMATES)
-    draw = random.Random(comms)
-    for tick in range(1, 301):
-        z, replay = draw.choice(SEEN), f"random.Random({comms}), tick {tick}"
-        if z is not None:
-            plain.observe(z)
-        expected = [(plain.x_hat_raw, plain.alpha_raw)] if tick % comms == 0 else []
-        assert said(node.observe(z)) == expected, replay
-        assert said(member.broadcast(z, 0)) == expected, replay
-        for sender in draw.sample(range(6, 20), 5):
+    draw, ticks, unsettled, told = random.Random(comms), 0, 0, -1
+
+    def hear() -> None:
+        for sender in draw.sample(range(6, 20), 4):
             message = Message(sender, draw.randint(0, 1 << 20), ALPHA_ONE, 0)
             plain.receive_raw(sender, message.x_hat, message.alpha)
             frame = encode(message, ESTIMATES)
             member.listen([frame])
             node.hear(frame)
-        if tick % comms == 0:
+
+    def end() -> None:
+        if ticks % comms == 0:
             plain.settle()
-        node.settle()
         member.end()
+
+    for number in range(400):
+        z, replay = draw.choice(SEEN), f"random.Random({comms}), tick {number}"
+        hear()
+        if draw.random() < 0.8:
+            if told >= 0:
+                end()
+            unsettled, ticks, told = unsettled + (told >= 0), ticks + 1, number
+            if z is not None:
+                plain.observe(z)
+            expected = [(plain.x_hat_raw, plain.alpha_raw)] if ticks % comms == 0 else []
+            assert said(node.hear(command(number, Action.observing(z)))) == expected, replay
+            assert said(member.broadcast(z, 0)) == expected, replay
+        hear()
+        if draw.random() < 0.8:
+            answers = [decode_telemetry(frame) for frame in node.hear(command(number, Action.SETTLE))]
+            assert [type(each) for each in answers] == [Telemetry] * (told == number), replay
+            if told == number:
+                end()
+                told = -1
         for robot in (node.robot, member.robot):
             assert isinstance(robot, MirrorRobot)
             assert (robot.state(), robot.x) == (plain.state(), plain.x), replay
-        if comms == 1:
-            assert member.heard == 5
-    assert plain.counters.updates > 0
-    assert comms == 1 or plain.counters.repeated > 0
+    assert plain.counters.updates > 0 and plain.counters.repeated > 0
     assert node.counters == member.counters == plain.counters
-    assert node.ticks == member.ticks == 300
+    assert (node.ticks, member.ticks, node.unsettled) == (ticks, ticks, unsettled)
+    assert node.sent.telemetry > 100 and unsettled > 50
+
+
+def command(tick: int, action: Action) -> can.Message:
+    return encode_command(Command(126, tick, 5, action, 0))
 
 
 def counting(comms_period: int, **counters: int) -> BusRobot:
@@ -95,24 +119,16 @@ def test_a_broadcast_that_did_not_end_its_tick_stays_due() -> None:
 
 
 def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
-    one = counting(1, accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533)
+    """In a long round of many messages, too."""
+    one = counting(10**6, accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533)
     before = one.counters
     assert before == Counters(65_000, 65_533, 1, 65_534, 65_535)
-    for _ in range(1000):
-        one.begin(Observation.BLACK)
-        one.receive(np.array([[sender, 0, ALPHA_ONE] for sender in (6, 6, 6, 7, 5)], np.uint32))
-        one.end()
-    assert one.robot.counters.accepted == (65_000 + 2000) % 2**16
-    assert one.counters == replace(before, accepted=67_000, repeated=67_533, rejected=1001)
-
-
-def test_counters_go_on_in_a_long_round_of_many_messages() -> None:
-    one, messages = counting(10**6), np.array([[5, 0, ALPHA_ONE]] * 1000, np.uint32)
+    messages = np.array([[sender, 0, ALPHA_ONE] for sender in [5] * 998 + [6, 7]], np.uint32)
     for _ in range(300):
         one.begin(None)
         one.receive(messages)
         one.end()
-    assert one.counters == Counters(rejected=300_000)
+    assert one.counters == replace(before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 598)
 
 
 # Records
@@ -152,11 +168,14 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
 
 def transfer_ids(one: BusRobot) -> list[int]:
     """Those of the next estimate, heartbeat and telemetry frame, in a tick of its own."""
-    (estimate,) = one.broadcast(Observation.BLACK, 0)
-    heartbeat, telemetry = one.heartbeat(0), one.telemetry(0)
+    (estimate,) = one.broadcast(SEEN[one.ticks % 2], 7.5)
+    heartbeat, telemetry = one.heartbeat(1.5), one.telemetry(2.5)
     one.end()
+    assert [each.timestamp for each in (estimate, heartbeat, telemetry)] == [7.5, 1.5, 2.5]
     found = decode(estimate, ESTIMATES), decode_heartbeat(heartbeat), decode_telemetry(telemetry)
     assert [type(each) for each in found] == [Message, Heartbeat, Telemetry]
+    assert isinstance(told := found[2], Telemetry)
+    assert (told.x, told.b_hat) == (int(one.robot.x * 2**23), int(one.robot.b_hat * 2**24))
     return [each.transfer_id for each in found if isinstance(each, Message | Heartbeat | Telemetry)]
 
 
@@ -169,18 +188,6 @@ def test_each_kind_is_numbered_anew_only_when_a_crash_loses_the_state(loses_stat
     before = 0 if loses_state else 40
     assert (one.robot.t, one.ticks) == (before, before)
     assert transfer_ids(one) == [before % 32] * 3
-
-
-def test_telemetry_is_the_state_and_frames_have_their_time() -> None:
-    one = BusRobot(record(5), ESTIMATES)
-    for number in range(30):
-        (estimate,) = one.broadcast(SEEN[number % 2], 7.5)
-        one.end()
-    telemetry, heartbeat = one.telemetry(2.5), one.heartbeat(1.5)
-    told = decode_telemetry(telemetry)
-    assert isinstance(told, Telemetry)
-    assert (told.x, told.b_hat) == (int(one.robot.x * 2**23), int(one.robot.b_hat * 2**24))
-    assert (estimate.timestamp, telemetry.timestamp, heartbeat.timestamp) == (7.5, 2.5, 1.5)
 
 
 def frames_of_all_kinds() -> list[can.Message]:
@@ -227,25 +234,20 @@ def test_a_stranger_is_counted_but_does_not_reach_the_firmware_and_the_dead_hear
 def test_events_tell_what_happened_to_a_robot() -> None:
     """A crash that loses the state is among them, and one that keeps it is not."""
     lines: list[str] = []
-    one = BusRobot(record(5), ESTIMATES, Recorder(5, lines.append))
+    recorder = Recorder(5, lines.append)
+    one = BusRobot(record(5), ESTIMATES, recorder)
     for loses_state in (False, True):
         one.die(loses_state)
         one.wake()
         one.broadcast(Observation.WHITE, 0)
         one.listen([encode(Message(sender, 3, ALPHA_ONE, 0), ESTIMATES) for sender in (6, 7)])
         one.end()
-    heard = f"[6,3,{ALPHA_ONE}],[7,3,{ALPHA_ONE}]"
-    assert lines == [f"[5,0,{heard},3]\n", f'[5,"restart",0,{heard},3]\n']
-
-
-def test_events_tell_what_became_of_a_broadcast() -> None:
-    lines: list[str] = []
-    recorder = Recorder(5, lines.append)
-    recorder.flush()
-    assert lines == [], "nothing has happened"
-    recorder.observe(None)
+    one.begin(None)
     recorder.falsified(7, 9)
     recorder.foreign(can.Message(arbitration_id=0x106BB805, data=b"\1\2"))
     recorder.silent()
     recorder.flush()
-    assert lines == ['"106BB805#0102"\n', '[5,2,[7,9],"silent"]\n']
+    recorder.flush()
+    heard = f"[6,3,{ALPHA_ONE}],[7,3,{ALPHA_ONE}]"
+    told = [f"[5,0,{heard},3]", f'[5,"restart",0,{heard},3]', '"106BB805#0102"', '[5,2,[7,9],"silent"]']
+    assert lines == [f"{line}\n" for line in told]

@@ -1,40 +1,39 @@
-"""The picture of runs over time: nothing is hidden, cut off or coloured as what it is not."""
+"""The picture of runs over time: nothing is cut off or coloured as what it is not."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from mcp_asdf_tools.common.figures import FLAWED, OTHER
+from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER
 from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 
-STEPS = np.arange(0.0, 101.0, 10.0)
+STEPS = np.arange(0.0, 101.0)
 
 
-def run_of(b_hat: list[float], x: list[float], last: float = 0.0) -> TimeSeries:
-    """Robots whose values stand still, but for the last of b_hat; the first robot is flawed."""
-    values = {"b_hat": np.tile(b_hat, (11, 1)), "x_hat": np.tile(x, (11, 1)), "x": np.tile(x, (11, 1))}
-    values["b_hat"][-1] += last
-    return TimeSeries("title", STEPS, values, 1, {"b": 0.95, "f": 0.55})
+def test_runs_beside_each_other_share_axes_colours_and_legend() -> None:
+    """Room is for all but the first moments, which are wild; flawed robots lie on top."""
+    values = {name: np.array([[low, high]]).repeat(101, axis=0) for name, low, high in RANGES}
+    for each in values.values():
+        each[:2] = 0.0, 1.0
+    other = {name: each * 0.5 for name, each in values.items()}
+    runs = [TimeSeries("title", STEPS, each, 1, {"b": 0.95, "f": 0.55}) for each in (values, other)]
+    figure = draw_time_series(runs)
+    grid = np.array(figure.axes).reshape(3, 2)
+    for pair, (name, low, high), truth in zip(grid, RANGES, (0.95, 0.55, 0.55), strict=True):
+        least, most = min(low / 2, truth), max(high, truth)
+        margin = max(0.06 * (most - least), 0.01)
+        for axes, run in zip(pair, runs, strict=True):
+            assert np.allclose(axes.get_ylim(), (least - margin, most + margin))
+            assert axes.get_xlim() == (0, 100)
+            assert [line.get_color() for line in axes.lines] == [OTHER, FLAWED, INK]
+            assert np.array_equal(
+                np.transpose([line.get_ydata() for line in axes.lines[1::-1]]), run.values[name]
+            )
+            assert np.asarray(axes.lines[2].get_ydata()).tolist() == [truth] * 2
+            assert axes.lines[0].get_drawstyle() == ("steps-post" if name == "b_hat" else "default")
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["flawed robots", "healthy robots", "true value"]
+    assert [axes.get_title(loc="left") for axes in grid.flat] == ["title"] * 2 + [""] * 4
 
 
-def test_the_last_jump_is_followed_by_what_it_led_to() -> None:
-    (axes, _, _) = draw_time_series([run_of([0.5, 0.7], [0.5, 0.6], last=0.2)]).axes
-    line = axes.lines[0]
-    assert line.get_drawstyle() == "steps-post"
-    assert np.asarray(line.get_ydata())[-2:].tolist() == pytest.approx([0.9, 0.9])
-    assert float(np.asarray(line.get_xdata())[-1]) == axes.get_xlim()[1] > STEPS[-1]
-
-
-def test_runs_beside_each_other_share_their_axes() -> None:
-    low, high = run_of([0.55, 0.95], [0.5, 0.6]), run_of([0.2, 0.95], [0.5, 0.9])
-    grid = np.array(draw_time_series([low, high]).axes).reshape(3, 2)
-    for first, second in grid:
-        assert first.get_ylim() == second.get_ylim()
-    assert grid[0, 0].get_ylim()[0] < 0.2
-
-
-def test_flawed_robots_are_on_top_and_in_their_colour() -> None:
-    (axes, *_) = draw_time_series([run_of([0.55, 0.95], [0.5, 0.5])]).axes
-    assert [line.get_color() for line in axes.lines[:2]] == [OTHER, FLAWED]
-    assert np.asarray(axes.lines[-1].get_ydata()).tolist() == [0.95, 0.95], "the true value"
+RANGES = (("b_hat", 0.5, 0.7), ("x_hat", 0.5, 0.6), ("x", 0.4, 0.58))
