@@ -79,9 +79,9 @@ def robot_at(kind: FixedPointType, config: Config = PLAIN, **fields: int) -> Fix
     return kind.restore(config, rewritten(fresh.save(), **fields))
 
 
-def new(kind: AnyType, config: Config = PLAIN, b_hat: float = 0.75) -> Robot:
+def new(kind: AnyType, config: Config = PLAIN, b_hat: float = 0.75, robot_id: int = OWN_ID) -> Robot:
     """A robot without a past."""
-    return kind(config, OWN_ID, b_hat)
+    return kind(config, robot_id, b_hat)
 
 
 def hear(robot: Robot, *estimates: float, alpha: float = 1.0) -> None:

@@ -6,10 +6,10 @@ for bit, and ``NativeRobot`` is the C itself. See ``mcp_asdf.robot`` for the int
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
 from mcp_asdf.robot import (
     Config,
     Counters,
@@ -25,15 +25,6 @@ from mcp_asdf.table import Table, TableError
 
 if TYPE_CHECKING:
     from mcp_asdf.native import NativeRobot
-    from mcp_asdf.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
-
-_MODULES = {
-    "NativeRobot": "native",
-    "AUTHORS": "reference",
-    "PAPER": "reference",
-    "Conventions": "reference",
-    "ReferenceRobot": "reference",
-}
 
 __all__ = [
     "AUTHORS",
@@ -57,7 +48,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load the compiled firmware and SciPy's functions on demand: the rest works without them."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"mcp_asdf.{_MODULES[name]}"), name)
+    """Load the compiled firmware on demand: the rest works where it has not been built."""
+    if name == "NativeRobot":
+        from mcp_asdf.native import NativeRobot  # noqa: PLC0415
+
+        return NativeRobot
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,11 +7,11 @@ Units: x_hat, x_bar and x 2**-23; b_hat 2**-32. alpha is a word: a mantissa (bit
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from operator import index
 from typing import TYPE_CHECKING
 
-from mcp_asdf.robot import MAX_ID, Status, Sums, accepted, check_alpha, shown
+from mcp_asdf.robot import MAX_ID, FixedPointRobot, Status, Sums, accepted, check_alpha, shown
 from mcp_asdf.table import MAX_WORD
 
 if TYPE_CHECKING:
@@ -100,41 +100,11 @@ def sums_possible(sums: Sums) -> bool:
     )
 
 
-class FixedPointView(ABC):
+class FixedPointView(FixedPointRobot):
     """Floats in and out of a robot that computes in integers. Every value but ``beta`` is exact.
 
     What reaches the robot's own ``_receive`` are Python's integers.
     """
-
-    @property
-    @abstractmethod
-    def b_hat_raw(self) -> int:
-        """b_hat in units of 2**-32."""
-
-    @property
-    @abstractmethod
-    def x_hat_raw(self) -> int:
-        """x_hat in units of 2**-23."""
-
-    @property
-    @abstractmethod
-    def alpha_raw(self) -> int:
-        """alpha as the firmware's word."""
-
-    @property
-    @abstractmethod
-    def x_bar_raw(self) -> int:
-        """x_bar in units of 2**-23."""
-
-    @property
-    @abstractmethod
-    def beta_raw(self) -> int:
-        """beta in units of 2**-24."""
-
-    @property
-    @abstractmethod
-    def x_raw(self) -> int:
-        """x in units of 2**-23."""
 
     @abstractmethod
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
@@ -149,14 +119,9 @@ class FixedPointView(ABC):
 
         Raises ValueError, and changes nothing, for an ``alpha`` that is no word of 32 bits.
         """
-        match sender, x_hat, alpha:
-            case int(), int(), int():  # the usual case, faster than one by one
-                pass
-            case _:
-                sender, x_hat, alpha = index(sender), index(x_hat), index(alpha)
         if not 0 <= alpha <= MAX_WORD:
             raise ValueError(f"alpha is {alpha}; the firmware's word has 32 bits")
-        return self._receive(sender, x_hat, alpha)
+        return self._receive(index(sender), index(x_hat), index(alpha))
 
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
         """``receive_raw`` of several messages in order; returns how many were accepted."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field, fields
+from operator import index
 
 from mcp_asdf.fixed_point import (
     ALPHA_MAX,
@@ -37,7 +38,6 @@ from mcp_asdf.robot import (
     check_identity,
     check_settings,
     check_table,
-    whole_number,
 )
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 
@@ -235,12 +235,12 @@ class MirrorRobot(FixedPointView):
         check_config(config)
         check_identity(robot_id, b_hat)
         self.config = config
-        period = whole_number(config.filter_period)
-        self.s = State(whole_number(robot_id), accuracy_of(b_hat_to_raw(b_hat)), period)
+        period = index(config.filter_period)
+        self.s = State(index(robot_id), accuracy_of(b_hat_to_raw(b_hat)), period)
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and form x_hat and alpha."""
-        s, seen = self.s, whole_number(z)
+        s, seen = self.s, index(z)
         if seen not in (0, 1):
             return Status.ERR_OBSERVATION
         s.t += 1
@@ -276,7 +276,7 @@ class MirrorRobot(FixedPointView):
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
-            s.filter_left = whole_number(self.config.filter_period)
+            s.filter_left = index(self.config.filter_period)
             updated = self._filter()
         s.open, s.heard = Sums(), [0, 0, 0, 0]
         return Status.UPDATED if updated else Status.OK

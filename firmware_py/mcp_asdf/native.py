@@ -7,8 +7,9 @@ from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
+from operator import index
 from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary
 
@@ -22,7 +23,6 @@ from mcp_asdf.robot import (
     FirmwareError,
     Observation,
     Status,
-    whole_number,
 )
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
@@ -42,6 +42,11 @@ _REASONS = {
     Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
     Status.ERR_IMAGE: "the image is damaged, of another version or does not fit the configuration",
 }
+
+
+def _reading(function: Callable[[Any], Any], meaning: str) -> Any:
+    """A property that a function of the C reads."""
+    return property(lambda robot: int(function(robot.pointer)), doc=meaning)
 
 
 class NativeRobot(FixedPointView):
@@ -116,45 +121,14 @@ class NativeRobot(FixedPointView):
         """Own id."""
         return int(self.pointer.id)
 
-    @property
-    def t(self) -> int:
-        """Observations counted."""
-        return int(lib.mcp_asdf_t_count(self.pointer))
-
-    @property
-    def n(self) -> int:
-        """Black ones among them."""
-        return int(lib.mcp_asdf_n_count(self.pointer))
-
-    @property
-    def b_hat_raw(self) -> int:
-        """b_hat in units of 2**-32."""
-        return int(lib.mcp_asdf_b_hat(self.pointer))
-
-    @property
-    def x_hat_raw(self) -> int:
-        """x_hat in units of 2**-23."""
-        return int(lib.mcp_asdf_x_hat(self.pointer))
-
-    @property
-    def alpha_raw(self) -> int:
-        """alpha as the firmware's word."""
-        return int(lib.mcp_asdf_alpha(self.pointer))
-
-    @property
-    def x_bar_raw(self) -> int:
-        """x_bar in units of 2**-23; HALF where beta is 0."""
-        return int(lib.mcp_asdf_x_bar(self.pointer))
-
-    @property
-    def beta_raw(self) -> int:
-        """beta in units of 2**-24."""
-        return int(lib.mcp_asdf_beta(self.pointer))
-
-    @property
-    def x_raw(self) -> int:
-        """x in units of 2**-23."""
-        return int(lib.mcp_asdf_x(self.pointer))
+    t = _reading(lib.mcp_asdf_t_count, "Observations counted.")
+    n = _reading(lib.mcp_asdf_n_count, "Black ones among them.")
+    b_hat_raw = _reading(lib.mcp_asdf_b_hat, "b_hat in units of 2**-32.")
+    x_hat_raw = _reading(lib.mcp_asdf_x_hat, "x_hat in units of 2**-23.")
+    alpha_raw = _reading(lib.mcp_asdf_alpha, "alpha as the firmware's word.")
+    x_bar_raw = _reading(lib.mcp_asdf_x_bar, "x_bar in units of 2**-23; HALF where beta is 0.")
+    beta_raw = _reading(lib.mcp_asdf_beta, "beta in units of 2**-24.")
+    x_raw = _reading(lib.mcp_asdf_x, "x in units of 2**-23.")
 
     @property
     def counters(self) -> Counters:
@@ -206,7 +180,7 @@ def _share(config: Config) -> _SharedConfig:
 
 def _fit(value: int, most: int, refused: int | None = None) -> int:
     """``value`` if the C type holds it, else a number that the C refuses: ``refused``, or the largest."""
-    value = whole_number(value)
+    value = index(value)
     if 0 <= value <= most:
         return value
     return most if refused is None else refused

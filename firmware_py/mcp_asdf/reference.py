@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
+from operator import index
 from statistics import mean, stdev
 from typing import NamedTuple
 
@@ -33,7 +34,6 @@ from mcp_asdf.robot import (
     check_settings,
     check_table,
     shown,
-    whole_number,
 )
 
 UNINFORMATIVE = 2.0**-12
@@ -41,13 +41,11 @@ UNINFORMATIVE = 2.0**-12
 
 MAX_OMEGA = 0.9
 COUNTER_MODULUS = 2**16
-WEIGHT_EXPONENT = 500
-"""Weights are scaled to 2**500: their products with x_hat keep all bits down to x_hat's own least."""
 
 
 @dataclass(frozen=True)
 class Conventions:
-    """Where the firmware, the paper's Algorithm 1 and its authors' programs differ.
+    """Where the firmware and the authors' programs differ.
 
     Attributes:
         lost_degrees: The t-score has m - ``lost_degrees`` degrees of freedom.
@@ -59,8 +57,6 @@ class Conventions:
         clamp_at: A quotient of eq. 8 at most ``clamp_at`` or at least 1 - ``clamp_at`` ...
         clamp_to: ... becomes ``clamp_to`` or 1 - ``clamp_to``.
         zero_confidence: Value in place of alpha = 0 once there is an observation.
-        stale_social: A round without messages leaves the social values and the test's sample as they
-            were (Algorithm 1 to the letter); otherwise it empties them.
     """
 
     lost_degrees: int = 1
@@ -69,14 +65,10 @@ class Conventions:
     clamp_at: float = B_HAT_MARGIN
     clamp_to: float = B_HAT_MARGIN
     zero_confidence: float = 0.0
-    stale_social: bool = False
 
 
 PAPER = Conventions()
 """The paper's equations with the firmware's meanings at their edges."""
-
-ALGORITHM_1 = replace(PAPER, stale_social=True)
-"""As PAPER, but without neighbours the last social values are used again."""
 
 AUTHORS = Conventions(
     lost_degrees=0, strict=False, guarded=False, clamp_at=0.0, clamp_to=1e-6, zero_confidence=1e-6
@@ -130,7 +122,7 @@ def social_estimate(messages: Sequence[Message]) -> float:
 
 
 def social_confidence(messages: Sequence[Message]) -> float:
-    """beta >= 0 (eq. 6); 0 without messages. Raises OverflowError above float64's range. O(m)."""
+    """beta >= 0 (eq. 6); 0 without messages. O(m)."""
     _check_messages(messages)
     return math.fsum(message.alpha for message in messages)
 
@@ -220,15 +212,10 @@ def _quotient(numerator: float, denominator: float) -> float:
 
 
 def _weighted_mean(messages: Sequence[Message], undefined: float) -> float:
-    """Scaling by a power of two changes no bit, but where a product or a sum would leave float64's range."""
     _check_messages(messages)
-    largest = max((message.alpha for message in messages), default=0.0)
-    if largest == 0:
-        return undefined
-    shift = WEIGHT_EXPONENT - math.frexp(largest)[1]
-    weights = [math.ldexp(message.alpha, shift) for message in messages]
-    moments = [weight * message.x_hat for weight, message in zip(weights, messages, strict=True)]
-    return math.fsum(moments) / math.fsum(weights)
+    beta = math.fsum(message.alpha for message in messages)
+    moments = (message.alpha * message.x_hat for message in messages)
+    return math.fsum(moments) / beta if beta else undefined
 
 
 class ReferenceRobot:
@@ -251,7 +238,7 @@ class ReferenceRobot:
         check_settings(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
         check_identity(robot_id, b_hat)
-        self._config, self._id, self._conventions = config, whole_number(robot_id), conventions
+        self._config, self._id, self._conventions = config, index(robot_id), conventions
         self._t, self._n, self._b_hat = 0, 0, float(b_hat)
         self._own = Message(x_hat=0.5, alpha=0.0)
         self._open: dict[int, Message] = {}
@@ -261,7 +248,7 @@ class ReferenceRobot:
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and form x_hat and alpha. O(1)."""
-        if whole_number(z) not in (Observation.WHITE, Observation.BLACK):
+        if index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
         self._n += z == Observation.BLACK
@@ -275,7 +262,7 @@ class ReferenceRobot:
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Take a neighbour's message into the open round; raises as the interface says. O(1)."""
-        sender = whole_number(sender)
+        sender = index(sender)
         check_alpha(alpha)
         status = self._check_message(sender, x_hat)
         if status < Status.OK:
@@ -290,8 +277,7 @@ class ReferenceRobot:
 
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds. O(m)."""
-        if self._open or not self._conventions.stale_social:
-            self._round = [message for message in self._open.values() if message.alpha > 0]
+        self._round = [message for message in self._open.values() if message.alpha > 0]
         self._open = {}
         self._filter_left -= 1
         if self._filter_left:

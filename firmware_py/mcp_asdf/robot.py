@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from operator import index
-from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from mcp_asdf.table import Table, TableError
 
@@ -263,17 +262,6 @@ class FixedPointRobot(Robot, Protocol):
     @property
     def x_raw(self) -> int:
         """x in units of 2**-23."""
-
-
-def whole_number(value: SupportsIndex) -> int:
-    """An integer of any kind as an ``int``, whose size is unlimited. Raises TypeError for other types. O(1).
-
-    What is an ``int`` already stays what it is, so that counting integers can run this code.
-    """
-    match value:
-        case int():
-            return value
-    return index(value)
 
 
 def check_settings(config: Config) -> None:

@@ -1,5 +1,5 @@
 """How far x_hat, alpha, x_bar and b_hat are from the paper's equations, for all inputs: the limits of
-tests/exact.py.
+the cross-check (exact.py).
 
 Two parts with the same names. The first says which numbers the C forms: each function that the limits depend
 on equals a formula of calls, whatever the called functions compute. The second says of each rounding, by what
@@ -249,7 +249,7 @@ def of_quotient() -> Iterator[Claim]:
 
 
 def of_b_hat() -> Iterator[Claim]:
-    """b_hat of eq. 8 is as far off as tests/exact.py allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
+    """b_hat of eq. 8 is as far off as the cross-check (exact.py) allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
 
     With u = |2 x_bar - 1|, exact and as formed, eq. 8 is 1/2 + y / u, and y = n / t - 1/2 or its negative.
     """

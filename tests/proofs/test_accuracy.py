@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import z3
 
-import exact
+from mcp_asdf_tools.crosscheck import exact
 from proofs import accuracy, sums
 from proofs.core import CORE
 from proofs.formulas import Claims
@@ -69,7 +69,7 @@ def test_nothing_is_proved_from_a_contradiction(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("b", [Fraction(1, 2) + Fraction(1, 2**12), Fraction(3, 5), Fraction(99, 100)])
 def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
-    """The roundings' shares, multiplied, are what tests/exact.py allows and docs/design.md states."""
+    """The roundings' shares, multiplied, are what the cross-check allows and docs/design.md states."""
     below, above = exact.alpha_error(1, 2, b)
     r = 1 / abs(2 * b - 1)
     kept = (1 - accuracy.BELOW[0]) * (1 - accuracy.BELOW[1]) * (1 - accuracy.BELOW[2])

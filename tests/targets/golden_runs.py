@@ -7,14 +7,24 @@ calls, so that a microcontroller's flash holds rounds of 127 messages and thousa
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from mcp_asdf.table import Table
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup, TableChoice
 
 TABLE = TableChoice("0.05", 30)
 """The one table of an image."""
-SPOILT_TABLE = TableChoice("0.05", 30, (2, 0))
-"""Stands for any words that are no table."""
+
+
+class _SpoiltTable(TableChoice):
+    """Stands for any words that are no table."""
+
+    def build(self) -> Table:
+        """A table of an impossible omega."""
+        return replace(super().build(), omega_word=0)
+
+
+SPOILT_TABLE = _SpoiltTable(TABLE.omega, TABLE.q)
 
 MASK = 0xFFFFFFFF
 

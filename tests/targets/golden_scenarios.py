@@ -17,7 +17,7 @@ from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, MANTISSA
 from mcp_asdf.mirror import accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_FILTER_PERIOD, MAX_ID, Filter
 from mcp_asdf.table import FRACTION_BITS, Table
-from mcp_asdf_tools.crosscheck.scenario import Call, Setup, build_table
+from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 from targets.golden_runs import SPOILT_TABLE, TABLE, Crowd, GoldenScenario, Run, Xorshift
 
 _LARGEST = 2**32 - 1
@@ -245,7 +245,7 @@ def _filtering() -> Iterator[GoldenScenario]:
         above, below = _crowd(1, m, 3 * HALF // 2), _crowd(1, m, 9)
         yield _scenario(f"rounds of {m}", _USUAL, "step:1", above, "step:0", below, "step:1 step:1")
     for m in (2, 3, 4, 29, 30, 31, MAX_ID):
-        yield _scenario(f"the threshold for {m}", _USUAL, *_at_threshold(build_table(TABLE), m))
+        yield _scenario(f"the threshold for {m}", _USUAL, *_at_threshold(TABLE.build(), m))
     same = _messages([ONE // 3] * 3)
     own = (_jump(_USUAL, 9, 3, _X_HAT, ONE // 3 + apart, _ALPHA, _ALPHA_ONE) for apart in (0, 1, -1))
     agreed = (f"{start} {same} settle" for start in own)

@@ -24,7 +24,7 @@ from mcp_asdf.robot import FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Setup, edited_image, perform
-from targets.golden_runs import MASK, Crowd, GoldenScenario, Run
+from targets.golden_runs import MASK, SPOILT_TABLE, Crowd, GoldenScenario, Run
 from targets.golden_scenarios import edge_scenarios, run_scenarios
 
 MAGIC = 0x5647434D
@@ -121,7 +121,7 @@ def encode(played: Sequence[GoldenScenario]) -> bytes:
 
 def _encode_scenario(scenario: GoldenScenario) -> bytes:
     setup = scenario.setup
-    table = 0 if setup.table is None else 2 if setup.table.replaced else 1
+    table = 0 if setup.table is None else 2 if setup.table is SPOILT_TABLE else 1
     numbers = (setup.filter_period, setup.memory, setup.b_hat)
     head = struct.pack("<IBBBIII", digest(scenario), setup.filter, table, setup.robot_id, *numbers)
     return head + b"".join(map(_encode_item, scenario.items)) + b"\0"

@@ -16,7 +16,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.crosscheck.compare import (
     Check,
-    Disagreement,
+    Failure,
     Firmware,
     Subject,
     compare_firmwares,
@@ -25,7 +25,7 @@ from mcp_asdf_tools.crosscheck.compare import (
 )
 from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
 from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.report import Failure, Result
+from mcp_asdf_tools.crosscheck.report import Result
 from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
 from mcp_asdf_tools.robots.firmwares import load_firmware
 
@@ -70,32 +70,22 @@ def _firmware(name: str) -> Firmware:
 def _check_with(audit: Audit) -> Check:
     """Compare native and mirror, and let ``audit`` judge what they do."""
     native, mirror = _firmware("native"), _firmware("mirror")
-    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.follow(scenario.setup))
+    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.judge)
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
-    finding = _check_with(Audit())(scenario)
-    failure = None if finding is None else _failure(scenario, finding)
+    failure = _check_with(Audit())(scenario)
     status = Subject(_firmware("native"), scenario.setup).last.outcome
-    made = len(scenario.calls) if status == Status.OK.name else 0
+    is_made = status == Status.OK.name
     if as_json:
-        report = {
-            "ok": failure is None,
-            "status": status,
-            "calls": made if finding is None else finding.calls,
-            "failure": None if failure is None else failure.as_dict(),
-        }
-        print(json.dumps(report, indent=2))
+        made = len(failure.scenario.calls) if failure else len(scenario.calls) if is_made else 0
+        report = {"status": status, "calls": made, "failure": failure and failure.as_dict()}
+        print(json.dumps({"ok": failure is None} | report, indent=2))
+    elif failure is None and not is_made:
+        print(f"native and mirror both refuse to make this robot ({status}); no call was made")
     else:
-        print(failure or _agreement(status, made))
+        print(failure or f"native and mirror agree in every bit over {len(scenario.calls)} calls")
     return 0 if failure is None else 1
-
-
-def _agreement(status: str, calls: int) -> str:
-    """The report of a scenario in which nothing is wrong."""
-    if status != Status.OK.name:
-        return f"native and mirror both refuse to make this robot ({status}); no call was made"
-    return f"native and mirror agree in every bit over {calls} calls"
 
 
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
@@ -105,8 +95,9 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     with _progress(args.json) as progress:
         task = progress.add_task("calls", total=steps)
         outcome = crosscheck(check, seed, steps, lambda done: progress.update(task, completed=done))
-    failure = None if outcome.failing is None else _explain(outcome.failing)
-    result = Result(seed, outcome, failure, audit, counts, measure_storage())
+    if outcome.failure is not None:
+        outcome.failure = _shortest(outcome.failure)
+    result = Result(seed, outcome, audit, counts, measure_storage())
     if args.json:
         print(json.dumps(result.as_dict(), indent=2))
     else:
@@ -119,19 +110,13 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     return INTERRUPTED if outcome.interrupted else 0
 
 
-def _explain(scenario: Scenario) -> Failure:
+def _shortest(failure: Failure) -> Failure:
     """The shortest scenario that shows the failure; all of it if the search is interrupted."""
-    check = _check_with(Audit())
     try:
-        scenario = shrink(scenario, check)
+        return shrink(failure, _check_with(Audit()))
     except KeyboardInterrupt:
         print("mcp-asdf crosscheck: interrupted; a shorter scenario may show the same", file=sys.stderr)
-    return _failure(scenario, check(scenario))
-
-
-def _failure(scenario: Scenario, finding: Disagreement | None) -> Failure:
-    assert finding is not None
-    return Failure(scenario.with_calls(scenario.calls[: finding.calls]), finding)
+        return failure
 
 
 def _progress(quiet: bool) -> Progress:

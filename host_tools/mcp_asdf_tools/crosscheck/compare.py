@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
@@ -59,15 +59,13 @@ class Subject:
     def _look(self, act: Callable[[], str]) -> Look:
         """Act and look. An exception is an outcome, to be compared like any other."""
         try:
-            outcome = act()
-        except FirmwareError as error:
-            outcome = error.status.name
-        except Exception as error:
-            outcome = f"{type(error).__name__}: {error}"
-        try:
+            try:
+                outcome = act()
+            except FirmwareError as error:
+                outcome = error.status.name
             return Look(outcome, *self._observed())
         except Exception as error:
-            return Look(f"{outcome}, then {type(error).__name__}: {error}", {}, b"")
+            return Look(f"{type(error).__name__}: {error}", {}, b"")
 
     def _make(self, setup: Setup) -> str:
         self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
@@ -77,7 +75,6 @@ class Subject:
         robot = self._robot
         if robot is None:
             return {}, b""
-        counters = robot.counters
         state = robot.state() | {
             "t()": robot.t,
             "n()": robot.n,
@@ -87,12 +84,8 @@ class Subject:
             "x_bar()": robot.x_bar_raw,
             "beta()": robot.beta_raw,
             "x()": robot.x_raw,
-            "accepted()": counters.accepted,
-            "repeated()": counters.repeated,
-            "rejected()": counters.rejected,
-            "tests()": counters.tests,
-            "updates()": counters.updates,
             "holds_invariants()": robot.holds_invariants(),
+            **{f"{name}()": value for name, value in asdict(robot.counters).items()},
         }
         return state, robot.save()
 
@@ -105,59 +98,69 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class Failure:
     """Something wrong in a scenario.
 
     Attributes:
-        calls: Number of calls made when it showed; 0 is the making of the robot.
+        scenario: The robot and the calls made when it showed, if it was made at all.
         problems: One line for each.
     """
 
-    calls: int
+    scenario: Scenario
     problems: tuple[str, ...]
 
+    def as_dict(self) -> dict[str, Any]:
+        """As plain data."""
+        calls = [str(call) for call in self.scenario.calls]
+        return {"problems": list(self.problems), "calls": calls, "replay": str(self.scenario)}
 
-Watcher = Callable[[Call, Look, Look], list[str]]
+    def __str__(self) -> str:
+        calls = self.scenario.calls
+        lines = [f"FAILED at call {len(calls)}; of two values that differ the first is native's"]
+        lines += [f"  {number:3d}  {step}" for number, step in enumerate((self.scenario.setup, *calls))]
+        lines += [f"  wrong: {problem}" for problem in self.problems]
+        return "\n".join([*lines, f"replay: mcp-asdf crosscheck --replay {self.scenario}"])
+
+
+Judge = Callable[[Setup, Call, Look, Look], list[str]]
 """Judges a call by the looks before and after it; returns problems."""
 
-Check = Callable[[Scenario], Disagreement | None]
+Check = Callable[[Scenario], Failure | None]
 
 
 def compare_firmwares(
-    scenario: Scenario, left: Firmware, right: Firmware, watch: Watcher | None = None
-) -> Disagreement | None:
-    """Take both firmwares through the scenario and stop at the first difference or complaint of ``watch``."""
+    scenario: Scenario, left: Firmware, right: Firmware, judge: Judge | None = None
+) -> Failure | None:
+    """Take both firmwares through the scenario and stop at the first difference or complaint of ``judge``."""
     one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
-    if one.last != other.last:
-        return Disagreement(0, tuple(differences(one.last, other.last)))
-    if one.last.outcome not in OUTCOMES:
-        return Disagreement(0, (f"both: {one.last.outcome}",))
+    problems = list(differences(one.last, other.last))
+    if problems:
+        return Failure(scenario.with_calls(()), tuple(problems))
     for made, call in enumerate(scenario.calls if one.last.state else (), start=1):
         before = one.last
-        if one.apply(call) != other.apply(call):
-            return Disagreement(made, tuple(differences(one.last, other.last)))
-        if one.last.outcome not in OUTCOMES:
-            return Disagreement(made, (f"both: {one.last.outcome}",))
-        problems = watch(call, before, one.last) if watch is not None else []
+        problems = list(differences(one.apply(call), other.apply(call)))
+        if judge is not None and not problems:
+            problems = judge(scenario.setup, call, before, one.last)
         if problems:
-            return Disagreement(made, tuple(problems))
+            return Failure(scenario.with_calls(scenario.calls[:made]), tuple(problems))
     return None
 
 
 def differences(left: Look, right: Look) -> Iterator[str]:
-    """Differences, a line each: the first firmware's value, then the second's."""
+    """Differences, a line each: the first firmware's value, then the second's; or an exception of both."""
     if left.outcome != right.outcome:
         yield f"status: {left.outcome}, {right.outcome}"
-    if not left.state or not right.state:  # one has no robot; the status differs, too
+    elif left.outcome not in OUTCOMES:
+        yield f"both: {left.outcome}"
+    if left == right or not left.state or not right.state:
         return
     for name in left.state | right.state:
         one, other = left.state.get(name), right.state.get(name)
         if one != other:
             yield f"{name}: {one}, {other}"
-    words = zip(IMAGE.unpack(left.image), IMAGE.unpack(right.image), strict=True)
-    for index, (one, other) in enumerate(words):
-        if one != other:
-            yield f"save(), word {index}: {one:#010x}, {other:#010x}"
+    for index, words in enumerate(zip(IMAGE.unpack(left.image), IMAGE.unpack(right.image), strict=True)):
+        if words[0] != words[1]:
+            yield f"save(), word {index}: {words[0]:#010x}, {words[1]:#010x}"
 
 
 @dataclass
@@ -167,13 +170,13 @@ class CrosscheckResult:
     Attributes:
         calls: Number of calls made and compared.
         scenarios: Number of scenarios they belonged to.
-        failing: The scenario with something wrong, at which the check stopped.
+        failure: Something wrong, at which the check stopped.
         interrupted: Ctrl-C ended it early.
     """
 
     calls: int = 0
     scenarios: int = 0
-    failing: Scenario | None = None
+    failure: Failure | None = None
     interrupted: bool = False
 
 
@@ -184,13 +187,11 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
     """
     outcome = CrosscheckResult()
     try:
-        while outcome.calls < calls and outcome.failing is None:
+        while outcome.calls < calls and outcome.failure is None:
             scenario = random_scenario(seed, outcome.scenarios)
             scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
-            finding = check(scenario)
-            if finding is not None:
-                outcome.failing = scenario
-            outcome.calls += len(scenario.calls) if finding is None else finding.calls
+            outcome.failure = check(scenario)
+            outcome.calls += len((outcome.failure or Failure(scenario, ())).scenario.calls)
             outcome.scenarios += 1
             report(outcome.calls)
     except KeyboardInterrupt:
@@ -198,47 +199,25 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
     return outcome
 
 
-def shrink(scenario: Scenario, check: Check) -> Scenario:
-    """The scenario without calls that ``check`` does not need to find something, or as it is if sound.
+def shrink(failure: Failure, check: Check) -> Failure:
+    """The failure without calls that ``check`` does not need to find something.
 
     The result is minimal: without any one of its calls, or any one word that a restore replaces, nothing is
     found. Needs a few hundred runs of the check for a scenario of a hundred calls.
     """
-    calls = _cut(scenario, check)
-    size = max(len(calls) // 2, 1)
-    while True:
-        shorter = _drop(scenario.with_calls(calls), size, check)
-        if size == 1 and len(shorter) == len(calls):
-            shorter = _simplify(scenario.with_calls(calls), check)
-            if shorter == calls:
-                return scenario.with_calls(calls)
-        calls, size = shorter, max(size // 2, 1)
+    size = len(failure.scenario.calls)
+    while size:
+        found = next(filter(None, map(check, _shorter(failure.scenario, size))), None)
+        failure, size = (failure, size // 2) if found is None else (found, size)
+    return failure
 
 
-def _cut(scenario: Scenario, check: Check) -> tuple[Call, ...]:
-    """The calls up to the finding, all of them if there is none."""
-    finding = check(scenario)
-    return scenario.calls if finding is None else scenario.calls[: finding.calls]
-
-
-def _drop(scenario: Scenario, size: int, check: Check) -> tuple[Call, ...]:
-    """The calls without every run of ``size`` calls that is not needed."""
-    calls, start = scenario.calls, 0
-    while start < len(calls):
-        without = scenario.with_calls(calls[:start] + calls[start + size :])
-        if check(without) is None:
-            start += size
-        else:
-            calls = _cut(without, check)
-    return calls
-
-
-def _simplify(scenario: Scenario, check: Check) -> tuple[Call, ...]:
-    """The calls without the first replaced word that is not needed."""
-    for at, call in enumerate(scenario.calls):
+def _shorter(scenario: Scenario, size: int) -> Iterator[Scenario]:
+    """The scenario without a run of ``size`` calls; where that is one, also without one word of a restore."""
+    calls = scenario.calls
+    for start in range(0, len(calls), size):
+        yield scenario.with_calls(calls[:start] + calls[start + size :])
+    for at, call in enumerate(calls if size == 1 else ()):
         for pair in range(0, len(call.numbers) if call.name == "restore" else 0, 2):
             fewer = Call("restore", call.numbers[:pair] + call.numbers[pair + 2 :])
-            calls = (*scenario.calls[:at], fewer, *scenario.calls[at + 1 :])
-            if check(scenario.with_calls(calls)) is not None:
-                return _cut(scenario.with_calls(calls), check)
-    return scenario.calls
+            yield scenario.with_calls((*calls[:at], fewer, *calls[at + 1 :]))

@@ -19,18 +19,26 @@ from typing import Any
 from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Observation
-from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MIN_Q, Table
+from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
-CALLS = ("observe", "receive", "settle", "step", "x")
+_OWN, _HEARD, _FRESH, _ALPHA_ONE = 127, 0, 126, 0x80000001
+
 AXES = ("t", "m", "q")
+CALLS: dict[str, Callable[[MirrorRobot], object]] = {
+    "observe": lambda robot: robot.observe(Observation.BLACK),
+    "receive": lambda robot: robot.receive_raw(_FRESH, ONE // 3, _ALPHA_ONE),
+    "receive again": lambda robot: robot.receive_raw(_HEARD, ONE // 3, _ALPHA_ONE),
+    "receive own": lambda robot: robot.receive_raw(_OWN, ONE // 3, _ALPHA_ONE),
+    "settle": lambda robot: robot.settle(),
+    "step": lambda robot: robot.step(Observation.WHITE),
+    "x": lambda robot: robot.x_raw,
+}
 
 Counts = dict[str, dict[str, dict[int, int]]]
 """Largest number of instructions by call, by t, m or q, and by its value."""
 
-_OWN, _HEARD, _FRESH = 127, 0, 126
-_ALPHA_ONE, _ANY_BITS = 0x80000001, 0xFFFFFFFF
-_TOO_MANY = 20_000
+_TOO_MANY = 4000
 """A call is cut short there: a loop over t would not end."""
 
 
@@ -39,7 +47,7 @@ class _CutShortError(Exception):
 
 
 def instructions(act: Callable[[], object]) -> int:
-    """The number of bytecode instructions that ``act`` executes, cut short at 20,000.
+    """The number of bytecode instructions that ``act`` executes, cut short at 4000.
 
     Garbage is not collected meanwhile: finalizers of whatever else the process has made would be counted.
     """
@@ -69,15 +77,15 @@ def instructions(act: Callable[[], object]) -> int:
 
 @dataclass(frozen=True)
 class Situation:
-    """A robot before a call.
+    """A robot before an observation, and before the end of a round at which the filter runs.
 
     Attributes:
         t, n: Observations, the next one included, and the black ones among them.
         b_hat: Assumed accuracy (raw).
-        m: Messages in its open round, at whose end the filter runs, and in the last closed round.
+        m: Messages in its open round, and in the last closed one.
         alpha: Confidence of these messages and its own, about.
         q: Entries of its table.
-        memory: Observations at which t and n are halved.
+        halves: Whether the memory halves t and n at the next observation.
         agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
     """
 
@@ -87,8 +95,45 @@ class Situation:
     m: int = 20
     alpha: int = _ALPHA_ONE
     q: int = MAX_Q
-    memory: int = DEFAULT_MEMORY
+    halves: bool = False
     agrees: bool = False
+
+    def robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
+        """The robot."""
+        memory = self.t if self.halves else DEFAULT_MEMORY
+        robot = firmware(Config(_table(self.q), filter_period=1, memory=memory), _OWN, self.b_hat / 2**32)
+        s = robot.s
+        s.t, s.n = self.t - 1, min(self.n, self.t - 1)
+        for sender in range(self.m):
+            robot.receive_raw(sender, ONE // 3 + 1000 * sender, self.alpha ^ sender << 8)
+        s.x_hat = s.open.x // s.open.count if self.agrees and s.open.count else ONE
+        s.alpha = self.alpha
+        s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
+        return robot
+
+
+def _situations() -> Iterator[tuple[str, int, Situation]]:
+    """An axis, a value of it, and a situation there."""
+    for t in sorted({t for k in range(32) for t in ((1 << k) - 1, 1 << k) if t}):
+        for b_hat in (B_HAT_MIN, 1 << 31, 4080218931, B_HAT_MAX):
+            for n in sorted({0, 2 * t // 5, t}):
+                yield "t", t, Situation(t=t, n=n, b_hat=b_hat)
+        if t >= MIN_MEMORY and t % 4 == 0:
+            yield "t", t, Situation(t=t, n=t // 2, halves=True)
+    for m in range(MAX_ID + 1):
+        yield "m", m, Situation(m=m)
+        yield "m", m, Situation(m=m, agrees=True)
+        yield "m", m, Situation(m=m, alpha=ALPHA_MAX)
+    for q in range(MIN_Q, MAX_Q + 1):
+        for m in (2, q, min(q + 1, MAX_ID)):
+            yield "q", q, Situation(q=q, m=m)
+
+
+@cache
+def _table(q: int) -> Table:
+    """A table with q entries of the paper's omega; only their number matters here."""
+    whole = generate(parse_omega("0.05"), MAX_Q)
+    return replace(whole, entries=whole.entries[:q])
 
 
 def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
@@ -97,8 +142,8 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
     for axis, value, situation in _situations():
         if axis not in axes:
             continue
-        plain = _robot(firmware, situation)
-        for name, act in _acts(axis):
+        plain = situation.robot(firmware)
+        for name, act in CALLS.items():
             robot = firmware.__new__(firmware)
             robot.config, robot.s = plain.config, deepcopy(plain.s)
             most = counts[name][axis]
@@ -121,94 +166,9 @@ def growing(counts: Counts) -> list[str]:
     return problems
 
 
-@dataclass(frozen=True)
-class Storage:
-    """Bytes.
-
-    Attributes:
-        tables: Size of a table, by q.
-        images: Sizes of the images that robots in all situations save: one size.
-    """
-
-    tables: dict[int, int]
-    images: list[int]
-
-    def problems(self) -> list[str]:
-        """Exceptions from the rule that a table takes 12 + 4 q bytes, and every robot the same."""
-        wrong = [
-            f"a table with q = {q} takes {size} bytes"
-            for q, size in self.tables.items()
-            if size != 4 * (EXTRA_WORDS + q)
-        ]
-        return wrong + ([f"robots take {self.images} bytes"] if len(self.images) != 1 else [])
-
-
-def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> Storage:
-    """Measure all tables, and images of robots in all situations."""
-    tables = {q: 4 * len(_table(q).words()) for q in range(MIN_Q, MAX_Q + 1)}
-    images = {len(_robot(firmware, situation).save()) for _, _, situation in _situations()}
-    return Storage(tables, sorted(images))
-
-
-def _situations() -> Iterator[tuple[str, int, Situation]]:
-    """An axis, a value of it, and a situation there."""
-    powers = [1 << k for k in range(32)]
-    times = {t for power in powers for t in (power - 1, power, power + 1)}
-    for t in sorted(t for t in times if 1 <= t <= DEFAULT_MEMORY):
-        for b_hat in (B_HAT_MIN, 1 << 30, 1 << 31, 4080218931, B_HAT_MAX):
-            for n in sorted({0, 2 * t // 5, t // 2, t}):
-                yield "t", t, Situation(t=t, n=n, b_hat=b_hat)
-        if t >= MIN_MEMORY and t % 4 == 0:
-            yield "t", t, Situation(t=t, n=t // 2, memory=t)
-    for m in range(MAX_ID + 1):
-        for agrees in (False, True):
-            yield "m", m, Situation(m=m, agrees=agrees)
-        yield "m", m, Situation(m=m, alpha=ALPHA_MAX)
-    for q in range(MIN_Q, MAX_Q + 1):
-        for m in (2, q, min(q + 1, MAX_ID)):
-            yield "q", q, Situation(q=q, m=m)
-
-
-Act = Callable[[MirrorRobot], object]
-
-
-def _acts(axis: str) -> Iterator[tuple[str, Act]]:
-    """The calls to count; ``receive`` has many kinds, which are tried along its own axis only."""
-    yield "step", lambda robot: robot.step(Observation.BLACK)
-    yield "settle", lambda robot: robot.settle()
-    yield "x", lambda robot: robot.x_raw
-    for z in Observation:
-        yield "observe", partial(_observe, z)
-    for sender in (_FRESH, _HEARD, _OWN) if axis == "m" else (_FRESH,):
-        for alpha in (0, 0xFF, 0x100, _ALPHA_ONE, ALPHA_MAX, _ANY_BITS) if axis == "m" else (_ALPHA_ONE,):
-            yield "receive", partial(_receive, sender, alpha)
-
-
-def _observe(z: Observation, robot: MirrorRobot) -> None:
-    robot.observe(z)
-
-
-def _receive(sender: int, alpha: int, robot: MirrorRobot) -> None:
-    robot.receive_raw(sender, ONE // 3, alpha)
-
-
-def _robot(firmware: type[MirrorRobot], situation: Situation) -> MirrorRobot:
-    """A robot in a situation."""
-    robot = firmware(
-        Config(_table(situation.q), filter_period=1, memory=situation.memory), _OWN, situation.b_hat / 2**32
-    )
-    s = robot.s
-    s.t, s.n = situation.t - 1, min(situation.n, situation.t - 1)
-    for sender in range(situation.m):
-        robot.receive_raw(sender, ONE // 3 + 1000 * sender, situation.alpha ^ sender << 8)
-    s.x_hat = s.open.x // s.open.count if situation.agrees and s.open.count else ONE
-    s.alpha = situation.alpha
-    s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
-    return robot
-
-
-@cache
-def _table(q: int) -> Table:
-    """A table with q entries of the paper's omega; only their number matters here."""
-    whole = generate(parse_omega("0.05"), MAX_Q)
-    return replace(whole, entries=whole.entries[:q])
+def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
+    """Bytes of a table by q, and of the image that a robot saves by the messages m in its rounds."""
+    return {
+        "tables": {q: 4 * len(_table(q).words()) for q in range(MIN_Q, MAX_Q + 1)},
+        "images": {m: len(Situation(m=m).robot(firmware).save()) for m in range(MAX_ID + 1)},
+    }

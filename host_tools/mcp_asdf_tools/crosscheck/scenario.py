@@ -4,9 +4,9 @@ A line is a list of items separated by commas; an item is a word and its whole n
 
     table:0.05:30,robot:0:5:2147483648:7:3006477107,observe:1,receive:3:4194304:2147483649,settle
 
-``table`` gives omega and q, then pairs of a word's index and its replacement (see ``TableChoice``); without
-it the robot has no table. ``robot`` gives filter, filter_period, memory, id and b_hat. All that follows are
-calls (see ``Call``). Numbers are the firmware's raw integers and may be as wrong as their C types allow.
+``table`` gives omega and q; without it the robot has no table. ``robot`` gives filter, filter_period, memory,
+id and b_hat. All that follows are calls (see ``Call``). Numbers are the firmware's raw integers and may be as
+wrong as their C types allow.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import cast
 
 from mcp_asdf.mirror import IMAGE_WORDS
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
-from mcp_asdf.table import EXTRA_WORDS, Table, checksum
+from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 
@@ -34,7 +34,7 @@ _LARGEST = {
     "receive": (_U8, _U32, _U32),
     "damage": (4 * IMAGE_WORDS - 1, _U8),
 }
-"""The largest value of every number of an item; the pairs of ``restore`` and ``table`` are apart."""
+"""The largest value of every number of an item; the pairs of ``restore`` are apart."""
 
 REPLACING = ("restore", "damage")
 """Calls that put another robot in the place of the one that is there."""
@@ -65,32 +65,27 @@ class Call:
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """The pairs of a ``restore``."""
-        return pairs_of(self.numbers)
+        return _pairs(self.numbers)
 
 
 @dataclass(frozen=True)
 class TableChoice:
-    """A table to be generated, and what to do to it.
-
-    Attributes:
-        omega, q: Of the table.
-        replaced: Pairs of a word's index (see ``mcp_asdf.table``) and its replacement. Firmwares get the
-            words as they then are, and behind them the checksum, which is right unless it is replaced itself.
-            There are as many words as the q in word 0 claims, and those behind the generated ones are 0: a
-            table cut short, as far as a firmware may read.
-    """
+    """A table to be generated, for an omega and a q."""
 
     omega: str
     q: int
-    replaced: tuple[int, ...] = ()
-
-    @property
-    def length(self) -> int:
-        """The number of words: 3 and q, that of word 0 as it is after the replacement."""
-        return EXTRA_WORDS + (dict(pairs_of(self.replaced)).get(0, self.q) & 0xFF)
 
     def __str__(self) -> str:
-        return ":".join(["table", self.omega, str(self.q), *map(str, self.replaced)])
+        return f"table:{self.omega}:{self.q}"
+
+    def build(self) -> Table:
+        """The table. O(1) after the first of an omega and q."""
+        return _generated(self.omega, self.q)
+
+
+@lru_cache(maxsize=64)
+def _generated(omega: str, q: int) -> Table:
+    return generate(parse_omega(omega), q)
 
 
 @dataclass(frozen=True)
@@ -112,7 +107,7 @@ class Setup:
         """The settings as firmwares take them; unknown filters stay plain integers."""
         known = self.filter in tuple(Filter)
         return Config(
-            None if self.table is None else build_table(self.table),
+            None if self.table is None else self.table.build(),
             Filter(self.filter) if known else self.filter,  # type: ignore[arg-type]
             self.filter_period,
             self.memory,
@@ -134,42 +129,9 @@ class Scenario:
         return replace(self, calls=calls)
 
 
-def pairs_of(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+def _pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
     """Numbers two by two."""
     return list(zip(numbers[::2], numbers[1::2], strict=True))
-
-
-@dataclass(frozen=True)
-class RawTable(Table):
-    """Any words in the place of a table.
-
-    Attributes:
-        raw: The words. The other members are read from them as a firmware that accepts them does.
-    """
-
-    raw: tuple[int, ...]
-
-    def words(self) -> tuple[int, ...]:
-        """The words as they are."""
-        return self.raw
-
-
-@lru_cache(maxsize=64)
-def build_table(choice: TableChoice) -> Table:
-    """The table that a scenario asks for, unchecked. O(q).
-
-    Raises UsageError if omega or q is out of range; fails if the index of a replaced word is.
-    """
-    table = generate(parse_omega(choice.omega), choice.q)
-    if not choice.replaced:
-        return table
-    last, replaced = choice.length - 1, dict(pairs_of(choice.replaced))
-    words = [*table.words()[:-1], *[0] * last][:last]
-    for index, value in replaced.items():
-        if index < last:
-            words[index] = value
-    words.append(replaced.get(last, checksum(words)))
-    return RawTable(words[1], tuple(words[2:-1]), tuple(words))
 
 
 def parse_scenario(line: str) -> Scenario:
@@ -183,21 +145,15 @@ def parse_scenario(line: str) -> Scenario:
 
 
 def _table(item: list[str]) -> TableChoice:
-    if len(item) < 3:
+    if len(item) != 3:
         raise UsageError(f"{':'.join(item)} needs omega and q, for example table:0.05:30")
-    omega, (q, *replaced) = str(parse_omega(item[1])), _integers(item, 2)
-    choice = TableChoice(omega, check_q(q), tuple(replaced))
-    if len(replaced) % 2:
-        raise UsageError(f"{choice} needs pairs of a word's index and its replacement")
-    if any(i >= choice.length or v > _U32 for i, v in pairs_of(choice.replaced)):
-        raise UsageError(f"{choice} needs pairs of an index, 0 to {choice.length - 1}, and a 32-bit word")
-    return choice
+    return TableChoice(str(parse_omega(item[1])), check_q(*_integers(item, 2)))
 
 
 def _call(item: list[str]) -> Call:
     if item[0] == "restore":
         numbers = _integers(item, 1)
-        if len(numbers) % 2 or any(not 1 <= i < IMAGE_WORDS - 1 or v > _U32 for i, v in pairs_of(numbers)):
+        if len(numbers) % 2 or any(not 1 <= i < IMAGE_WORDS - 1 or v > _U32 for i, v in _pairs(numbers)):
             raise UsageError(
                 f"{':'.join(item)} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word"
             )

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-import math
 import random
 import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from functools import cache
 
 import pytest
 
 from crosschecks import ROBOT, SEED
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE, alpha_units
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.reference import ReferenceRobot
-from mcp_asdf.robot import Config, Filter
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.compare import Subject
 from mcp_asdf_tools.crosscheck.random_scenarios import TABLES, random_scenario, round_at_threshold
-from mcp_asdf_tools.crosscheck.scenario import Call, TableChoice, build_table, parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Call, TableChoice, parse_scenario
 
 
-@cache
 def seen() -> tuple[Counter[str], Counter[str]]:
     """Outcomes of calls, and traits of them and of states, in 400 scenarios."""
     outcomes, states = Counter[str](), Counter[str]()
@@ -90,52 +84,32 @@ def settled(before: dict[str, int], after: dict[str, int]) -> Iterator[str]:
         yield "hesitates, but updates" if updated else "hesitates"
 
 
-@pytest.mark.parametrize(
-    "outcome",
-    [
-        *("OK", "ERR_CONFIG", "ERR_TABLE", "ERR_ID", "ERR_B_HAT"),
-        *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
-        *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
-        *("settle OK", "settle UPDATED"),
-        *("restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
-    ],
-)
-def test_scenarios_bring_about_every_status(outcome: str) -> None:
-    assert seen()[0][outcome] >= 1
+OUTCOMES = [
+    *("OK", "observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
+    *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
+    *("settle OK", "settle UPDATED", "restore OK", "restore ERR_IMAGE", "damage ERR_IMAGE"),
+]
+TRAITS = [
+    *("restored", "restored, x_hat and alpha apart", "halved", "capped", "fine", "coarse"),
+    *("end", "half", "inside", "inverted", "upright", "nothing", "something", "test 127"),
+    *("alpha 0", "alpha 0, shifted", "alpha not canonical", "canonical alpha", "largest alpha"),
+    *("alpha with ignored bits", "alpha of low units", "alpha of high units"),
+    *(f"{name} wraps" for name in ("accepted", "repeated", "rejected", "tests", "updates")),
+    *("update with low units", "update with high units", "hesitates", "hesitates, but updates"),
+    *(f"test {m}, {verdict}" for m in (2, 3) for verdict in ("rejects", "accepts")),
+    *("update to the least", "update to the most", "update inside"),
+]
 
 
-@pytest.mark.parametrize(
-    "trait",
-    [
-        *("restored", "restored, x_hat and alpha apart", "halved", "capped", "fine", "coarse"),
-        *("end", "half", "inside", "inverted", "upright", "nothing", "something", "test 127"),
-        *("alpha 0", "alpha 0, shifted", "alpha not canonical", "canonical alpha", "largest alpha"),
-        *("alpha with ignored bits", "alpha of low units", "alpha of high units"),
-        *(f"{name} wraps" for name in ("accepted", "repeated", "rejected", "tests", "updates")),
-        *("update with low units", "update with high units", "hesitates", "hesitates, but updates"),
-        *(f"test {m}, {verdict}" for m in (2, 3) for verdict in ("rejects", "accepts")),
-        *("update to the least", "update to the most", "update inside"),
-    ],
-)
-def test_scenarios_reach_every_kind_of_state(trait: str) -> None:
-    assert seen()[1][trait] >= 1
-
-
-@pytest.mark.parametrize("robot", [NativeRobot, MirrorRobot, ReferenceRobot])
-@pytest.mark.parametrize("alpha", [-1.0, -0.0, math.inf, -math.inf, math.nan])
-def test_a_float_that_is_no_confidence_raises(
-    robot: type[MirrorRobot] | type[NativeRobot] | type[ReferenceRobot], alpha: float
-) -> None:
-    """Not in the scenarios: every word is a confidence."""
-    made = robot(Config(filter=Filter.OFF), 0, 0.75)
-    with pytest.raises(ValueError, match="alpha is"):
-        made.receive(1, 0.5, alpha)
-    assert made.counters == robot(Config(filter=Filter.OFF), 0, 0.75).counters
+def test_scenarios_bring_about_every_status_and_kind_of_state() -> None:
+    outcomes, states = seen()
+    assert [each for each in OUTCOMES if not outcomes[each]] == []
+    assert [each for each in TRAITS if not states[each]] == []
 
 
 @pytest.mark.parametrize("choice", [TableChoice(*table) for table in TABLES], ids=str)
 def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> None:
-    source, table, sides = random.Random(5), build_table(choice), Counter[bool]()
+    source, table, sides = random.Random(5), choice.build(), Counter[bool]()
     for _ in range(400):
         m = source.randint(2, 127)
         x_hats, own = round_at_threshold(source, table, m)
@@ -148,23 +122,12 @@ def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> No
     assert min(sides[False], sides[True]) > 20
 
 
-def test_a_scenario_is_a_function_of_seed_and_number() -> None:
-    lines = [str(random_scenario(seed, number)) for seed in (0, 1) for number in range(20)]
+def test_scenarios_differ_and_are_lines_that_read_back() -> None:
+    scenarios = [random_scenario(seed, number) for seed in (0, 1) for number in range(100)]
+    lines = [str(each) for each in scenarios]
     assert len(set(lines)) == len(lines)
-    assert lines == [str(random_scenario(seed, number)) for seed in (0, 1) for number in range(20)]
-
-
-# --- Lines of text ---------------------------------------------------------------------------------------
-
-
-def test_lines_read_back() -> None:
-    for number in range(300):
-        scenario = random_scenario(7, number)
-        assert parse_scenario(str(scenario)) == scenario, scenario
-
-
-def test_lines_need_no_quotes() -> None:
-    assert all(shlex.quote(line) == line for line in (str(random_scenario(7, n)) for n in range(50)))
+    assert [parse_scenario(line) for line in lines] == scenarios
+    assert all(shlex.quote(line) == line for line in lines), "a line needs no quotes"
 
 
 @pytest.mark.parametrize(
@@ -176,10 +139,7 @@ def test_lines_need_no_quotes() -> None:
         ("table:0.05,robot:0:1:64:0:1", "table:0.05 needs omega and q"),
         ("table:1.5:30,robot:0:1:64:0:1", "omega is 1.5"),
         ("table:0.05:1,robot:0:1:64:0:1", "neighbours is 1"),
-        ("table:0.05:2:5:1,robot:0:1:64:0:1", "0 to 4"),
-        ("table:0.05:2:0:1296258051:6:1,robot:0:1:64:0:1", "0 to 5"),  # word 0 claims q = 3
-        ("table:0.05:2:4,robot:0:1:64:0:1", "pairs"),
-        ("table:0.05:2:4:4294967296,robot:0:1:64:0:1", "32-bit"),
+        ("table:0.05:2:5,robot:0:1:64:0:1", "table:0.05:2:5 needs omega and q"),
         ("robot:0:1:64:0", "takes 5"),
         ("robot:0:1:64:256:1", "256 is too large"),
         (f"{ROBOT},leave:1", "'leave:1' is no call"),
