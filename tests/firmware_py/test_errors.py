@@ -162,7 +162,7 @@ def test_an_image_holds_every_field(kind: FixedPointType) -> None:
 @pytest.mark.parametrize(("source", "target"), list(itertools.product(FIXED_POINT, repeat=2)))
 def test_images_are_the_same_everywhere(source: FixedPointType, target: FixedPointType) -> None:
     robot = busy_robot(source)
-    restored = target.restore(robot.config, memoryview(robot.save()))
+    restored = target.restore(robot.config, memoryview(robot.save()))  # type: ignore[arg-type]
     assert (restored.state(), restored.save()) == (robot.state(), robot.save())
     with pytest.raises(TypeError):
         target.restore(robot.config, 124)  # type: ignore[arg-type]
@@ -252,7 +252,7 @@ def entries(count: int) -> tuple[int, ...]:
     return tuple(range((9 << 26) + count, 9 << 26, -1))
 
 
-WRONG = {
+WRONG: dict[Status, list[dict[str, Any]]] = {
     Status.ERR_CONFIG: [
         *({"filter_period": period} for period in (0, -1, 2**32, 2**32 + 1)),
         *(
