@@ -249,7 +249,7 @@ def of_quotient() -> Iterator[Claim]:
 
 
 def of_b_hat() -> Iterator[Claim]:
-    """b_hat of eq. 8 is as far off as the cross-check (exact.py) allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
+    """b_hat of eq. 8 is as far off as the cross-check allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
 
     With u = |2 x_bar - 1|, exact and as formed, eq. 8 is 1/2 + y / u, and y = n / t - 1/2 or its negative.
     """
