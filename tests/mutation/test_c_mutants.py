@@ -22,7 +22,7 @@ from proofs.source import SOURCES
 
 EQUIVALENTS = equivalents("c")
 PARTS = 16
-SAMPLE = 100
+SAMPLE = 30
 
 
 @cache
