@@ -24,11 +24,10 @@ def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
 
 def check_log(path: Path | str) -> None:
     """Raises UsageError if there is no log that can be read, and names its part if its run was cut off."""
-    log = Path(path)
     try:
-        log.open("rb").close()
+        Path(path).open("rb").close()
     except OSError as error:
-        part = log.with_name(log.name + PART)
+        part = Path(f"{path}{PART}")
         hint = f"; its run was cut off, partial data is in {part}" if part.exists() else ""
         raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
 

@@ -16,7 +16,7 @@ import pytest
 from input_logs import input_log_in
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
+from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter
 from mcp_asdf_tools.robots.bus_robot import Recorder
@@ -33,15 +33,20 @@ RECORDS = (
 HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 
 
+FRAMES = {
+    "186BB92A#0000603333F307E5": can.Message(
+        arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5")
+    ),
+    "042#": can.Message(arbitration_id=0x42, is_extended_id=False),
+    "00000042#R": can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3),
+    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)),
+}
+"""Frames by their text, which is candump's."""
+
+
 def read(path: Path) -> tuple[InputLogHeader, list[Any]]:
     with InputLogReader(path) as reader:
         return reader.header, list(reader.lines())
-
-
-def test_the_header_comes_back(tmp_path: Path) -> None:
-    with input_log_in(tmp_path / "x", HEADER):
-        pass
-    assert read(tmp_path / "x") == (HEADER, [])
 
 
 def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
@@ -63,41 +68,21 @@ def test_events_come_back_in_the_order_of_each_robot(tmp_path: Path) -> None:
         call()
         told[robot].append(event)
 
-    frame = can.Message(arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5"))
     with input_log_in(tmp_path / "x", HEADER) as writer:
         for _ in range(3000):
             robot = draw.choice(list(told))
             tell(robot, writer.robots[robot])
-        writer.injected(frame)
-        writer.robots[7].foreign(frame)
-    _, lines = read(tmp_path / "x")
-    assert [line for line in lines if isinstance(line, str)] == ["186BB92A#0000603333F307E5"] * 2
+        for frame in FRAMES.values():
+            writer.injected(frame)
+        writer.robots[7].foreign(FRAMES["042#"])
+    header, lines = read(tmp_path / "x")
+    assert header == HEADER
+    assert [line for line in lines if isinstance(line, str)] == [*FRAMES, "042#"]
     for robot, events in told.items():
         found = [
             event for line in lines if not isinstance(line, str) and line[0] == robot for event in line[1]
         ]
         assert found == events, "replay: random.Random(4)"
-
-
-@pytest.mark.parametrize(
-    ("frame", "text"),
-    [
-        (can.Message(arbitration_id=0x42, data=b"\xab"), "00000042#AB"),
-        (can.Message(arbitration_id=0x42, is_extended_id=False), "042#"),
-        (can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3), "00000042#R"),
-        (can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)), "E00000088#00"),
-    ],
-)
-def test_frames_are_written_as_candump_does(frame: can.Message, text: str) -> None:
-    assert frame_as_text(frame) == text
-
-
-def test_what_cannot_be_written() -> None:
-    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
-    own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
-    with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        RobotRecord(1, "mirror", 0.9, TickConfig(own)).plain()
 
 
 def spoiled(**changes: Any) -> str:
@@ -114,34 +99,23 @@ BAD = {
     "": 'line 1: "format": "mcp-asdf events" is missing',
     "\n": "line 1: not JSON",
     "{}": 'line 1: "format": "mcp-asdf events" is missing',
-    "[1]": 'line 1: "format": ',
     "(1.0) vcan0 1#00": "line 1: not JSON",
     "[" * 100_000: "line 1: not JSON",
-    spoiled(
-        version=1
-    ): "line 1: the format is version 1, and version 2 is read here; replay the log with the",
+    spoiled(version=1): "line 1: the format is version 1, and version 2 is read here; replay",
     spoiled(version=3): "line 1: the format is version 3, and version 2 is read here",
     spoiled(robots=5): "line 1: ",
     spoiled(frames={"subject": 6144, "priority": 4}): "line 1: subject is 6144",
     spoiled(filter="sometimes"): "line 1: filter is 'sometimes'; it must be one of adaptive, always, off",
-    spoiled(firmware="own"): "line 1: firmware is 'own'",
-    spoiled(memory=63): "line 1: memory is 63",
-    spoiled(comms_period=0): "line 1: comms_period is 0",
-    spoiled(comms_period=3): "line 1: filter_period is 10; choose a multiple of comms_period 3",
     spoiled(comms_period="1"): "line 1: ",
-    spoiled(b_hat=1.5): "line 1: b_hat is 1.5",
-    spoiled(table={"omega": "0.05", "q": 20, "checksum": 1}): "line 1: the t-table of robot 0 has checksum 1",
     spoiled(table={"omega": "x", "q": 20, "checksum": 1}): "line 1: ",
     spoiled(table={"omega": "0.05", "q": 20}): "line 1: 'checksum' is missing",
     GOOD + "\n[0,1": "line 2: not JSON",
     GOOD + "\n\n": "line 2: not JSON",
     GOOD + "\n[0,1,3]\n{}": "line 3: neither a robot with its events nor a frame",
     GOOD + "\n[]": "line 2: neither a robot",
-    GOOD + "\n[true]": "line 2: neither a robot",
     GOOD + "\n[5,1]": "line 2: robot 5 is not in the first line",
     GOOD + "\n[0,4]": "line 2: 4 is no event",
     GOOD + "\n[0,-1]": "line 2: -1 is no event",
-    GOOD + "\n[0,true]": "line 2: True is no event",
     GOOD + "\n[0,1.0]": "line 2: 1.0 is no event",
     GOOD + "\n[0,[1]]": "line 2: [1] is no event",
     GOOD + "\n[0,[1,2,-3]]": "line 2: [1, 2, -3] is no event",
@@ -164,3 +138,8 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe")
     with pytest.raises(UsageError, match="line 1: not JSON"):
         InputLogReader(tmp_path / "x")
+    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
+        InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
+    own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
+    with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
+        RobotRecord(1, "mirror", 0.9, TickConfig(own)).plain()

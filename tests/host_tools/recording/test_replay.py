@@ -14,7 +14,7 @@ import pytest
 
 from input_logs import input_log_in
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, bits_of, decode, encode, float_of
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode, encode, float_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
@@ -72,43 +72,31 @@ def test_every_format_is_reproduced(
     "options",
     ["--firmware mirror", "--firmware reference", "--set comms-period=5", "--filter none --set subject=9"],
 )
-def test_every_robot_is_reproduced(options: str, tmp_path: Path) -> None:
-    frames = swarm(tmp_path / "run.log", options)
-    verdict = check(frames, tmp_path / "run.log")
-    assert verdict.difference is None
-    assert verdict.reproduced == BROADCASTS // (5 if "comms" in options else 1)
+def test_every_robot_is_reproduced_and_gaps_are_no_difference(options: str, tmp_path: Path) -> None:
+    frames, draw = swarm(tmp_path / "run.log", options), random.Random(8)
+    made = BROADCASTS // (5 if "comms" in options else 1)
+    assert check(frames, tmp_path / "run.log") == ReplayVerdict(reproduced=made, other=16)
+    verdict = check([frame for frame in frames if draw.random() < 0.3], tmp_path / "run.log")
+    assert verdict.difference is None, "replay: random.Random(8)"
+    assert verdict.reproduced + verdict.not_logged == made
+    assert made / 5 < verdict.reproduced < made / 2
 
 
-FAULTS = {kind: f"{kind.value}=0.3" for kind in FaultKind}
-FAULTS[FaultKind.COLLIDE] += ",id=2"
-
-
-@pytest.mark.parametrize("kind", FaultKind, ids=lambda kind: kind.value)
-def test_what_faults_did_is_no_difference(kind: FaultKind, tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    verdict = check(swarm(log, f"--fault {FAULTS[kind]}"), log)
-    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --fault {FAULTS[kind]}"
-    assert verdict.not_logged == 0
-    injected = json.loads(Path(f"{log}.json").read_text())["results"]["faults"][0]["injected"]
-    assert injected > 0
-    if kind in (FaultKind.FREEZE, FaultKind.LIAR):
-        assert verdict.falsified > 0
-        assert verdict.falsified + verdict.reproduced == BROADCASTS
-    if kind in (FaultKind.COLLIDE, FaultKind.BABBLE):
-        assert verdict.foreign > 0
+FAULTS = " ".join(f"--fault {kind.value}=0.3" + ",id=2" * (kind is FaultKind.COLLIDE) for kind in FaultKind)
 
 
 @pytest.mark.parametrize(
     "options",
     ["--seed 1", "--seed 4 --set comms-period=5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
-def test_what_faults_did_together_is_no_difference(options: str, tmp_path: Path) -> None:
+def test_what_faults_did_is_no_difference(options: str, tmp_path: Path) -> None:
     """Among so many frames of strangers some equal a broadcast that is still to come."""
-    log, faults = tmp_path / "run.log", " ".join(f"--fault {each}" for each in FAULTS.values())
-    verdict = check(swarm(log, f"--steps 120 {options} {faults}"), log)
-    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --steps 120 {options} {faults}"
-    assert verdict.foreign > 0
-    assert verdict.reproduced > 0
+    log = tmp_path / "run.log"
+    verdict = check(swarm(log, f"--steps 120 {options} {FAULTS}"), log)
+    assert verdict.difference is None, f"replay: mcp-asdf swarm {SMALL} --steps 120 {options} {FAULTS}"
+    assert min(verdict.foreign, verdict.reproduced, verdict.falsified) > 0
+    for fault in json.loads(Path(f"{log}.json").read_text())["results"]["faults"]:
+        assert fault["injected"] > 0, fault
 
 
 def values(x_hat: int, alpha: int, transfer_id: int) -> str:
@@ -125,7 +113,8 @@ def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
     estimates = [n for n, frame in enumerate(frames) if isinstance(decode(frame, FrameFormat()), Message)]
     place = draw.choice(estimates)
     right = copy(frames[place])
-    content = int.from_bytes(frames[place].data, "little") ^ 1 << draw.randrange(55)
+    bit = draw.randrange(55) if seed else 24  # of alpha's last bit robots make no use
+    content = int.from_bytes(frames[place].data, "little") ^ 1 << bit
     frames[place].data = bytearray(content.to_bytes(8, "little"))
     verdict = check(frames, recorded)
     said = decode(frames[place], FrameFormat())
@@ -144,20 +133,6 @@ def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
         assert (verdict.difference, verdict.not_logged) == (None, 1)
 
 
-def test_a_bit_of_alpha_that_robots_do_not_use_is_found(recorded: Path) -> None:
-    frames = list(read_log(recorded))
-    frame = next(
-        f for f in frames if isinstance(decode(f, FrameFormat()), Message) and alpha_bits(f) % 2 == 0
-    )
-    assert 0 < alpha_bits(frame) < bits_of(0.25)
-    before = decode(frame, FrameFormat())
-    frame.data[3] ^= 1
-    assert decode(frame, FrameFormat()) == before
-    bits = alpha_bits(frame)
-    told = check(frames, recorded).difference or ""
-    assert f"alpha {bits:#010x}" in told and "it makes x_hat" in told and f"alpha {bits ^ 1:#010x}" in told
-
-
 def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     lines = input_log_path(recorded).read_text().splitlines()
@@ -166,16 +141,6 @@ def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
     events[1] = 1 - events[1]
     input_log_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
     assert f": robot {events[0]} broadcast " in (check(list(read_log(recorded)), log).difference or "")
-
-
-def test_gaps_in_the_log_are_no_difference(tmp_path: Path) -> None:
-    frames = swarm(tmp_path / "run.log", "--steps 200")
-    draw = random.Random(8)
-    kept = [frame for frame in frames if draw.random() < 0.3]
-    verdict = check(kept, tmp_path / "run.log")
-    assert verdict.difference is None, "replay: random.Random(8)"
-    assert verdict.reproduced + verdict.not_logged == 4 * 200
-    assert verdict.reproduced == sum(isinstance(decode(f, FrameFormat()), Message) for f in kept)
 
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
@@ -208,8 +173,8 @@ def test_a_input_log_that_contradicts_itself_is_named(tmp_path: Path) -> None:
 # The command
 
 BAD = {
-    "absent.log": "absent.log",
     "absent.log --events run.log.events": "cannot read the log absent.log: No such file",
+    ". --events run.log.events": "cannot read the log .: Is a directory",
     "run.log --events absent": "cannot read absent: No such file",
     "run.log --events run.log": "run.log, line 1: not JSON",
     "lone.log": "there is no lone.log.events, without which nothing can be checked; give it as --events",
@@ -243,21 +208,3 @@ def test_bad_usage(
     assert main(["replay", *arguments.split()]) == 2
     captured = capsys.readouterr()
     assert BAD[arguments] in captured.err
-
-
-# python-can's reader of BLF leaves a file that it refuses to the garbage collector.
-@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
-@pytest.mark.parametrize(
-    "suffix", [".log", ".asc", ".blf", ".csv", ".trc", ".log.gz", ".mf4", ".db", ".xyz", ""]
-)
-def test_garbage_is_refused_whatever_its_name_says(suffix: str, tmp_path: Path) -> None:
-    draw, path = random.Random(suffix), tmp_path / f"x{suffix}"
-    for size in (0, 1, 100, 5000):
-        path.write_bytes(draw.randbytes(size))
-        with pytest.raises(UsageError, match=r"the log .*x"):
-            list(read_log(path))
-    with pytest.raises(UsageError, match=r"cannot read the log .*absent.*: No such file"):
-        list(read_log(tmp_path / f"absent{suffix}"))
-    with pytest.raises(UsageError, match=r"cannot read the log .*: Is a directory"):
-        list(read_log(tmp_path))
-    assert list(tmp_path.iterdir()) == [path]
