@@ -67,7 +67,7 @@ def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     That is (1 - 2**-23)**2 (1 - 2**-28)**2 > 1 - 2**-22 - 2**-27. 1 - c may lose half a unit of 2**-31, which
     makes the square 2**-30 too large.
 
-    Inside, (g T)**2 T / (P (T - P)) 2**-s is formed, with g T + 2 e for g T (see :func:`x_hat_limits`): its
+    Inside, (g T)**2 T / (P (T - P)) 2**-s is formed, with g T + 2 e for g T (see ``x_hat_limits``): its
     square is up to (1 + r 2**-30)**2 too large. Squaring loses 2**-28, multiplying 2**-27, and 31 bits of the
     dividend are left: less than 2**-26 in all. The 31 bits left of P (T - P) are up to 2**-30 too small.
     """
