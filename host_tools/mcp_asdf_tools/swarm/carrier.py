@@ -15,7 +15,7 @@ in the same order.
 from __future__ import annotations
 
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -38,9 +38,6 @@ TIMEOUT = 2.0
 
 _BATCH = 64
 """Frames sent between two reads: a socket of usual size holds more than 200."""
-
-_MOST_RETURNED = 256
-"""Sent frames remembered, since the bus may return them."""
 
 _MOST_LATE = 4096
 """Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
@@ -93,12 +90,10 @@ class Connection:
         self._stranger = stranger
         self._every = every
         self._late: list[SentFrame] = []
-        self._own: deque[Content] = deque(maxlen=_MOST_RETURNED)
 
     def send(self, frame: can.Message) -> None:
         """Put ``frame`` on the bus. Raises can.CanError if that does not take it."""
         self.bus.send(frame, timeout=TIMEOUT)
-        self._own.append(content_of(frame))
 
     def take(self, expected: Sequence[SentFrame], patience: float | None) -> Sequence[SentFrame]:
         """Read until all ``expected`` have come, or for ``patience`` seconds; returns those that have.
@@ -132,7 +127,7 @@ class Connection:
             self._sort(frame, left)
 
     def drain(self, frames: int) -> None:
-        """Read up to ``frames`` frames while none is expected: strangers, and sent ones that come back."""
+        """Read up to ``frames`` frames while none is expected."""
         for _ in range(frames):
             frame = self.bus.recv(0)
             if frame is None:
@@ -143,9 +138,7 @@ class Connection:
         """Take a frame off ``left``, or hand over a stranger."""
         if self._every is not None:
             self._every(frame)
-        content = content_of(frame)
-        # A bus may return sent frames. SocketCAN does not mark frames from this computer as received.
-        if not _took(left, content) and (frame.is_rx or content not in self._own):
+        if not _took(left, content_of(frame)):
             self._stranger(frame)
 
     def _error(self, missing: Sequence[SentFrame]) -> SwarmError:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import os
-import re
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -16,20 +14,18 @@ from can.interfaces import virtual
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from rich.console import Console
 
+from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
+from host_tools.swarm.test_faults import any_fault
 from input_logs import input_log_in
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.recording.replay import verify
-from mcp_asdf_tools.robots.clock import RealTimeClock
-from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import load_warning, summary, summary_table
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.fault_spec import Fault
+from mcp_asdf_tools.swarm.summary import load_warning, summary
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from mcp_asdf_tools.world.arena import Arena
 from multicast import multicast
@@ -39,14 +35,11 @@ pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 UDP_PORT = 10_000 + os.getpid() % 500 * 40
 """And some more: of this process, for tests in others run at the same time."""
-
-
-def one_bus(robot: int) -> can.BusABC:
-    return can.Bus(interface="virtual", channel="one", preserve_timestamps=True, ignore_config=True)
-
-
-def own_bus(robot: int) -> can.BusABC:
-    return can.Bus(interface="virtual", channel=f"of {robot}", preserve_timestamps=True, ignore_config=True)
+MIX = (
+    *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
+    *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
+    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2"),
+)
 
 
 @cache
@@ -61,37 +54,13 @@ def udp(port: int) -> can.BusABC:
     return WithoutEcho(bus)
 
 
-MEDIA: dict[str, tuple[OpenBus | None, bool]] = {
-    "one bus": (one_bus, True),
-    "no bus": (None, True),
-    "a bus for each": (own_bus, False),
-    "one group": (lambda robot: udp(UDP_PORT), True),
-    "a group for each": (lambda robot: udp(UDP_PORT + 1 + robot), False),
+MEDIA = {
+    "one bus": ON_ONE_BUS,
+    "no bus": Wiring(),
+    "a bus for each": ON_OWN_BUSES,
+    "one group": Wiring(lambda robot: udp(UDP_PORT)),
+    "a group for each": Wiring(lambda robot: udp(UDP_PORT + 1 + robot), is_shared=False),
 }
-
-
-def make(*faults: str, **changes: Any) -> SwarmSettings:
-    """A short run with several filter periods in which these faults strike."""
-    plain = {"robots": 5, "flawed": 0.4, "steps": 60, "filter_period": 20, "seed": 11}
-    return SwarmSettings(**{**plain, **changes, "faults": tuple(map(parse_fault, faults))})
-
-
-def record(settings: SwarmSettings, medium: str = "one bus") -> tuple[SwarmRun, list[can.Message]]:
-    """A run and the frames it sent."""
-    open_bus, is_shared = MEDIA[medium]
-    frames: list[can.Message] = []
-    with Swarm(settings, Wiring(open_bus, is_shared), frames.append) as swarm:
-        run = run_swarm(swarm)
-    assert run.failure is None
-    return run, frames
-
-
-def content(frames: list[can.Message]) -> list[tuple[int, bytes]]:
-    return [(frame.arbitration_id, bytes(frame.data)) for frame in frames]
-
-
-def states(run: SwarmRun) -> list[dict[str, int]]:
-    return [node.robot.state() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
 
 
 def figures(run: SwarmRun) -> Any:
@@ -102,64 +71,31 @@ def injected(run: SwarmRun) -> list[int]:
     return [fault["injected"] for fault in run.results["faults"]]
 
 
-MIX = (
-    *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
-    *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
-    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2"),
-)
-
-
 # The same on every medium
 
 
 @pytest.mark.parametrize("medium", list(MEDIA)[1:])
 @pytest.mark.parametrize("faults", [(), MIX], ids=["lossless", "mix"])
 def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...]) -> None:
-    settings = make(*faults)
+    settings = small(*faults)
     reference, sent = record(settings)
-    run, frames = record(settings, medium)
+    run, frames = record(settings, MEDIA[medium])
     assert content(frames) == content(sent)
     assert states(run) == states(reference)
     assert run.results == reference.results
-    if faults:
-        assert all(injected(run))
-
-
-def test_a_log_is_the_same_on_every_interface(tmp_path: Path) -> None:
-    """Apart from time stamps and the names of channels, down to the line."""
-    need_multicast()
-    udp, logs = ["--interface", "udp_multicast"], []
-    for number, bus in enumerate(
-        (
-            [],
-            ["--channel", "own{robot}"],
-            [*udp, "--bus-kwargs", f"port={UDP_PORT + 20}"],
-            [*udp, "--channel", "239.74.163.{robot}", "--bus-kwargs", f"port={UDP_PORT + 21}"],
-        )
-    ):
-        log = tmp_path / f"{number}.log"
-        faults = [f"--fault={fault}" for fault in MIX]
-        small = ["--robots=4", "--steps=30", "--filter-period=10", "--quiet"]
-        assert main(["swarm", *small, *faults, *bus, "--log", str(log)]) == 0
-        logs.append([line.split(maxsplit=2)[2] for line in log.read_text().splitlines()])
-    assert len(logs[0]) > 4 * 25
-    assert logs[1:] == logs[:1] * 3
+    assert all(injected(run))
 
 
 def test_on_its_own_bus_a_robots_traffic_is_what_it_says_and_hears() -> None:
     """A third connection there sees the robot's frames, and those that are in range and get through."""
     heard: list[can.Message] = []
-    with Swarm(make("loss,robots=1"), Wiring(own_bus, is_shared=False)) as swarm, own_bus(0) as spy:
+    with Swarm(small("loss,robots=1"), ON_OWN_BUSES) as swarm, own_bus(0) as spy:
         for _ in range(5):
             swarm.tick()
         while (frame := spy.recv(0)) is not None:
             heard.append(frame)
-    senders = Counter(
-        message.sender
-        for message in (decode(frame, FrameFormat()) for frame in heard)
-        if isinstance(message, Message)
-    )
-    assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
+    said = [decode(frame, FrameFormat()) for frame in heard]
+    assert Counter(each.sender for each in said if isinstance(each, Message)) == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
 # What each kind does to a swarm: exact counts
@@ -171,7 +107,7 @@ SENT = 66
 @pytest.mark.parametrize(
     ("fault", "injected_in_all", "expected"),
     [
-        ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0}),
+        ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * 20}),
         # All messages three ticks late: those of the last three rounds never come.
         ("delay,ticks=3", SENT * 20, {"delivered": (60 - 3) * 20, "refused": 0}),
         ("duplicate,ticks=0", SENT * 20, {"delivered": 2 * 60 * 20, "refused": 60 * 20}),
@@ -192,21 +128,18 @@ SENT = 66
     ],
 )
 def test_what_a_fault_does(fault: str, injected_in_all: int, expected: dict[str, Any]) -> None:
-    run, frames = record(make(fault))
+    run, frames = record(small(fault))
     assert injected(run) == [injected_in_all]
     assert {name: figures(run)[name] for name in expected} == expected
     assert figures(run)["on_the_bus"] == len(frames)
-
-
-def test_a_robot_that_hears_nothing_is_as_if_alone() -> None:
-    run, _ = record(make("loss"))
-    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+    if fault == "loss":
+        assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
 
 
 @pytest.mark.parametrize("rejoin", ["new", "restored"])
 def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     """New, with the accuracy and the numbers that it started with, or as it was."""
-    run, frames = record(make(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95))
+    run, frames = record(small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95))
     b_hat = run.history.values("b_hat")[:, 0]
     assert b_hat[45] > 0.9
     assert b_hat[48] == pytest.approx(0.55 if rejoin == "new" else b_hat[45], abs=1e-6)
@@ -216,40 +149,18 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
 
 
-def test_the_summary_names_faults_and_what_each_robot_rejected() -> None:
-    run, _ = record(make("corrupt=0.5,bits=5,receivers=3", "collide,robots=4,id=2"))
+def test_the_summary_names_what_went_wrong() -> None:
+    run, _ = record(small("corrupt=0.5,bits=5,receivers=3", "collide,robots=4,id=2"))
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     told = dict(summary(run, "virtual", 1.0))
     assert all(f"{count} {reason}" in told["robot 3"] for reason, count in rows[3]["rejected"].items())
     assert told["fault"] == "collide=1.0,robots=4,id=2: 66 injected"
     assert told["node-id conflict"].startswith("another node sent 60 messages as robot 2")
-    arrived = figures(run)
-    assert told["arrived"] == (
-        f"{arrived['arrived']} of {arrived['in_range']} frames, 100.0%; {arrived['on_the_bus']} on the bus"
-    )
+    assert told["arrived"] == f"{SENT * 20} of {SENT * 20} frames, 100.0%; {SENT * 5} on the bus"
 
 
 # Any mix
-
-
-ANY_FAULT = st.one_of(
-    st.builds("{}={}".format, st.sampled_from(["loss", "freeze"]), st.floats(0, 1)),
-    st.builds("corrupt={},bits={}".format, st.floats(0, 1), st.integers(1, 64)),
-    st.builds(
-        "{}={},ticks={}".format, st.sampled_from(["delay", "duplicate"]), st.floats(0, 1), st.integers(1, 9)
-    ),
-    st.builds("babble={},frames={}".format, st.floats(0, 0.3), st.integers(0, 40)),
-    st.builds(
-        "crash={},ticks={},rejoin={}".format,
-        st.floats(0, 0.1),
-        st.integers(1, 20),
-        st.sampled_from(["new", "restored"]),
-    ),
-    st.builds("busoff={},ticks={}".format, st.floats(0, 0.1), st.integers(1, 20)),
-    st.builds("liar={},x={},alpha={}".format, st.floats(0, 1), st.floats(0, 1), st.floats(0, 3e38)),
-    st.builds("collide={},id={}".format, st.floats(0, 1), st.integers(0, 127)),
-)
 
 
 def watch_invariants(swarm: Swarm) -> None:
@@ -264,20 +175,17 @@ def watch_invariants(swarm: Swarm) -> None:
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
 @hypothesis_settings(max_examples=15, deadline=None, derandomize=True, database=None)
 @given(
-    faults=st.lists(ANY_FAULT, max_size=6),
+    faults=st.lists(any_fault(3, 40), max_size=6),
     comms_period=st.sampled_from([1, 1, 2, 5]),
     memory=st.sampled_from([64, 2**31]),
 )
 def test_invariants_hold_under_any_mix_of_faults(
-    firmware: str, faults: list[str], comms_period: int, memory: int
+    firmware: str, faults: list[Fault], comms_period: int, memory: int
 ) -> None:
     """docs/invariants.md, I1 to I10 after every tick; and the same again gives the same again."""
-    settings = make(*faults, robots=4, steps=40, comms_period=comms_period, memory=memory, firmware=firmware)
-    runs = []
-    for _ in range(2):
-        with Swarm(settings, Wiring(one_bus)) as swarm:
-            runs.append(run_swarm(swarm, [watch_invariants]))
-    assert runs[0].failure is None
+    texts = map(str, faults)
+    settings = small(*texts, robots=4, steps=40, comms_period=comms_period, memory=memory, firmware=firmware)
+    runs = [record(settings, hooks=[watch_invariants])[0] for _ in range(2)]
     assert runs[0].report({}) == runs[1].report({})
     assert states(runs[0]) == states(runs[1])
     found = figures(runs[0])
@@ -285,26 +193,16 @@ def test_invariants_hold_under_any_mix_of_faults(
     # Nothing gets lost between what arrives and what is accounted for, but at robots that are dead.
     accounted = heard + sum(found["rejected"].values())
     assert accounted <= found["arrived"]
-    if not any(fault.startswith(("crash", "delay", "duplicate")) for fault in faults):
+    if not any(fault.kind.value in ("crash", "delay", "duplicate") for fault in faults):
         assert accounted == found["arrived"]
-
-
-@pytest.mark.parametrize("rate", [0.5, *slow([0.0, 0.9])])
-def test_flawless_robots_converge_whatever_is_lost(rate: float) -> None:
-    """All sensors are as good as they are taken for; the bounds leave room, and the seed is fixed."""
-    run, _ = record(make(f"loss={rate}", robots=8, flawed=0.0, steps=600, filter_period=200, seed=2))
-    results = run.results
-    assert results["mean_error"] < 0.03
-    assert results["spread_x"] <= results["spread_x_hat"]
-    assert (results["spread_x"] == 0) == (rate == 0)
 
 
 @pytest.mark.parametrize("fault", ["crash=0.1,ticks=3", "busoff=0.1,ticks=3"])
 def test_with_latency_a_node_is_off_when_the_frame_comes(fault: str) -> None:
-    settings = make(f"{fault},robots=1", robots=3, topology="dynamic", density=9.0, latency=1)
+    settings = small(f"{fault},robots=1", robots=3, topology="dynamic", density=9.0, latency=1)
     for medium in ("no bus", "one bus", "a bus for each"):
-        run, _ = record(settings, medium)
-        spells = run.results["faults"][0]["injected"]
+        run, _ = record(settings, MEDIA[medium])
+        (spells,) = injected(run)
         assert spells > 0
         # Lost is what others said a step before each step of a spell.
         assert run.nodes[1].reception.delivered == 2 * (settings.steps - 1 - spells)
@@ -313,12 +211,11 @@ def test_with_latency_a_node_is_off_when_the_frame_comes(fault: str) -> None:
 # Who is in range
 
 
-def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
+def test_robots_hear_their_neighbours_in_the_graph() -> None:
     """Two cliques that hear nothing of each other, and one robot that no other hears."""
-    (tmp_path / "g").write_text("0 1\n1 2\n0 2\n3 4\n4 > 0\n0 > 5\n")
-    settings = make(robots=6, topology="graph", graph=tmp_path / "g")
+    settings = small(robots=6, topology="graph", graph="0 1; 1 2; 0 2; 3 4; 4 > 0; 0 > 5")
     for medium in ("one bus", "a bus for each"):
-        run, _ = record(settings, medium)
+        run, _ = record(settings, MEDIA[medium])
         assert [node.reception.delivered for node in run.nodes] == [180, 120, 120, 60, 60, 60]
         assert [node.heard for node in run.nodes] == [3, 2, 2, 1, 1, 1]
         x = [node.robot.x for node in run.nodes]
@@ -327,17 +224,17 @@ def test_robots_hear_their_neighbours_in_the_graph(tmp_path: Path) -> None:
 
 
 def test_robots_that_move_hear_who_is_near() -> None:
-    settings = make(robots=8, topology="dynamic", density=1.5, steps=80)
+    settings = small(robots=8, topology="dynamic", density=1.5, steps=80)
     twin, expected = Arena(settings, 0), [0] * 8
     for _ in range(80):
         twin.step()
         for robot in twin.links.ravel().tolist():
             expected[robot] += 1
-    runs = [record(settings, medium) for medium in ("one bus", "a bus for each")]
-    for run, _ in runs:
+    runs = [record(settings, MEDIA[medium])[0] for medium in ("one bus", "a bus for each")]
+    for run in runs:
         assert [node.reception.delivered for node in run.nodes] == expected
     assert len(set(expected)) > 1
-    assert states(runs[0][0]) == states(runs[1][0])
+    assert states(runs[0]) == states(runs[1])
 
 
 # Real time
@@ -345,13 +242,11 @@ def test_robots_that_move_hear_who_is_near() -> None:
 
 def test_real_time_runs_to_the_end_and_says_how_well_it_kept_time() -> None:
     """No bound on lateness is tested: that would test the machine."""
-    run, _ = record(make("loss=0.1", clock="real-time", steps_per_second=500))
+    run, _ = record(small("loss=0.1", clock="real-time", steps_per_second=500))
     assert run.results["steps"] == 60
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
-    text = io.StringIO()
-    Console(file=text, width=250).print(summary_table(summary(run, "virtual", 1.0)))
-    assert re.search(r"ticks began .* ms late on average.*drift", text.getvalue())
+    assert "ticks began" in dict(summary(run, "virtual", 1.0))["clock"]
 
 
 class Late(virtual.VirtualBus):
@@ -364,7 +259,7 @@ class Late(virtual.VirtualBus):
 
 
 def test_what_comes_too_late_is_heard_in_the_next_tick_and_counted() -> None:
-    settings = make(robots=3, clock="real-time", steps_per_second=1000)
+    settings = small(robots=3, clock="real-time", steps_per_second=1000)
     with Swarm(settings, Wiring(lambda robot: Late("late"))) as swarm:
         for tick in range(10):
             Late.is_deaf = tick == 5
@@ -373,48 +268,34 @@ def test_what_comes_too_late_is_heard_in_the_next_tick_and_counted() -> None:
         assert swarm.traffic.total("delivered") == 10 * 3 * 2
         # Two messages of each neighbour in one round: the second is a repetition.
         assert swarm.traffic.total("refused") == 3 * 2
-        assert isinstance(swarm.clock, RealTimeClock)
 
 
 # Load
 
 
 def test_the_load_of_a_real_bus() -> None:
-    run, frames = record(make())
+    run, frames = record(small())
     bits = figures(run)["bits"]
     assert bits == 160 * len(frames)
     for rate, share in run.results["bus_load"].items():
         assert share["mean"] == pytest.approx(bits / (6.0 * int(rate)))
-        assert share["peak"] == pytest.approx(figures(run)["peak_bits"] / (0.1 * int(rate)))
-    # Heartbeats and estimates in one tick are the most.
-    assert figures(run)["peak_bits"] == 160 * 10
+        # Heartbeats and estimates in one tick are the most.
+        assert share["peak"] == pytest.approx(160 * 10 / (0.1 * int(rate)))
     assert load_warning(run.results) is None
-
-
-def test_a_busy_bus_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
-    small = ["swarm", "--robots", "10", "--steps", "20", "--steps-per-second"]
-    assert main([*small, "300"]) == 0
-    captured = capsys.readouterr()
-    assert "a real bus at 500 kbit/s or less would be busy for more than 70% of the time" in captured.err
-    assert main([*small, "30"]) == 0
-    assert capsys.readouterr().err == ""
-
-
-# As many as there can be
 
 
 @pytest.mark.parametrize("medium", ["one bus", *slow(["one group"])])
 def test_128_robots(medium: str) -> None:
     """More frames than a socket keeps, so they have to be read while others are still sent."""
-    settings = make(robots=128, steps=2, flawed=0.1)
-    run, frames = record(settings, medium)
+    run, frames = record(small(robots=128, steps=2, flawed=0.1), MEDIA[medium])
     assert len(frames) == (2 + 1) * 128
     assert figures(run)["delivered"] == 2 * 128 * 127
     assert run.results["spread_x"] == 0
 
 
 def test_a_flood_is_read_while_it_comes() -> None:
-    run, _ = record(make("babble,frames=300,robots=0+1,from=1,to=2", steps=3), "a group for each")
+    flood = "babble,frames=300,robots=0+1,from=1,to=2"
+    run, _ = record(small(flood, steps=3), MEDIA["a group for each"])
     assert figures(run)["arrived"] == (3 + 1) * 5 * 4 + 600 * 4
 
 
@@ -422,31 +303,33 @@ def test_a_flood_is_read_while_it_comes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "reproduced", "falsified", "foreign"),
+    ("fault", "expected"),
     [
-        ("loss=0.5", 300, 0, 0),
-        ("crash,robots=1,from=20,to=35", 285, 0, 0),
-        ("busoff,robots=1,from=20,to=35", 285, 0, 0),
-        ("liar,robots=1,from=10,to=20,x=0.123", 290, 10, 0),
-        ("liar,robots=1,from=10,to=20,alpha=1e-9", 290, 10, 0),
-        ("freeze,robots=1,from=10,to=20", 290, 10, 0),
-        ("collide,robots=3,id=2,from=10,to=20", 290, 0, 10),
-        ("babble,robots=3,frames=2,from=10,to=15", 300, 0, 0),
+        ("loss=0.5", (300, 0, 0, 0)),
+        ("crash,robots=1,from=20,to=35", (285, 0, 0, 0)),
+        ("busoff,robots=1,from=20,to=35", (285, 0, 0, 0)),
+        ("liar,robots=1,from=10,to=20,x=0.123", (290, 10, 0, 0)),
+        ("liar,robots=1,from=10,to=20,alpha=1e-9", (290, 10, 0, 0)),
+        ("freeze,robots=1,from=10,to=20", (290, 10, 0, 0)),
+        ("collide,robots=3,id=2,from=10,to=20", (290, 0, 10, 11)),
+        ("babble,robots=3,frames=2,from=10,to=15", (300, 0, 0, 10)),
     ],
 )
 def test_a_replay_finds_every_fault_that_the_input_log_tells(
-    fault: str, reproduced: int, falsified: int, foreign: int, tmp_path: Path
+    fault: str, expected: tuple[int, ...], tmp_path: Path
 ) -> None:
-    settings, path = make(fault), tmp_path / "run.events"
+    """How many broadcasts are reproduced, falsified and foreign, and how many frames are no robot's."""
+    settings, path = small(fault), tmp_path / "run.events"
     header = InputLogHeader(settings.records(), settings.seed, settings.frames)
     frames: list[can.Message] = []
     with (
         input_log_in(path, header) as input_log,
-        Swarm(settings, Wiring(one_bus), frames.append, input_log) as swarm,
+        Swarm(settings, ON_ONE_BUS, frames.append, input_log) as swarm,
     ):
         run_swarm(swarm)
     with InputLogReader(path) as reader:
         verdict = verify(frames, reader)
-    assert verdict.difference is None
-    assert (verdict.reproduced, verdict.falsified, verdict.foreign) == (reproduced, falsified, foreign)
-    assert verdict.not_logged == 0
+    with InputLogReader(path) as reader:
+        others = sum(isinstance(line, str) for line in reader.lines())
+    assert (verdict.difference, verdict.not_logged) == (None, 0)
+    assert (verdict.reproduced, verdict.falsified, verdict.foreign, others) == expected

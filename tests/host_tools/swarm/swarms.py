@@ -1,0 +1,67 @@
+"""Short runs of swarms on any bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import can
+from can.interfaces import virtual
+
+from mcp_asdf.robot import FixedPointRobot
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmHook, SwarmRun, run_swarm
+
+
+def one_bus(robot: int = 0) -> can.BusABC:
+    """Join a virtual bus, the same for all robots."""
+    return virtual.VirtualBus("one", preserve_timestamps=True)
+
+
+def own_bus(robot: int) -> can.BusABC:
+    """Join the virtual bus of a robot."""
+    return virtual.VirtualBus(f"of {robot}", preserve_timestamps=True)
+
+
+ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
+
+
+def small(*faults: str, **changes: Any) -> SwarmSettings:
+    """Settings of a short run with several filter periods, in which these faults strike."""
+    plain: dict[str, Any] = {
+        "robots": 5,
+        "flawed": 0.4,
+        "steps": 60,
+        "filter_period": 20,
+        "seed": 11,
+        "faults": faults,
+    }
+    return SwarmSettings(**(plain | changes))
+
+
+def record(
+    settings: SwarmSettings, wiring: Wiring = ON_ONE_BUS, hooks: Sequence[SwarmHook] = ()
+) -> tuple[SwarmRun, list[can.Message]]:
+    """A run that nothing ended early, and the frames it sent."""
+    frames: list[can.Message] = []
+    with Swarm(settings, wiring, frames.append) as swarm:
+        run = run_swarm(swarm, hooks)
+    assert run.failure is None
+    return run, frames
+
+
+def content(frames: Sequence[can.Message]) -> list[tuple[int, bytes]]:
+    """Identity of frames, without time and place."""
+    return [(frame.arbitration_id, bytes(frame.data)) for frame in frames]
+
+
+def state(robot: Any) -> dict[str, int]:
+    """All that the firmware of a robot holds."""
+    assert isinstance(robot, FixedPointRobot)
+    return robot.state()
+
+
+def states(run: SwarmRun) -> list[dict[str, int]]:
+    """All that the firmwares of a run hold."""
+    return [state(node.robot) for node in run.nodes]

@@ -1,0 +1,258 @@
+"""``mcp-asdf swarm``: its files and what it prints, and every way to end."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+from can.interfaces import virtual
+
+from host_tools.swarm.swarms import content, record
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.swarm import carrier as connection
+from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm
+from support import interruptible, slow
+
+pytestmark = pytest.mark.usefixtures("private_setup")
+
+SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
+
+
+def command(*arguments: str | Path) -> int:
+    return main(["swarm", *SMALL, *map(str, arguments)])
+
+
+# Files and output
+
+
+def test_equal_seeds_give_equal_files(tmp_path: Path) -> None:
+    made = {}
+    for name, seed in (("1", "5"), ("2", "5"), ("3", "6")):
+        log, plot = tmp_path / f"{name}.log", tmp_path / f"{name}.svg"
+        assert command("--seed", seed, "--log", log, "--plot", plot) == 0
+        made[name] = [path.read_bytes() for path in (log, plot, Path(f"{log}.events"), Path(f"{log}.json"))]
+    assert made["1"] == made["2"]
+    assert all(one != other for one, other in zip(made["1"], made["3"], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "magic"), [("svg", b"<?xml"), *slow([("png", b"\x89PNG"), ("pdf", b"%PDF")])]
+)
+def test_a_run_is_in_its_files(
+    suffix: str, magic: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log of every frame, a picture, and beside each what is printed as JSON."""
+    _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
+    plot, log = tmp_path / f"my.run.{suffix}", tmp_path / "my.run.log"
+    assert command("--json", "--plot", plot, "--log", log) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["parameters"]["seed"] == 1
+    assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
+    assert report["bus"] == {"interface": "virtual", "channel": "vcan0", "slcan": None}
+    assert report["results"]["frames"]["delivered"] == 30 * 4 * 3
+    beside = [Path(f"{path}.json") for path in (plot, log)]
+    assert all(json.loads(path.read_text()) == report for path in beside)
+    with can.LogReader(log) as reader:
+        read = list(reader)
+    assert content(read) == content(frames)
+    first = read[0].timestamp
+    assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
+    assert plot.read_bytes().startswith(magic)
+    assert sorted(tmp_path.iterdir()) == sorted([plot, log, *beside, Path(f"{log}.events")])
+
+
+def test_what_is_piped_has_fields_and_ends_with_the_line_to_type_again(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One line each, however long, so that cut and grep find what they look for."""
+    assert command("--seed", "42") == 0
+    *lines, again = capsys.readouterr().out.splitlines()
+    assert again.startswith("again: mcp-asdf swarm ") and again.endswith("--seed 42")
+    rows = [line.split("\t") for line in lines]
+    names = [name for name, *_ in rows]
+    assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    assert set(names[:-7]) <= {"step", "robot"}
+    assert [row[1] for row in rows if row[0] == "step"][-1] == "30"
+    assert command("--seed", "42", "--quiet") == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("seed 42: ") and shown.count("\n") == 1
+
+
+def test_parameters_without_an_option_are_listed_and_set(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("--set", "help") == 0
+    listed = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
+    assert listed["drift"].startswith("none,linear,stepped,wiener\thow the true accuracy changes")
+    values = {"latency": 1, "omega": 0.125, "flawed-accuracy": 0.5, "activation": "always"}
+    assert values.keys() | {"subject", "priority", "telemetry-period"} <= listed.keys()
+    del values["omega"]
+    words = [f"--set={name.replace('-', '_')}={value}" for name, value in values.items()]
+    assert command("--json", *words, "--set", "priority=6") == 0
+    parameters = json.loads(capsys.readouterr().out)["parameters"]
+    assert {name: parameters[name.replace("-", "_")] for name in values} == values
+    assert parameters["frames"] == {"subject": 3000, "priority": 6}
+
+
+@pytest.mark.parametrize("output", ["--quiet", "--json"])
+def test_a_free_port_is_told_however_little_is_printed(
+    output: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert command("--slcan", "0", output, "--log", tmp_path / "run.log") == 0
+    port = json.loads((tmp_path / "run.log.json").read_text())["bus"]["slcan"]
+    assert capsys.readouterr().err == f"the bus is an slcan adapter, too: socket://127.0.0.1:{port}\n"
+    assert port > 0
+
+
+@pytest.mark.parametrize(("rate", "told"), [("300", "500 kbit/s"), ("30", "")])
+def test_a_busy_bus_is_warned_of(rate: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("--robots", "10", "--steps-per-second", rate) == 0
+    warned = f"a real bus at {told} or less would be busy for more than 70% of the time"
+    assert (warned in capsys.readouterr().err) == bool(told)
+
+
+# Bad usage
+
+BAD = {
+    "--robots 129": "--robots is 129; it must be 1 to 128",
+    "--robots 127 --slcan 0": "with --slcan take at most 126",
+    "--slcan 0 --channel vcan{robot}": "--slcan needs one bus for all",
+    "--topology dynamic --density 0": "--density is 0.0; it must be 1e-06 to 1e+06",
+    "--topology dynamic --density 1e6": "4 robots of 0.1408 m are too many for",
+    "--topology graph --graph none.txt": "cannot read the graph none.txt",
+    "--flawed 1.5": "--flawed is '1.5'; give a count, 0 to 4, or a share such as '30%' or 0.3",
+    "--steps 0": "--steps is 0; it must be 1 to 1000000000",
+    "--seed -1": "seed is -1",
+    "--filter some": "some",
+    "--firmware perfect": "perfect",
+    "--fault lose": "no kind is called 'lose'",
+    "--fault loss,robots=20": "names robot 20, but the ids of 4 robots are 0 to 3",
+    "--clock none": "none",
+    "--set radio-range=1": "--set radio-range is 1.0 but robots do not move; choose topology dynamic",
+    "--set comms-period=3": "--filter-period is 10; it must be a multiple of comms_period, 3",
+    "--set memory=65": "--set memory is 65; it must be a multiple of 4",
+    "--set omega=nan": "--set omega is nan; it must be",
+    "--filter none --set omega=0.1": "--set omega would do nothing: filter is none; leave it out",
+    "--set subject=6144": "subject is 6144",
+    "--set latency": "'latency': no value; --set help lists all names",
+    "--set omga=0.1": "no parameter is called 'omga'; did you mean omega?; --set help lists all names",
+    "--set robots=3": "no parameter is called 'robots'",
+    "--set latency=one": "'latency=one': give a whole number",
+    "--set speed=fast": "'speed=fast': give a number",
+    "--log run.db": "cannot log to run.db: choose .log",
+    "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
+    "--plot run.gif": "run.gif",
+    "--plot no/such/folder/run.png": "cannot write no/such/folder/run.png: its folder does not exist",
+    "--interface nonsense": "nonsense",
+    "--interface socketcan --channel nowhere0": "socketcan nowhere0",
+    "--no-such-option": "--no-such-option",
+}
+
+
+@pytest.mark.parametrize("arguments", BAD)
+def test_bad_usage(
+    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command(*shlex.split(arguments)) == 2
+    captured = capsys.readouterr()
+    assert BAD[arguments] in captured.err
+    assert captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+OUTPUTS = {"run.log", "run.log.events", "run.log.json", "run.png", "run.png.json"}
+
+
+@pytest.mark.parametrize("obstructed", sorted(OUTPUTS))
+def test_what_cannot_be_written_is_told_before_the_first_tick(
+    obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Swarm, "tick", lambda self: pytest.fail("it ran"))
+    for name in OUTPUTS - {obstructed}:
+        (tmp_path / name).write_text("of yesterday")
+    (tmp_path / obstructed).mkdir()
+    assert command("--log", tmp_path / "run.log", "--plot", tmp_path / "run.png") == 2
+    assert f"cannot write {tmp_path / obstructed}: it is not a regular file" in capsys.readouterr().err
+    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
+    assert all((tmp_path / name).read_text() == "of yesterday" for name in OUTPUTS - {obstructed})
+
+
+# Ends
+
+
+def sending(number: signal.Signals) -> Callable[[], None]:
+    return lambda: os.kill(os.getpid(), number)
+
+
+def raise_interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("interrupt", "code"),
+    [(sending(signal.SIGINT), 130), (sending(signal.SIGTERM), 143), (raise_interrupt, 130)],
+    ids=["ctrl-c", "kill", "hook"],
+)
+@interruptible()
+def test_a_signal_saves_what_is_done(
+    interrupt: Callable[[], None],
+    code: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt() if swarm.ticks == 7 else None)
+    handler = signal.getsignal(signal.SIGINT)
+    log, plot = tmp_path / "run.log", tmp_path / "run.png"
+    assert command("--json", "--log", log, "--plot", plot) == code
+    assert signal.getsignal(signal.SIGINT) is handler
+    report = json.loads(capsys.readouterr().out)
+    assert report["interrupted"]
+    assert report["results"]["steps"] == 7
+    assert len(log.read_text().splitlines()) == 4 * (7 + 1)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert json.loads(Path(f"{plot}.json").read_text()) == report
+
+
+def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Failing(virtual.VirtualBus):
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            assert timeout is not None
+            if msg.timestamp > 0.75:
+                raise can.CanOperationError("bus off")
+            super().send(msg, timeout)
+
+    monkeypatch.setattr(virtual, "VirtualBus", Failing)
+    log = tmp_path / "run.log"
+    assert command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
+    assert "failed in tick 9: bus off" in capsys.readouterr().err
+    assert len(log.read_text().splitlines()) == 4 * (8 + 1)
+
+
+def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
+    assert command("--bus-kwargs", "rx_queue_size=2") == 1
+    assert "failed in tick 1: Could not send" in capsys.readouterr().err
+
+
+def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    obstruct = (tmp_path / "run.log.json").mkdir
+    monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: obstruct(exist_ok=True))
+    assert command("--quiet", "--log", tmp_path / "run.log") == 2
+    out, err = capsys.readouterr()
+    assert out.startswith("seed 1: 4 robots, 30 steps")
+    assert f"cannot write {tmp_path}/run.log.json" in err
+    assert {path.name for path in tmp_path.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
