@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
@@ -24,7 +23,7 @@ from mcp_asdf_tools.experiments import trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import read_table
 from mcp_asdf_tools.experiments.sweep import Store, jobs_of, run_sweep
-from support import ROOT
+from support import ROOT, slow
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: make setup")
 
@@ -51,19 +50,16 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
     command = [sys.executable, str(folder / "cluster_module.py"), str(workers)]
     pipe, quiet = subprocess.PIPE, subprocess.DEVNULL
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=quiet, text=True, cwd=ROOT) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
+        assert process.stdin is not None and process.stdout is not None
         try:
             yield process.stdout.readline().strip(), process.stdin
         finally:
             process.stdin.close()
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The scheduler's address of two workers."""
-    with cluster_of(2, tmp_path_factory.mktemp("cluster")) as (address, _):
-        yield address
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "x.parquet", [SLOW])
 
 
 def worker_processes(address: str) -> list[int]:
@@ -72,69 +68,66 @@ def worker_processes(address: str) -> list[int]:
         return list(client.run(os.getpid).values())
 
 
-@pytest.mark.slow
-def test_a_killed_worker_changes_nothing(cluster: str, tmp_path: Path) -> None:
-    here, there = Store(tmp_path / "here.parquet", [SLOW]), Store(tmp_path / "there.parquet", [SLOW])
-    victim, other = worker_processes(cluster)
-    finished: list[int] = []
-
-    def kill_one(trials: int) -> None:
-        finished.append(trials)
-        if len(finished) == 3:
-            os.kill(victim, signal.SIGKILL)
-
-    table = run_sweep(there, 1, report=kill_one, scheduler=cluster)
-    assert sum(finished) == len(finished) == SLOW.trials  # each job's results came once
-    assert table.equals(run_sweep(here, 1))
-    assert (tmp_path / "here.parquet").read_bytes() == (tmp_path / "there.parquet").read_bytes()
-    assert victim not in worker_processes(cluster)
-    assert other in worker_processes(cluster)
-
-
-def test_the_cluster_runs_only_what_is_missing(
-    cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
+    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def answer(trials: int, output: str, *arguments: str) -> int:
+    def sweep(count: int, output: Path, *arguments: str) -> None:
         path = tmp_path / "grid.toml"
-        path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {trials}\n")
-        given = [str(path), "--output", str(tmp_path / output), "--json", *arguments]
-        assert cli.main(["sweep", *given]) == 0
-        return int(json.loads(capsys.readouterr().out)["run"])
+        path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {count}\n")
+        assert cli.main(["sweep", str(path), "--output", str(output), *arguments]) == 0
 
-    assert answer(20, "there.parquet", "--workers", "1") == 20
-    assert answer(50, "there.parquet", "--scheduler", cluster) == 30
-    assert answer(50, "here.parquet", "--workers", "1") == 50
-    assert read_table(tmp_path / "there.parquet").equals(read_table(tmp_path / "here.parquet"))
+    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
+    with cluster_of(1, tmp_path) as (address, end):
+        sweep(20, there, "--workers", "1")
+        sweep(50, there, "--scheduler", address)
+        sweep(50, here, "--workers", "1")
+        assert read_table(there).equals(read_table(here))
+        with monkeypatch.context() as patch:
+            patch.setattr(trials, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+            assert next(jobs_of(store)).run().experiment == SLOW
+            with pytest.raises(UsageError, match="install the same on all"):
+                run_sweep(store, 1, scheduler=address)
+        long = replace(SLOW, trials=500)
+        store.want([long])
+        with pytest.raises(UsageError, match="what was finished is kept"):
+            run_sweep(store, 1, report=lambda _: end.close(), scheduler=address)
+    assert 0 < Store(store.output, [long]).left == store.left < long.trials
 
 
-def test_another_version_is_refused(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trials, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
-    other = replace(next(jobs_of(Store(tmp_path / "x.parquet", [SLOW]))), version="9.9.9")
-    assert other.run().experiment == SLOW
-    with pytest.raises(UsageError, match="install the same on all"):
-        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=cluster)
+@pytest.mark.slow
+def test_a_killed_worker_changes_nothing(store: Store, tmp_path: Path) -> None:
+    finished: list[int] = []
+    with cluster_of(2, tmp_path) as (address, _):
+        victim, other = worker_processes(address)
+
+        def kill_one(count: int) -> None:
+            finished.append(count)
+            if len(finished) == 3:
+                os.kill(victim, signal.SIGKILL)
+
+        table = run_sweep(store, 1, report=kill_one, scheduler=address)
+        assert sum(finished) == len(finished) == SLOW.trials  # each job's results came once
+        assert victim not in (left := worker_processes(address))
+        assert other in left
+    assert table.equals(run_sweep(Store(tmp_path / "here.parquet", [SLOW]), 1))
+    assert (tmp_path / "here.parquet").read_bytes() == store.output.read_bytes()
 
 
-def test_no_scheduler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://127.0.0.1:1", *slow(["nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"])],
+)
+def test_no_scheduler_is_told(address: str, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
-    store = Store(tmp_path / "x.parquet", [SLOW])
-    for address in (
-        "tcp://127.0.0.1:1",
-        "nonsense://x",
-        "",
-        "127.0.0.1:b",
-        "tls://127.0.0.1:1",
-        "inproc://x",
-    ):
-        with pytest.raises(UsageError, match="no Dask scheduler at"):
-            run_sweep(store, 1, scheduler=address)
+    with pytest.raises(UsageError, match="no Dask scheduler at"):
+        run_sweep(store, 1, scheduler=address)
 
 
 @pytest.mark.parametrize(
     ("answer", "patience", "reason"), [(b"", 1, "timed out"), (b"HTTP/1.1 400\r\n", 60, "another server")]
 )
 def test_another_server_is_told(
-    answer: bytes, patience: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    answer: bytes, patience: int, reason: str, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that is silent, and one that answers before it is asked."""
     monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
@@ -147,19 +140,11 @@ def test_another_server_is_told(
         threading.Thread(target=serve, daemon=True).start()
         address = f"127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(UsageError, match=f"no Dask scheduler at {address}: {reason}"):
-            run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
+            run_sweep(store, 1, scheduler=address)
 
 
-def test_no_workers_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow
+def test_no_workers_are_told(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
     with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError, match="has no workers"):
-        run_sweep(Store(tmp_path / "x.parquet", [SLOW]), 1, scheduler=address)
-
-
-def test_a_lost_cluster_is_told(tmp_path: Path) -> None:
-    long = replace(SLOW, trials=500)
-    store, message = Store(tmp_path / "x.parquet", [long]), "what was finished is kept"
-    with cluster_of(1, tmp_path) as (address, end), pytest.raises(UsageError, match=message):
-        run_sweep(store, 1, report=lambda trials: end.close(), scheduler=address)
-    left = Store(tmp_path / "x.parquet", [long]).left
-    assert 0 < left == store.left < long.trials
+        run_sweep(store, 1, scheduler=address)
