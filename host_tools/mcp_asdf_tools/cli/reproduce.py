@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import get_args
 
@@ -36,22 +36,21 @@ was finished is kept)"""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add, full = parser.add_argument, Scale()
-    add("--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-...])")
     size = parser.add_mutually_exclusive_group()
     quick = f"{QUICK.trials} trials of {QUICK.steps} steps: whether it works, without verdicts"
     size.add_argument("--quick", action="store_true", help=quick)
-    paper = f"the paper's {PAPER.trials} trials, with one seed"
-    size.add_argument("--paper", action="store_true", help=paper)
+    size.add_argument(
+        "--paper", action="store_true", help=f"the paper's {PAPER.trials} trials, with one seed"
+    )
+    add("--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-...])")
     parts = [part.value for part in Part]
     add("--part", action="append", choices=parts, help="only this part; may be repeated (default: all)")
     add("--trials", type=int, metavar="N", help="of each experiment (default: more until all is decided)")
     add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {full.steps})")
     add("--seed", type=int, metavar="N", help=f"the first one (default {full.seed})")
-    seeds = "how many, from the first on (default: 2 where robots move, else 3)"
-    add("--seeds", type=int, metavar="N", help=seeds)
+    add("--seeds", type=int, metavar="N", help="how many (default: 2 where robots move, else 3)")
     add("--firmware", choices=FIRMWARES, help=f"of the robots (default {full.firmware})")
-    conventions = f"of the reference firmware (default {full.conventions})"
-    add("--conventions", choices=get_args(Convention), help=conventions)
+    add("--conventions", choices=get_args(Convention), help=f"of the reference (default {full.conventions})")
     options.add_workers(parser)
     add_scheduler(parser)
 
@@ -92,13 +91,14 @@ def run(args: argparse.Namespace) -> int:
 
 def scale_of(args: argparse.Namespace) -> Scale:
     """Size of the study by the options. Raises UsageError for values out of range."""
-    names = ("trials", "steps", "seed", "seeds", "firmware")
+    names = [field.name for field in fields(Scale)]
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
-    if args.conventions is not None:
-        given["conventions"] = args.conventions
     scale = replace(QUICK if args.quick else PAPER if args.paper else Scale(), **given)
-    least = {"trials": (2, "one says nothing of how sure it is"), "seeds": (1, "the first one")}
-    least["steps"] = (PERIODS[-1], "the longest tau")
+    least = {
+        "trials": (2, "one says nothing of how sure it is"),
+        "seeds": (1, "the first one"),
+        "steps": (PERIODS[-1], "the longest tau"),
+    }
     for name, (value, why) in least.items():
         if (own := getattr(scale, name)) is not None and own < value:
             raise UsageError(f"--{name} is {own}; give at least {value}: {why}")

@@ -11,8 +11,6 @@ from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 
@@ -29,45 +27,28 @@ exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml")
-    options.add_parameters(parser)
-    options.add_limits(parser)
-    output = parser.add_argument_group("output")
-    output.add_argument("--output", metavar="FILE", type=Path, help="keep the results: .parquet")
-    options.add_record(output)
-    options.add_workers(parser)
+    options.add_run(parser, "keep the results: .parquet")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, keep and print what came out."""
-    experiment = settings_of(args)
-    workers, interval = options.check_workers(args.workers), options.sampling_interval(args, [experiment])
+    experiment, *more = options.experiments_of(args)
+    if more:
+        raise UsageError(f"{args.file} describes {len(more) + 1} experiments; run it with mcp-asdf sweep")
+    workers, limits = options.check_workers(args.workers), options.limits_of(args)
     with tempfile.TemporaryDirectory() as folder:
-        output = (
-            Path(folder, "results.parquet") if args.output is None else options.checked_output(args.output)
-        )
-        store = Store(output, [experiment], interval)
+        output = options.checked_output(args.output or Path(folder, "results.parquet"))
+        store = Store(output, [experiment], args.record)
         missing = len(store.missing(experiment))
         with progress("trials", missing, args.json) as report:
             # A few seconds' work is done sooner than processes start.
-            is_short = (
-                experiment.firmware == "native" and missing * experiment.robots * experiment.steps < 10**8
-            )
-            table = run_sweep(store, 1 if is_short else workers, interval, report)
-    experiments = experiments_in(table)
-    limits = options.limits_of(args)
+            robot_steps = missing * experiment.robots * experiment.steps
+            is_short = experiment.firmware == "native" and robot_steps < 10**8
+            table = run_sweep(store, 1 if is_short else workers, args.record, report)
+    results = experiments_in(table)
     if args.json:
-        print(json.dumps({**metadata_of(table), **options.summary(experiments, limits)[0]}, indent=2))
+        print(json.dumps({**metadata_of(table), **options.summary(results, limits)[0]}, indent=2))
     else:
-        options.show(experiments, limits, "one experiment")
+        options.show(results, limits, "one experiment")
         print_again(args, seed=experiment.seed)
     return 0
-
-
-def settings_of(args: argparse.Namespace) -> Experiment:
-    """The experiment of file and options. Raises UsageError for a value out of range."""
-    if args.file is None:
-        return options.experiment_of(args)
-    experiments = read_experiments(args.file)
-    if len(experiments) != 1:
-        raise UsageError(f"{args.file} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
-    return options.with_parameters(experiments[0], args)

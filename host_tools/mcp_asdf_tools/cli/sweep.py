@@ -12,7 +12,6 @@ from pathlib import Path
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
 from mcp_asdf_tools.experiments.sweep import Store, run_sweep
 
@@ -30,23 +29,14 @@ exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished i
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", metavar="FILE", type=Path, help="describes the experiments: .toml")
-    parser.add_argument(
-        "--output", metavar="FILE", type=Path, help="where results go (default: FILE's name with .parquet)"
-    )
-    options.add_record(parser)
-    options.add_parameters(parser)
-    options.add_limits(parser)
-    options.add_workers(parser)
+    options.add_run(parser, "where results go (default: FILE's name with .parquet)")
     add_scheduler(parser)
 
 
 def add_scheduler(parser: argparse.ArgumentParser) -> None:
     """The option for a cluster."""
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here",
-    )
+    text = "run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here"
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
 @contextmanager
@@ -63,15 +53,14 @@ def telling_what_is_left(stores: Sequence[Store]) -> Iterator[None]:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, keep and print what came out."""
-    workers = options.check_workers(args.workers)
-    given = [options.with_parameters(experiment, args) for experiment in read_experiments(args.file)]
-    interval = options.sampling_interval(args, given)
-    store = Store(options.checked_output(args.output or args.file.with_suffix(".parquet")), given, interval)
+    workers, limits = options.check_workers(args.workers), options.limits_of(args)
+    given = options.experiments_of(args)
+    output = options.checked_output(args.output or args.file.with_suffix(".parquet"))
+    store = Store(output, given, args.record)
     missing = store.left
     with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
-        table = run_sweep(store, workers, interval, report, scheduler=args.scheduler)
+        table = run_sweep(store, workers, args.record, report, args.scheduler)
     experiments = experiments_in(table)
-    limits = options.limits_of(args)
     if args.json:
         result = {**metadata_of(table), "run": missing, "output": str(store.output)}
         print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))

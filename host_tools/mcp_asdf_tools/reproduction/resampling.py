@@ -6,7 +6,6 @@ common cancels in a difference.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -63,59 +62,32 @@ def interval(value: float, again: NDArray[Any], confidence: float) -> Estimate:
 
 
 def summarized(sample: Sample, summary: Summary) -> Summarized:
-    """The summary of a sample of at most 65 535 trials. O(resamples trials)."""
-    order = np.argsort(sample, kind="stable")
-    ordered = sample[order]
-    value = _quantiles(ordered, {place: np.array(place) for place in range(len(sample))}, summary)
-    if ordered[0] == ordered[-1]:
-        return Summarized(float(value), np.full(RESAMPLES, value, np.float32))
-    places = {place for q, _ in summary for place in _places(len(sample), q)[:2]}
-    return Summarized(float(value), _quantiles(ordered, _ranks_at(places, order), summary).astype(np.float32))
+    """The summary of a sample of at most 65 535 trials. O(resamples trials log trials).
 
-
-def _ranks_at(places: set[int], order: NDArray[np.intp]) -> dict[int, NDArray[np.uint16]]:
-    """The rank in the sample of the trial that each resample has at each of some places of its own order.
-
-    It is the number of trials up to which a resample has drawn no more than the place asks for. ``order`` are
-    the sample's trials by rank.
+    Resamples are sorted as ranks in the sample, of 16 bits, which is ten times as fast as sorting values.
     """
-    wanted = np.array(sorted(places), np.uint16)[:, np.newaxis]
-    so_far = np.zeros(RESAMPLES, np.uint16)
-    ranks = np.zeros((len(places), RESAMPLES), np.uint16)
-    for drawn in _times_drawn(len(order), RESAMPLES)[order]:
-        so_far += drawn
-        ranks += so_far <= wanted
-    return dict(zip(sorted(places), ranks, strict=True))
+    order = np.argsort(sample, kind="stable")
+    ranks = np.empty(len(sample), np.uint16)
+    ranks[order] = own = np.arange(len(sample), dtype=np.uint16)
+    drawn = np.sort(ranks[_drawn(len(sample), RESAMPLES)], axis=1)
+    (value,) = _quantiles(sample[order], own[np.newaxis], summary)
+    return Summarized(float(value), _quantiles(sample[order], drawn, summary).astype(np.float32))
 
 
-@lru_cache(maxsize=4)
-def _times_drawn(trials: int, resamples: int) -> NDArray[np.uint16]:
-    """How often each trial is drawn by each resample, shape (trials, resamples)."""
-    times = np.empty((trials, resamples), np.uint16)
-    for number, drawn in enumerate(_drawn(trials, resamples)):
-        times[:, number] = np.bincount(drawn, minlength=trials)
-    return times
+def _quantiles(ordered: Sample, ranks: NDArray[np.uint16], summary: Summary) -> NDArray[np.float64]:
+    """The weighted quantiles of samples whose values have these ranks, in ascending order."""
+    last, total = len(ordered) - 1, np.zeros(len(ranks))
+    for quantile, weight in summary:
+        place, share = int(quantile * last), quantile * last % 1
+        low, high = (ordered[ranks[:, each]] for each in (place, min(place + 1, last)))
+        total += weight * ((1 - share) * low + share * high)
+    return total
 
 
 @lru_cache(maxsize=4)
 def _drawn(trials: int, resamples: int) -> NDArray[np.uint16]:
     """Indices of trials, shape (resamples, trials)."""
     return np.random.default_rng(_SEED).integers(trials, size=(resamples, trials), dtype=np.uint16)
-
-
-def _places(trials: int, quantile: float) -> tuple[int, int, float]:
-    """The two ranks between which a quantile lies, and how far it is towards the second."""
-    place = quantile * (trials - 1)
-    return int(place), min(int(place) + 1, trials - 1), place % 1
-
-
-def _quantiles(ordered: Sample, ranks: Mapping[int, NDArray[Any]], summary: Summary) -> NDArray[np.float64]:
-    """The weighted quantiles of samples of which the ranks at each place are given."""
-    total = np.array(0.0)
-    for quantile, weight in summary:
-        low, high, share = _places(len(ordered), quantile)
-        total = total + weight * ((1 - share) * ordered[ranks[low]] + share * ordered[ranks[high]])
-    return total
 
 
 def rank_correlation(first: Sample, second: Sample, confidence: float) -> Estimate:

@@ -81,25 +81,16 @@ RARE: dict[str, Any] = {
     **{"steps": 200_000, "filter_period": 200_000},
 }
 EDGES: dict[str, dict[str, Any]] = {
-    "one robot": {"robots": 1, "flawed": 1},
     "eight robots fill their lanes": {"robots": 8},
     "128 robots": {"robots": 128, "flawed": 40, "steps": 60},
-    "no filter": {"filter": "none"},
-    "only flawed robots filter": {"filter": "asdf-minus"},
-    "filter without a test": {"activation": "always"},
     "only black": {"fill_ratio": 1.0, "true_accuracy": 1.0},
-    "only white": {"fill_ratio": 0.0, "true_accuracy": 1.0},
-    "all uninformative": {"flawed_accuracy": 0.5, "flawed": 9},
     "barely informative": {"flawed_accuracy": 0.5 + 2**-13},
-    "inverted sensors": {"flawed_accuracy": 0.2, "true_accuracy": 0.1},
     "accuracies at their ends": {"flawed_accuracy": 0.0, "true_accuracy": 1.0, "fill_ratio": 0.9},
     "low accuracy at its end": {"true_accuracy": 0.0, "flawed_accuracy": B_HAT_MARGIN},
-    "memory forgets": {"memory": 64},
     "memory ends a period": {"memory": 200},
     "filter every step": {"filter_period": 1, "steps": 60},
     "longer period than the trial": {"filter_period": 1000},
     "one step": {"steps": 1},
-    "rare observations": {"observation_period": 7},
     "memory and rare observations": {"memory": 64, "observation_period": 3, "filter_period": 51},
     "no observation": {"observation_period": 900},
     "linear drift": {"drift": "linear", "drift_rate": -5e-4},
@@ -118,11 +109,10 @@ MOVING_EDGES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("trials", [1, 17])
 @pytest.mark.parametrize("name", [*EDGES, *FULL_EDGES])
-def test_lanes_equal_the_firmware_at_the_edges(name: str, trials: int) -> None:
-    changes = (EDGES | FULL_EDGES)[name]
-    assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=trials)
+def test_lanes_equal_the_firmware_at_the_edges(name: str) -> None:
+    """Which random experiments do not reach; trials fill their lanes once and a bit."""
+    assert_equal_to_the_bit(replace(SHORT, **(EDGES | FULL_EDGES)[name]), first=4, trials=17)
 
 
 @pytest.mark.parametrize("latency", [0, 1])

@@ -1,4 +1,4 @@
-"""Experiments, the files that describe them, and what their sensors see."""
+"""Experiments, and the files that describe them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf.fixed_point import b_hat_to_raw
-from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.reference import local_estimate
-from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.robots.population import Activation, Filtering
-from mcp_asdf_tools.world.philox import CERTAIN
-from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -94,35 +89,6 @@ def test_who_filters_and_when(mode: Filtering, activation: Activation, flawed: F
     assert [config.filter for config in configs] == [flawed, flawed, other, other]
     assert all((config.table is not None) == (config.filter == Filter.ADAPTIVE) for config in configs)
     assert [experiment.b_hat(robot) for robot in range(4)] == [0.55, 0.55, 0.95, 0.95]
-
-
-# --- Sensors ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("fill_ratio", "accuracy", "printed", "estimates"),
-    [
-        (0.55, 0.55, "0.505", {0.55: "0.550", 0.75: "0.510", 0.95: "0.506"}),
-        (0.55, 0.95, "0.545", {0.95: "0.550", 0.75: "0.590", 0.55: "0.950"}),
-        (0.95, 0.55, "0.545", {0.55: "0.950", 0.75: "0.590", 0.95: "0.550"}),
-        (0.95, 0.95, "0.905", {0.95: "0.950", 0.75: "1.000", 0.55: "1.000"}),
-    ],
-)
-def test_the_papers_first_table(
-    fill_ratio: float, accuracy: float, printed: str, estimates: dict[float, str]
-) -> None:
-    """p(z = 1), and x_hat for assumed accuracies, to the printed digits."""
-    experiment = Experiment(fill_ratio=fill_ratio, true_accuracy=accuracy)
-    accuracies = sensor_model(experiment, 0).advance(1)
-    probability = float(black_probabilities(accuracies, fill_ratio)[0][0, 0]) / CERTAIN
-    assert f"{probability:.3f}" == printed
-    for b_hat, expected in estimates.items():
-        blacks = round(1000 * probability)
-        assert f"{local_estimate(blacks, 1000, b_hat):.3f}" == expected
-        robot = MirrorRobot(Config(filter=Filter.OFF), 0, b_hat_to_raw(b_hat) / 2**32)
-        for step in range(1000):
-            robot.step(Observation.BLACK if step < blacks else Observation.WHITE)
-        assert f"{robot.x_hat:.3f}" == expected
 
 
 # --- TOML ------------------------------------------------------------------------------------------------

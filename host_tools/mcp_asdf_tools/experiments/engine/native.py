@@ -18,22 +18,12 @@ from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
 RECORD = np.dtype(
-    [
-        ("beta", "u8"),
-        ("t", "u4"),
-        ("n", "u4"),
-        ("x_hat", "u4"),
-        ("alpha", "u4"),
-        ("x_bar", "u4"),
-        ("x", "u4"),
-        ("b_hat", "u4"),
-    ],
+    [("beta", "u8"), *((name, "u4") for name in ("t", "n", "x_hat", "alpha", "x_bar", "x", "b_hat"))],
     align=True,
 )
 """A robot's values after a step, in the firmware's units."""
 
 COUNTERS = ("tests", "updates")
-_STRIDES = ("trial_stride", "step_stride", "robot_stride")
 
 
 @dataclass(frozen=True)
@@ -108,7 +98,10 @@ class _Call:
     """The engine's description of some trials, and what its pointers point to."""
 
     def __init__(self, experiment: Experiment, first: int, trials: int, sampling_interval: int) -> None:
-        self._kept: list[Any] = []
+        ffi, robots = _engine.ffi, range(experiment.robots)
+        made = {config: _config(config) for config in {experiment.config(robot) for robot in robots}}
+        black = _probabilities(experiment, first, trials)
+        self._kept = [made, black]
         members = {
             "seed": experiment.seed,
             "first_trial": first,
@@ -119,61 +112,40 @@ class _Call:
             "comms_period": experiment.comms_period,
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
-            **self._robots(experiment),
-            **self._sensors(experiment, first, trials),
+            "configs": self._array("mcp_asdf_config_t *[]", [made[experiment.config(j)][0] for j in robots]),
+            "b_hat": self._array("uint32_t[]", [b_hat_to_raw(experiment.b_hat(j)) for j in robots]),
+            "black": ffi.cast("uint32_t *", ffi.from_buffer(black)),
         }
+        names = ("trial_stride", "step_stride", "robot_stride")
+        for name, stride, size in zip(names, black.strides, black.shape, strict=True):
+            members[name] = stride // black.itemsize if size > 1 else 0
         if experiment.is_dynamic:
-            members["arenas"] = self._arenas(experiment, first, trials)
-        self.experiment = _engine.ffi.new("mcp_asdf_experiment_t *", members)
+            arenas = [config_values(experiment, first + index, ffi) for index in range(trials)]
+            self._kept.append(arenas)
+            members["arenas"] = self._array("mcp_asdf_arena_config_t[]", [values for values, _ in arenas])
+        self.experiment = ffi.new("mcp_asdf_experiment_t *", members)
 
-    def _robots(self, experiment: Experiment) -> dict[str, Any]:
-        ffi, count = _engine.ffi, experiment.robots
-        made = {config: _config(config) for config in map(experiment.config, (0, count - 1))}
-        configs = [made[experiment.config(robot)][0] for robot in range(count)]
-        b_hat = [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(count)]
-        members = {
-            "configs": ffi.new("mcp_asdf_config_t *[]", configs),
-            "b_hat": ffi.new("uint32_t[]", b_hat),
-        }
-        self._kept += [made, members]
-        return members
+    def _array(self, kind: str, values: list[Any]) -> Any:
+        array = _engine.ffi.new(kind, values)
+        self._kept.append(array)
+        return array
 
-    def _sensors(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
-        worlds = range(self._worlds(experiment, trials))
-        ratio = None if experiment.is_dynamic else experiment.fill_ratio
-        models = [sensor_model(experiment, first + index) for index in worlds]
-        black = np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
-        strides = [
-            stride // 4 if size > 1 else 0 for stride, size in zip(black.strides, black.shape, strict=True)
-        ]
-        self._kept.append(black)
-        pointer = _engine.ffi.cast("uint32_t *", _engine.ffi.from_buffer(black))
-        return {"black": pointer, **dict(zip(_STRIDES, strides, strict=True))}
 
-    def _arenas(self, experiment: Experiment, first: int, trials: int) -> Any:
-        made = [config_values(experiment, first + index, _engine.ffi) for index in range(trials)]
-        arenas = _engine.ffi.new("mcp_asdf_arena_config_t[]", [values for values, _ in made])
-        self._kept += [made, arenas]
-        return arenas
-
-    @staticmethod
-    def _worlds(experiment: Experiment, trials: int) -> int:
-        """How many different probabilities trials have: one, unless sensors move at random."""
-        return trials if experiment.drift == "wiener" or experiment.sensor else 1
+def _probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
+    """The engine's ``black``, with axes of length 1 where all are alike: of trials, unless sensors move at
+    random."""
+    worlds = range(trials if experiment.drift == "wiener" or experiment.sensor else 1)
+    ratio = None if experiment.is_dynamic else experiment.fill_ratio
+    models = [sensor_model(experiment, first + index) for index in worlds]
+    return np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
 
 
 def _config(ticked: TickConfig) -> tuple[Any, Any]:
     """The C struct of a config and its table."""
-    config = ticked.in_rounds()
-    ffi = _engine.ffi
-    table = ffi.NULL
-    if config.table is not None:
-        table = ffi.new("uint32_t[]", list(config.table.words()))
-    pointer = ffi.new(
-        "mcp_asdf_config_t *",
-        (table, config.filter_period, config.memory, int(config.filter)),
-    )
-    return pointer, table
+    config, ffi = ticked.in_rounds(), _engine.ffi
+    table = ffi.NULL if config.table is None else ffi.new("uint32_t[]", list(config.table.words()))
+    values = (table, config.filter_period, config.memory, int(config.filter))
+    return ffi.new("mcp_asdf_config_t *", values), table
 
 
 def _allocate(experiment: Experiment, trials: int, sampling_interval: int) -> EngineResults:
@@ -189,17 +161,8 @@ def _allocate(experiment: Experiment, trials: int, sampling_interval: int) -> En
 
 
 def _pointers(outcome: EngineResults) -> Any:
-    ffi = _engine.ffi
-
-    def pointer(kind: str, array: NDArray[Any]) -> Any:
-        return ffi.cast(kind, array.ctypes.data)
-
-    return ffi.new(
-        "mcp_asdf_outcome_t *",
-        {
-            "robots": outcome.robots,
-            "x": pointer("uint32_t *", outcome.x),
-            "b_hat": pointer("uint32_t *", outcome.b_hat),
-            "records": pointer("mcp_asdf_record_t *", outcome.records),
-        },
-    )
+    kinds = {"x": "uint32_t *", "b_hat": "uint32_t *", "records": "mcp_asdf_record_t *"}
+    members = {
+        name: _engine.ffi.cast(kind, getattr(outcome, name).ctypes.data) for name, kind in kinds.items()
+    }
+    return _engine.ffi.new("mcp_asdf_outcome_t *", {"robots": outcome.robots, **members})
