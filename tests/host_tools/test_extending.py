@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.common import extensions
@@ -22,29 +20,23 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.world.sensors import CheckedSensors
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.topology import Checked
 from mcp_asdf_tools.world.world import World
-from support import ROOT, run
+from support import ROOT, blocks, run
 from trials import images_by_message
 
-PAGE = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+PAGE = ROOT / "docs/extending.md"
 SHORT: dict[str, Any] = {"robots": 6, "steps": 300, "filter_period": 50, "seed": 3}
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """A folder with the page's package, as ``pip install`` leaves it."""
-    for code in blocks("python"):
+    for code in blocks(PAGE, "python"):
         path = tmp_path / code.split("\n", 1)[0].removeprefix("# ")
         path.parent.mkdir(exist_ok=True)
         path.write_text(code, encoding="utf-8")
-    project, grid = blocks("toml")
+    project, grid = blocks(PAGE, "toml")
     settings = tomllib.loads(project)["project"]
     information = tmp_path / f"my_swarm-{settings['version']}.dist-info"
     information.mkdir()
@@ -72,7 +64,7 @@ def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.slow
 def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
-    (script,) = blocks("sh")
+    (script,) = blocks(PAGE, "sh")
     commands = script.splitlines()
     assert {command.split()[1] for command in commands} == {"simulate", "swarm", "sweep"}
     assert "--workers 2" in commands[-1]
@@ -138,42 +130,3 @@ def test_dazzled_sensors_see_white() -> None:
     scene = World(WorldSettings(robots=100, fill_ratio=1, sensor="dazzled")).advance(400)
     assert scene.black[:200].mean() == pytest.approx(0.95, abs=0.01)
     assert scene.black[200:].mean() == pytest.approx(0.5, abs=0.02)
-
-
-class Answers:
-    """An extension that answers the same whatever it is asked."""
-
-    def __init__(self, answer: Any) -> None:
-        self._answer = answer
-
-    def advance(self, steps: int) -> Any:
-        return self._answer
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        (np.zeros((4, 3), np.bool_), r"gives bool of shape \(4, 3\); return bool of \(4, 3, 3\)"),
-        (np.zeros((4, 3, 3)), r"gives float64 of shape \(4, 3, 3\)"),
-        (np.ones((4, 3, 3), np.bool_), "a robot hears itself"),
-        (None, "gives object of shape"),
-    ],
-)
-def test_a_topology_that_answers_wrong_is_named(answer: NDArray[Any], words: str) -> None:
-    with pytest.raises(UsageError, match=f"topology wrong.* ?{words}"):
-        Checked(Answers(answer), "wrong", 3).advance(4)
-
-
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        (np.full((4, 2), 0.5), r"gives shape \(4, 2\); return \(4 or 1, 3 or 1\)"),
-        (np.full(4, 0.5), r"gives shape \(4,\)"),
-        (np.full((1, 1), 1.1), "outside 0 to 1"),
-        (np.full((1, 1), np.nan), "outside 0 to 1"),
-    ],
-)
-def test_sensors_that_answer_wrong_are_named(answer: NDArray[Any], words: str) -> None:
-    for pair in ((answer, np.ones((1, 1))), (np.ones((1, 1)), answer)):
-        with pytest.raises(UsageError, match=words):
-            CheckedSensors(Answers(pair), WorldSettings(robots=3)).advance(4)
