@@ -75,12 +75,6 @@ def test_the_figures_are_those_of_the_sweep(
         assert line in page, line
 
 
-def test_the_sweeps_are_read(tmp_path: Path) -> None:
-    for text, experiments in zip(blocks(PAGE, "toml"), (48, 32), strict=True):
-        (tmp_path / "advice.toml").write_text(text)
-        assert len(m.read_experiments(tmp_path / "advice.toml")) == experiments
-
-
 def test_the_defaults_are_the_advice() -> None:
     """Of a robot's configuration in C, and of the tools'."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")

@@ -20,8 +20,6 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.world import World
 from support import ROOT, blocks, run
 from trials import images_by_message
 
@@ -107,26 +105,3 @@ def test_a_trial_depends_on_seed_and_number_alone() -> None:
     together, alone = run_trials(experiment, 0, 3), run_trials(experiment, 2, 1)
     assert np.array_equal(together.b_hat[2], alone.b_hat[0])
     assert not np.array_equal(together.b_hat[1], alone.b_hat[0])
-
-
-@pytest.mark.usefixtures("installed")
-def test_the_posterior_finds_the_true_accuracy() -> None:
-    experiment = Experiment(
-        robots=10,
-        flawed=4,
-        fill_ratio=0.9,
-        steps=1500,
-        firmware="beta",
-        activation="always",
-        trials=1,
-    )
-    b_hat = run_trials(experiment, 0, 1).b_hat[0, -1, :4]
-    assert np.abs(b_hat - experiment.true_accuracy).max() < 0.05
-
-
-@pytest.mark.usefixtures("installed")
-def test_dazzled_sensors_see_white() -> None:
-    """Over a black floor, the share of black is b in the dark and 1/2 in bright light."""
-    scene = World(WorldSettings(robots=100, fill_ratio=1, sensor="dazzled")).advance(400)
-    assert scene.black[:200].mean() == pytest.approx(0.95, abs=0.01)
-    assert scene.black[200:].mean() == pytest.approx(0.5, abs=0.02)

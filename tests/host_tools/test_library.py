@@ -6,13 +6,14 @@ import sys
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.experiments.pictures import PLOTS
-from mcp_asdf_tools.experiments.results import experiments_in, table_of
+from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
@@ -29,41 +30,37 @@ def test_the_page_has_every_name() -> None:
 
 
 def test_importing_loads_no_plotting_and_no_tables() -> None:
-    code = "import sys, mcp_asdf_tools as m; m.Experiment; print([n for n in sys.modules if n in {names}])"
-    assert run(sys.executable, "-c", code.format(names=["matplotlib", "pyarrow"])).strip() == "[]"
+    check = "assert not {'matplotlib', 'pyarrow'} & {*sys.modules}"
+    run(sys.executable, "-c", f"import sys, mcp_asdf_tools as m; m.Experiment; {check}")
 
 
-def test_an_experiment_gives_the_table_of_its_trials() -> None:
-    expected = table_of(run_trials(SHORT, 0, 3))
+def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected, output = table_of(run_trials(SHORT, 0, 3)), tmp_path / "grid.parquet"
     assert m.simulate(SHORT).equals(expected)
-    assert m.simulate([SHORT], workers=2).equals(expected)
-    assert m.score(expected).equals(expected)
-    (trials,) = m.experiments_in(expected)
-    assert expected["H"].to_pylist() == trials.scores().h.tolist()
+    assert m.simulate([SHORT], output, workers=2).equals(expected)
+    assert m.score(m.read_table(output)).equals(expected)
+    monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store, interval: iter([]))
+    assert m.simulate(SHORT, str(output)).equals(expected), "nothing was left to run"
+    with pytest.raises(m.UsageError, match="results of other experiments"):
+        m.simulate(m.grid(robots=3, steps=50, trials=1), output)
+
+
+def test_other_limits_are_the_callers() -> None:
+    table = m.simulate(SHORT)
+    (trials,) = m.experiments_in(table)
+    assert table["H"].to_pylist() == trials.scores().h.tolist()
+    most = 100 * (1 - trials.errors / 0.9).mean(axis=1)  # times exp(-IQR / e_max)
+    assert (np.array(m.score(table, e_max=0.9)["h_e"]) <= most).all()
+    with pytest.raises(m.UsageError, match="e_max is 0; it must be above 0"):
+        m.score(table, e_max=0)
 
 
 def test_a_grid_has_every_combination_in_order() -> None:
     given = m.grid(flawed=("10%", "50%"), filter=["none", "asdf-plus"], robots=10, omega=0.1)
-    assert [(each.flawed, each.filter, each.robots) for each in given] == [
-        (1, "none", 10),
-        (1, "asdf-plus", 10),
-        (5, "none", 10),
-        (5, "asdf-plus", 10),
-    ]
-
-
-def test_the_same_call_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    output = tmp_path / "grid.parquet"
-    table = m.simulate(SHORT, output)
-    assert m.read_table(output).equals(table)
-    monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store, interval: iter([]))
-    assert m.simulate(SHORT, str(output)).equals(table), "nothing was left to run"
-
-
-def test_a_file_of_another_grid_is_not_overwritten(tmp_path: Path) -> None:
-    m.simulate(SHORT, tmp_path / "grid.parquet")
-    with pytest.raises(m.UsageError, match="results of other experiments"):
-        m.simulate(m.grid(robots=3, steps=50, trials=1), tmp_path / "grid.parquet")
+    found = [(each.flawed, each.filter, each.robots) for each in given]
+    assert found == [(1, "none", 10), (1, "asdf-plus", 10), (5, "none", 10), (5, "asdf-plus", 10)]
 
 
 def images(swarm: Swarm) -> list[bytes]:
@@ -80,36 +77,14 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
             assert other.recv(0) is not None
         assert images(alone) == images(heard)
         assert len(images(alone)) == 4
-        results = m.emulate(SETTINGS).results
-        assert [each["x"] for each in results["robots"]] == [node.robot.x for node in alone.nodes]
+        whole = m.emulate(SETTINGS)
+        assert [each["x"] for each in whole.results["robots"]] == [node.robot.x for node in alone.nodes]
+        assert isinstance(m.plot(whole), Figure)
 
 
 @pytest.mark.parametrize("kind", PLOTS)
 def test_every_kind_of_picture_is_drawn(kind: str) -> None:
     experiment = m.Experiment(topology="dynamic", robots=12, steps=60, filter_period=20, trials=2)
     table = m.simulate(experiment, record=20)
-    assert isinstance(m.plot(table, kind, trial=1, x="omega"), Figure)
-
-
-def test_a_run_is_drawn() -> None:
-    assert isinstance(m.plot(m.emulate(SETTINGS)), Figure)
-
-
-def test_what_cannot_be_drawn_is_refused() -> None:
-    table = m.simulate(m.grid(filter=["none", "asdf-plus"], robots=4, steps=40, filter_period=20, trials=1))
-    with pytest.raises(m.UsageError, match="kind is 'pie'; choose one of boxes, scatter, curve, series"):
-        m.plot(table, "pie")
-    with pytest.raises(m.UsageError, match="there are 2 experiments; series shows one"):
-        m.plot(table, "series")
-    with pytest.raises(m.UsageError, match="nothing was recorded"):
-        m.plot(m.simulate(SHORT), "series")
-
-
-def test_other_limits_are_the_callers() -> None:
-    table = m.simulate(SHORT)
-    (trials,) = experiments_in(table)
-    expected = 100 * (1 - trials.errors / 0.9).mean(axis=1)  # times exp(-IQR / e_max)
-    found = m.score(table, e_max=0.9)["h_e"].to_pylist()
-    assert all(own <= most for own, most in zip(found, expected, strict=True))
-    with pytest.raises(m.UsageError, match="e_max is 0; it must be above 0"):
-        m.score(table, e_max=0)
+    for results in (table, m.experiments_in(table)):
+        assert isinstance(m.plot(results, kind, trial=1, x="omega"), Figure)

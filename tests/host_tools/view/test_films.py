@@ -69,9 +69,9 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live, log = filmed(**world), tmp_path / "run.log"
-    given = (PARAMETERS | world).items()
-    words = [f"--{name.replace('_', '-')}={getattr(value, 'value', value)}" for name, value in given]
-    assert main(["swarm", *words, "--log", str(log), "--quiet"]) == 0
+    words = [f"{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | world).items()]
+    options = [word for each in words for word in (["--set", each] if "drift" in each else [f"--{each}"])]
+    assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
     logged, trial = film_of_log(log), film_of_trial(trials_of(**world), 0)
     assert plain(live.stage) == plain(logged.stage) == plain(trial.stage)
     assert logged.has_ended and trial.has_ended and not live.has_ended
