@@ -115,7 +115,7 @@ def reader_of_text(read: Callable[[str], object]) -> Callable[[Path], object]:
     return lambda path: read(path.read_text("latin-1"))
 
 
-SCENARIO = b"table:0.05:30:3:9,robot:5:4080218931:1000:64:0,step:1,settle"
+SCENARIO = b"table:0.05:30,robot:5:4080218931:1000:64:0,step:1,settle"
 PARSERS = {
     "table in JSON": Parser(".json", check_file, lambda: json_text(*TABLE).encode()),
     "table in C": Parser(".c", check_file, lambda: c_text(*TABLE).encode()),
