@@ -32,9 +32,12 @@ from mcp_asdf_tools.bus.frames import (
     decode_command,
     word_of,
 )
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
-from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import TABLE, record
 
@@ -46,6 +49,14 @@ Act = Callable[..., Any]
 def right(**config: Any) -> RobotRecord:
     """The controller as the verification is told that it is."""
     return record(ID, "mirror", B_HAT, **config)
+
+
+def surroundings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:
+    """A controller, robot 3, among robots 0, 1, 2 and 4."""
+    own = controller or right()
+    neighbours = tuple(replace(own, id=robot, b_hat=0.95) for robot in choose_ids(own.id, 4))
+    swarm = SwarmSettings(robots=5, **{"seed": 6} | world)
+    return RadioSettings(own, neighbours, swarm, Subjects(), tuple(map(parse_fault, faults.split())))
 
 
 class Firmware(MirrorRobot):

@@ -5,35 +5,31 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
 
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import ONE
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
+from mcp_asdf_tools.common.files import check_target, results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.radio.bench import BenchOptions
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import (
-    COLUMNS,
     ControllerVerdict,
     Verification,
-    check_report_path,
-    write_report,
+    markdown,
+    shown,
 )
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
@@ -84,7 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Emulate, or verify."""
-    check_report_path(args.report)
+    if args.report is not None:
+        check_target(args.report)
     settings, choice = settings_of(args), interfaces.choose_bus(args)
     console = Console(stderr=True, quiet=args.json)
     return (_verify if args.verify else _emulate)(args, settings, choice, console)
@@ -133,7 +130,7 @@ def _add_verification(parser: argparse.ArgumentParser) -> None:
         help="wait so long for the heartbeat with which the controller starts (default: it has started)",
     )
     group.add_argument(
-        "--report", metavar="FILE", type=Path, help="keep the report: .md, or .json as --json prints it"
+        "--report", metavar="FILE", type=Path, help="keep the report, with what repeats it, as Markdown"
     )
 
 
@@ -151,7 +148,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     world = parameter_options.settings_from(args, SwarmSettings, steps=_PHASE_TICKS)
     ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
-    neighbours = tuple(configured_like(controller, robot, b_hat) for robot in ids)
+    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat) for robot in ids)
     faults = tuple(parse_fault(text) for text in args.faults)
     return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
 
@@ -176,6 +173,14 @@ def _report(
     }
 
 
+def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
+    if args.json:
+        print(json.dumps(report, indent=2))
+        return
+    print(text, end="")
+    print_again(args, seed=report["parameters"]["seed"])
+
+
 # --- Verification ----------------------------------------------------------------------------------------
 
 
@@ -191,11 +196,10 @@ def _verify(
         with recording as outputs:
             verdict = _judge(args, settings, choice, console, outputs)
             report |= {"verdict": verdict.plain()}
-            ending.callback(
-                _print_verdict, args, verdict, report, choice
-            )  # even if a file cannot be completed
+            text = shown(verdict)
+            ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if args.report is not None:
-            write_report(args.report, verdict, report)
+            write_atomically(args.report, markdown(verdict, report))
     code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
     return exit_code(recording, code)
 
@@ -216,35 +220,10 @@ def _judge(
         options.recorder = None if events is None else events.robots[settings.controller.id]
         options.should_stop = stack.enter_context(stopping())
         verification = Verification(settings, options)
-        progress = stack.enter_context(Progress(console=console, disable=not console.is_terminal))
-        task = progress.add_task("verifying", total=verification.expected_ticks)
-        options.progress = lambda ticks: progress.update(task, completed=ticks)
+        if console.is_terminal:
+            status = stack.enter_context(console.status(""))
+            options.progress = lambda ticks: status.update(f"tick {ticks}   {verification.bench.doing}")
         return verification.run()
-
-
-def _print_verdict(
-    args: argparse.Namespace,
-    verdict: ControllerVerdict,
-    report: dict[str, Any],
-    choice: interfaces.BusChoice,
-) -> None:
-    if args.json:
-        print(json.dumps(report, indent=2))
-        return
-    table = Table(box=None, padding=(0, 1), header_style="bold")
-    shown = {name: title for name, title in COLUMNS.items() if name != "fault"}
-    for title in shown.values():
-        table.add_column(title, justify="left" if title in ("phase", "outcome") else "right")
-    for phase in verdict.phases:
-        table.add_row(*(str(getattr(phase, name)) for name in shown))
-    console = Console(soft_wrap=True)
-    console.print(table)
-    for title, entries in verdict.lists().items():
-        console.print(
-            f"{title}:", *(f"  {entry}" for entry in entries), sep="\n", markup=False, highlight=False
-        )
-    console.print(verdict.headline, markup=False)
-    print_again(args, seed=report["parameters"]["seed"])
 
 
 # --- Emulation in real time ------------------------------------------------------------------------------
@@ -259,7 +238,8 @@ def _emulate(
         with recording as (log, _):
             run = _go(args, settings, choice, console, log)
             report = _report(args, settings, choice) | {"results": run.figures()}
-            ending.callback(_print_results, args, report, choice)  # even if a file cannot be completed
+            text = _results(report["results"])
+            ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
@@ -280,36 +260,21 @@ def _go(
         status = stack.enter_context(console.status("")) if console.is_terminal else None
         run = RadioRun(Neighbourhood(settings), link, args.steps)
         if status is not None:
-            run.watch = lambda: status.update(_line(run))
+            run.watch = lambda: status.update(
+                f"tick {run.neighbours.tick}   frames sent {run.sent}, estimates heard {run.heard}"
+            )
         run.run()
     return run
 
 
-def _line(run: RadioRun) -> str:
-    said, told = run.last
-    heard = "not heard yet" if said is None else f"x_hat {said.x_hat / ONE:.4f}, {run.heard} estimates"
-    state = "" if told is None else f", x {told.x / ONE:.4f}, b_hat {told.b_hat / 2**24:.4f}"
-    return f"tick {run.neighbours.tick}   controller: {heard}{state}   frames sent {run.sent}"
-
-
-def _print_results(args: argparse.Namespace, report: dict[str, Any], choice: interfaces.BusChoice) -> None:
-    if args.json:
-        print(json.dumps(report, indent=2))
-        return
-    results = report["results"]
-    table = Table(box=None, padding=(0, 1), show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
-    table.add_row("run", f"{results['steps']} steps; {results['ending']}")
-    table.add_row(
-        "frames",
-        f"{results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard of it, "
-        f"{results['strangers']} from strangers; the bus failed {results['bus_failures']} times",
-    )
-    table.add_row("neighbours", f"mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}")
-    for fault in results["faults"]:
-        table.add_row("fault", f"{fault['fault']}: struck {fault['injected']} times")
+def _results(results: dict[str, Any]) -> str:
+    lines = [
+        f"run         {results['steps']} steps; {results['ending']}",
+        f"frames      {results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard "
+        f"of it, {results['strangers']} from strangers; the bus failed {results['bus_failures']} times",
+        f"neighbours  mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}",
+    ]
+    lines += [f"fault       {each['fault']}: struck {each['injected']} times" for each in results["faults"]]
     for sender, what in results["id_conflicts"].items():
-        table.add_row("node-id conflict", f"{what}: {sender}; choose other ids with --first-id")
-    Console(soft_wrap=True).print(table)
-    print_again(args, seed=report["parameters"]["seed"])
+        lines.append(f"node-id conflict: {what}: {sender}; choose other ids with --first-id")
+    return "\n".join(lines) + "\n"

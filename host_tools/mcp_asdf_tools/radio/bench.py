@@ -17,10 +17,19 @@ import can
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import MAX_ID, Filter, Observation
-from mcp_asdf_tools.bus.frames import TRANSFER_IDS, Action, Command, Message, encode
+from mcp_asdf_tools.bus.frames import (
+    EVERY_ROBOT,
+    NODE_BITS,
+    TRANSFER_IDS,
+    Action,
+    Command,
+    Message,
+    decode,
+    decode_command,
+    encode,
+)
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
-from mcp_asdf_tools.radio.other_nodes import OtherNodes
 from mcp_asdf_tools.radio.rounds import Content, Situation
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
@@ -40,6 +49,10 @@ class Differs(Exception):  # noqa: N818 (an outcome, no error)
     def __init__(self, symptom: Symptom) -> None:
         super().__init__(str(symptom))
         self.symptom = symptom
+
+
+class Disturbed(Exception):  # noqa: N818 (an outcome, no error)
+    """The controller heard another node, which the message names: the model cannot follow any more."""
 
 
 @dataclass
@@ -81,9 +94,7 @@ class Bench:
         doing: What is done at present, in words.
         place: Number of ticks before the last that was settled or is to be.
         frames: Frames sent to the controller besides commands.
-        latencies: Seconds from each command to its answer.
         missed: What could not be put to the test, in words.
-        other_nodes: Nodes that have no part in this.
         comparison: The frames compared so far.
     """
 
@@ -98,9 +109,7 @@ class Bench:
         self.draw = random.Random(settings.swarm.seed)
         self.doing = ""
         self.place = self.frames = self._skipped = 0
-        self.latencies: list[float] = []
         self.missed: list[str] = []
-        self.other_nodes = OtherNodes(own.id, subjects)
         (greeting,) = self.model.start()
         self.comparison = Comparison(subjects, greeting)
         self.lockstep = Lockstep(
@@ -140,12 +149,11 @@ class Bench:
     def observe(self, z: Observation | None) -> None:
         """Begin a tick, and hear the broadcast if it is due."""
         self._check_stop()
-        broadcasts, begin = self.model.sent.estimates, time.perf_counter()
+        broadcasts = self.model.sent.estimates
         self.place = self.ticks
         self.lockstep.observe({self._id: z})
         if self.model.sent.estimates != broadcasts:
             self.lockstep.estimates({self._id})
-            self.latencies.append(time.perf_counter() - begin)
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Let the controller and the model hear frames, in order."""
@@ -156,9 +164,7 @@ class Bench:
 
     def settle(self) -> None:
         """End the tick, and compare. Raises Differs."""
-        begin = time.perf_counter()
         self.lockstep.settle({self._id})
-        self.latencies.append(time.perf_counter() - begin)
         self.compare()
         self.options.progress(self.ticks)
 
@@ -284,4 +290,16 @@ class Bench:
         if frame.is_rx and is_from(frame, self._id):
             self._said.append(frame)
         elif frame.is_rx:
-            self.other_nodes.take(frame)
+            self._check_disturbance(frame)
+
+    def _check_disturbance(self, frame: can.Message) -> None:
+        """Raises Disturbed if the controller heeds another node's frame."""
+        subjects = self.settings.subjects
+        command = decode_command(frame, subjects.commands)
+        is_obeyed = isinstance(command, Command) and command.target in (self._id, EVERY_ROBOT)
+        if is_obeyed or isinstance(decode(frame, subjects.estimates), Message):
+            kind = "commands" if is_obeyed else "estimates"
+            raise Disturbed(
+                f"node {frame.arbitration_id & NODE_BITS} sends {kind} on this bus, too, and the controller "
+                "hears them: take it off the bus, or give it other subjects"
+            )

@@ -20,7 +20,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.robots.node import Subjects
 
-ESTIMATE, TELEMETRY, HEARTBEAT, BUS = "estimate", "telemetry", "heartbeat", "bus"
+ESTIMATE, TELEMETRY, HEARTBEAT = "estimate", "telemetry", "heartbeat"
 Frames = dict[str, list[can.Message]]
 """Frames by kind."""
 
@@ -41,10 +41,10 @@ class Symptom:
     """First difference between controller and model.
 
     Attributes:
-        kind: Kind of frame: estimate, telemetry or heartbeat; "bus" if it is none of a frame.
+        kind: Kind of frame: estimate, telemetry or heartbeat.
         field: The part that differs: a field of ``FIELDS``, "missing", "extra", "twice", or what is wrong
-            with the frame itself; for the bus "failed" or "silent".
-        got: What the controller sent, or what happened on the bus.
+            with the frame itself.
+        got: What the controller sent.
         expected: What the model sends.
     """
 
@@ -54,34 +54,7 @@ class Symptom:
     expected: str
 
     def __str__(self) -> str:
-        if self.kind == BUS:
-            return self.got
         return f"{self.kind}, {self.field}: expected {self.expected}, got {self.got}"
-
-
-CAUSES: dict[tuple[str, str], str] = {
-    ("", "failed"): "the connection to the bus failed, which says nothing about the controller",
-    ("", "frame"): "its frames are not classic CAN data frames: FD or remote",
-    ("", "length"): "its frames have another length than 8 bytes",
-    ("", "tail"): "its tail byte lacks start, end or toggle bit: not a single-frame transfer",
-    ("", "priority"): "its frames have another priority than agreed",
-    ("", "identifier"): "it sets reserved bits of the identifier wrongly (docs/frame.md)",
-    ("", "twice"): "it sends each frame twice, or a second node has its id",
-    ("threshold", "updates"): "its test decides otherwise than k_m: another t-table, variance or estimate",
-    ("own estimate", "updates"): "its test rejects at equality: it compares with >= instead of >",
-    ("re-estimates", "updates"): "it updates b_hat where x_bar says nothing, or not where it does",
-    ("no filter", "updates"): "it filters though it is set up not to",
-    ("halvings", "x_hat"): "it halves at another memory, or rounds n otherwise than to nearest, ties to even",
-}
-"""What a symptom proves by itself: by the beginning of the phase's name (or any) and the field."""
-
-
-def cause_of(symptom: Symptom, phase: str) -> str | None:
-    """What the symptom proves in this phase; None if it leaves several causes."""
-    for (begin, field), cause in CAUSES.items():
-        if field == symptom.field and phase.startswith(begin):
-            return cause
-    return None
 
 
 class Comparison:
@@ -89,7 +62,6 @@ class Comparison:
 
     Attributes:
         equal: Frames that were equal, by kind.
-        others: Frames of the controller of other subjects, which are not judged.
         may_advise: Whether its health may be "advisory": it may say so once a settle was withheld from it.
     """
 
@@ -97,7 +69,6 @@ class Comparison:
         """Prepare; ``greeting`` is the heartbeat with which the model has started. The controller's may have
         come before this run, or several times if it was reset."""
         self.equal = Counter[str]()
-        self.others = 0
         self.may_advise = False
         self._greeting = greeting
         self._kinds = {
@@ -109,7 +80,6 @@ class Comparison:
     def check(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
         """The first difference among the frames of some ticks; None if they are equal."""
         own, models = self._by_kind(said), self._by_kind(expected)
-        self.others += len(said) - sum(map(len, own.values()))
         if not self.equal[TELEMETRY]:
             self._greet(own, models)
         symptoms = (self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS)

@@ -7,7 +7,7 @@ from neighbours in range and after the faults.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import can
 import numpy as np
@@ -43,7 +43,7 @@ def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class RadioSettings:
-    """Surroundings of the controller. Raises UsageError if two robots share an id.
+    """Surroundings of the controller, whose ids differ.
 
     Attributes:
         controller: Initial state of the robot on the bus.
@@ -58,16 +58,6 @@ class RadioSettings:
     swarm: SwarmSettings
     subjects: Subjects
     faults: tuple[Fault, ...] = ()
-
-    def __post_init__(self) -> None:
-        ids = [self.controller.id, *(each.id for each in self.neighbours)]
-        if len(set(ids)) < len(ids):
-            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
-
-
-def configured_like(controller: RobotRecord, robot: int, b_hat: float) -> RobotRecord:
-    """A neighbour with the controller's configuration."""
-    return replace(controller, id=robot, b_hat=b_hat)
 
 
 class _Renumbered:

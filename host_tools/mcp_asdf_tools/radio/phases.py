@@ -33,14 +33,12 @@ class Phase:
         fault: Faults among these in the texts of ``parse_fault``, separated by spaces, with {me} for the
             controller's id, {them} for all neighbours and {one} for one of them.
         applies: Whether it has a meaning for a controller with this configuration.
-        tests: Tests of the filter that it waits for.
     """
 
     name: str
     play: Callable[[Bench], None] | None = None
     fault: str = ""
     applies: Callable[[TickConfig], bool] = lambda config: True
-    tests: int = 0
 
 
 def is_in_reach(config: TickConfig) -> bool:
@@ -78,14 +76,11 @@ PHASES: tuple[Phase, ...] = (
     Phase("unusual identifiers", protocol.unusual_messages),
     Phase("invalid frames", protocol.invalid),
     Phase("no filter", filtering.quiet, applies=lambda config: config.filter is Filter.OFF),
-    Phase("no information", filtering.no_information, applies=_re_estimates, tests=1),
-    Phase("rounds without a test", filtering.no_test, applies=_re_estimates, tests=1),
-    *(
-        Phase(f"threshold of {m} messages", play, applies=_tests, tests=2)
-        for m, play in filtering.THRESHOLDS.items()
-    ),
-    Phase("own estimate", filtering.own_estimate, applies=_tests, tests=1),
-    Phase("re-estimates", filtering.updates, applies=_re_estimates, tests=5),
+    Phase("no information", filtering.no_information, applies=_re_estimates),
+    Phase("rounds without a test", filtering.no_test, applies=_re_estimates),
+    *(Phase(f"threshold of {m} messages", play, applies=_tests) for m, play in filtering.THRESHOLDS.items()),
+    Phase("own estimate", filtering.own_estimate, applies=_tests),
+    Phase("re-estimates", filtering.updates, applies=_re_estimates),
     Phase("halvings", filtering.halvings, applies=is_halved),
     Phase("long run", filtering.long_run, applies=lambda config: not is_halved(config)),
     Phase("among neighbours"),

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import Action
-from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.radio.odd_frames import (
-    DISTANT_NUMBERS,
-    STRAY,
-    UNUSUAL_COMMANDS,
-    UNUSUAL_IDENTIFIERS,
-    malformed,
-    stray_command,
-    unusual_command,
+from mcp_asdf_tools.bus.frames import (
+    EVERY_ROBOT,
+    ONE,
+    Action,
+    Command,
+    Heartbeat,
+    Telemetry,
+    encode_command,
+    encode_heartbeat,
+    encode_telemetry,
 )
+from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
@@ -24,6 +32,99 @@ ALONE_TICKS = 72
 STRAY_REPEATS = 3
 SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Messages of growing rounds."""
+
+
+Change = Callable[[can.Message], object]
+"""Change of a frame in place."""
+Spoil = Callable[[can.Message, random.Random], object]
+"""Change of an estimate that makes it none."""
+
+
+def _put(frame: can.Message, place: int, content: bytes) -> None:
+    frame.data[place : place + len(content)] = content
+
+
+def _between(place: int, length: int, low: int, high: int) -> Spoil:
+    """Puts any number of the range there."""
+    return lambda frame, draw: _put(frame, place, draw.randint(low, high).to_bytes(length, "little"))
+
+
+def _clear(bit: int) -> Spoil:
+    return lambda frame, draw: _put(frame, 7, bytes([frame.data[7] & ~(1 << bit)]))
+
+
+def _flip(bit: int) -> Spoil:
+    return lambda frame, draw: setattr(frame, "arbitration_id", frame.arbitration_id ^ 1 << bit)
+
+
+def _standard(frame: can.Message, draw: random.Random) -> None:
+    frame.is_extended_id = False
+    frame.arbitration_id &= 0x7FF
+
+
+def _remote(frame: can.Message, draw: random.Random) -> None:
+    frame.is_remote_frame = True
+    frame.data = bytearray()
+
+
+def _shorten(least: int, most: int) -> Spoil:
+    def spoil(frame: can.Message, draw: random.Random) -> None:
+        frame.dlc = draw.randint(least, most)
+        frame.data = frame.data[: frame.dlc]
+
+    return spoil
+
+
+MALFORMED: dict[str, Spoil] = {
+    "an 11-bit identifier": _standard,
+    "a remote frame": _remote,
+    "7 bytes": _shorten(7, 7),
+    "fewer than 7 bytes": _shorten(0, 6),
+    "no single-frame tail byte": _between(7, 1, 0, 0xDF),
+    "a tail byte without the start bit": _clear(7),
+    "a tail byte without the end bit": _clear(6),
+    "a tail byte without the toggle bit": _clear(5),
+    "x_hat above 1": _between(0, 3, ONE + 2, 0xFF_FFFF),
+    "x_hat one unit above 1": _between(0, 3, ONE + 1, ONE + 1),
+    "alpha infinite": _between(3, 4, 0x7F80_0000, 0x7F80_0000),
+    "alpha not a number": _between(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
+    "alpha -0": _between(3, 4, 0x8000_0000, 0x8000_0000),
+    "alpha negative": _between(3, 4, 0x8000_0001, 0xFFFF_FFFF),
+    "a service transfer": _flip(25),
+    "an anonymous sender": _flip(24),
+    "reserved bit 23 set": _flip(23),
+    "reserved bit 7 set": _flip(7),
+    "another subject": _flip(20),
+    "another subject of the same upper bits": _flip(12),
+    "another subject of the same lower bits": _flip(16),
+}
+"""Ways not to be an estimate, each by itself."""
+
+
+def _with_priority(priority: int) -> Change:
+    def change(frame: can.Message) -> None:
+        frame.arbitration_id = frame.arbitration_id & ~(7 << 26) | priority << 26
+
+    return change
+
+
+def _without_ignored_bits(frame: can.Message) -> None:
+    frame.arbitration_id &= ~(3 << 21)
+
+
+UNUSUAL_IDENTIFIERS: dict[str, Change] = {
+    **{f"with priority {priority}": _with_priority(priority) for priority in range(8)},
+    "with identifier bits 22 and 21 clear": _without_ignored_bits,
+}
+"""Changes of an identifier that make no difference."""
+
+UNUSUAL_COMMANDS: dict[str, Change] = {
+    "for every robot": lambda frame: None,
+    "of another node": lambda frame: None,
+    "whose spare byte is not 0": lambda frame: _put(frame, 6, b"\xff"),
+    **UNUSUAL_IDENTIFIERS,
+}
+"""Differences of a command that make none to the robot; the first two are its sender and its target."""
 
 
 def alone(bench: Bench) -> None:
@@ -59,16 +160,29 @@ def lost_settles(bench: Bench) -> None:
         bench.tick(bench.any_observation())
 
 
+STRAY = {
+    "an observe of the open tick": ("robot", "open", Action.OBSERVE_WHITE),
+    "an observe of the open tick, for all": ("all", "open", Action.OBSERVE_BLACK),
+    "a settle of a later tick": ("robot", "later", Action.SETTLE),
+    "a settle of the last tick, for all": ("all", "last", Action.SETTLE),
+    "a settle for another robot": ("other", "open", Action.SETTLE),
+    "an observe for another robot": ("other", "later", Action.OBSERVE_WHITE),
+}
+"""Commands not to be obeyed between *observe* and *settle* of a tick: target, tick and action."""
+
+
 def stray(bench: Bench) -> None:
     """Commands that must not be obeyed, each kind by itself."""
-    other, commands = _another_robot(bench), bench.settings.subjects.commands
     for _ in range(STRAY_REPEATS):
-        for name in STRAY:
+        for name, (target, when, action) in STRAY.items():
             bench.avoid_test()
             bench.doing = name
             bench.observe(bench.any_observation())
-            usual = bench.command(Action.SETTLE)
-            bench.send([stray_command(name, bench.draw, usual, other, commands)])
+            usual, other = bench.command(action), _another_robot(bench)
+            targets = {"robot": usual.target, "other": other, "all": EVERY_ROBOT}
+            later = usual.tick + 1 + bench.draw.randrange(1000)
+            tick = {"open": usual.tick, "later": later, "last": usual.tick - 1}[when] % 2**32
+            _send(bench, replace(usual, sender=other, tick=tick, target=targets[target]))
             bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]}))
             bench.settle()
 
@@ -78,29 +192,34 @@ def _another_robot(bench: Bench) -> int:
     return bench.draw.choice([robot for robot in bench.others if robot != DRIVER_ID])
 
 
+def _send(bench: Bench, command: Command, change: Change = lambda frame: None) -> None:
+    frame = encode_command(command, bench.settings.subjects.commands)
+    change(frame)
+    bench.send([frame])
+
+
 def unusual_commands(bench: Bench) -> None:
     """Commands that differ in what makes no difference.
 
     After each comes the usual one of the same tick, which changes nothing unless the first was not obeyed:
     then the controller misses an observation, or has a round too many messages.
     """
-    commands = bench.settings.subjects.commands
-    for name in UNUSUAL_COMMANDS:
+    for name, change in UNUSUAL_COMMANDS.items():
         bench.avoid_test(2)  # the last message is one of the next round
         bench.doing = f"commands {name}"
-        other = _another_robot(bench)
-        observe = bench.command(Action.observing(bench.any_observation()))
-        bench.send([unusual_command(name, observe, other, commands)])
+        other: dict[str, Any] = {"sender": _another_robot(bench)} if name == "of another node" else {}
+        other |= {"target": EVERY_ROBOT} if name == "for every robot" else {}
+        _send(bench, replace(bench.command(Action.observing(bench.any_observation())), **other), change)
         bench.observe(None)
         bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]}))
-        settle = unusual_command(name, bench.command(Action.SETTLE), other, commands)
-        bench.send([settle, *bench.messages({bench.others[2]: any_content(bench.draw)})])
+        _send(bench, replace(bench.command(Action.SETTLE), **other), change)
+        bench.send(bench.messages({bench.others[2]: any_content(bench.draw)}))
         bench.settle()
-    for name, distance in DISTANT_NUMBERS.items():
+    for bit in (8, 16, 24, 31):
         bench.avoid_test()
-        bench.doing = name
+        bench.doing = f"an observe whose number differs from that of the open tick in bit {bit} alone"
         bench.observe(bench.any_observation())
-        bench.leave_open(distance)
+        bench.leave_open(1 << bit)
         bench.tick(bench.any_observation())
 
 
@@ -123,13 +242,26 @@ def heartbeats(bench: Bench) -> None:
 def invalid(bench: Bench) -> None:
     """Frames that are no estimates, each kind by itself, before a valid message of the same sender."""
     for _ in range(2):
-        for name in malformed(bench.draw, bench.settings.subjects, 0):
-            sender, other = bench.draw.sample(bench.others, 2)
-            frame = malformed(bench.draw, bench.settings.subjects, sender)[name]
+        for name, spoil in MALFORMED.items():
             bench.avoid_test()
             bench.doing = name
-            valid = bench.messages({each: any_content(bench.draw) for each in (sender, other)})
-            bench.round_of([frame, *valid])
+            pair = bench.draw.sample(bench.others, 2)
+            frames = bench.messages([(pair[0], any_content(bench.draw))])
+            spoil(frames[0], bench.draw)
+            bench.round_of(frames + bench.messages({each: any_content(bench.draw) for each in pair}))
+    _other_kinds(bench)
+
+
+def _other_kinds(bench: Bench) -> None:
+    """Messages of other kinds, which are no estimates either."""
+    subjects, draw = bench.settings.subjects, bench.draw
+    for sender in draw.sample(bench.others, 3):
+        bench.avoid_test()
+        bench.doing = "telemetry and a heartbeat of another robot"
+        telemetry = Telemetry(sender, draw.randint(0, ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0)
+        beat = encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0))
+        frames = [encode_telemetry(telemetry, subjects.telemetry), beat]
+        bench.round_of(frames + bench.messages({sender: any_content(draw)}))
 
 
 def every_sender(bench: Bench) -> None:

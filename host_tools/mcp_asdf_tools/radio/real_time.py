@@ -8,7 +8,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Message, Telemetry, decode, decode_telemetry
+from mcp_asdf_tools.bus.frames import Message, decode
 from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.robots.clock import RealTimeClock
@@ -25,7 +25,6 @@ class RadioRun:
         sent: Frames sent to the controller.
         heard: Estimates heard from it.
         strangers: Legal estimates from nodes that are neither the controller nor emulated.
-        last: The last estimate and the last telemetry of the controller.
         id_conflicts: Detector of nodes that share an id.
         watch: Called after each tick.
     """
@@ -36,7 +35,6 @@ class RadioRun:
         self.link = link
         self.outcome = RunOutcome("all ticks done")
         self.sent = self.heard = self.strangers = 0
-        self.last: tuple[Message | None, Telemetry | None] = (None, None)
         self.id_conflicts = IdConflictWatch()
         self.watch: Callable[[], None] = lambda: None
         self._ticks = ticks
@@ -88,13 +86,9 @@ class RadioRun:
             self._take(frame)
 
     def _take(self, frame: can.Message) -> None:
-        subjects = self.neighbours.settings.subjects
-        estimate = decode(frame, subjects.estimates)
+        estimate = decode(frame, self.neighbours.settings.subjects.estimates)
         if isinstance(estimate, Message):
             self._hear(estimate, frame)
-        telemetry = decode_telemetry(frame, subjects.telemetry)
-        if isinstance(telemetry, Telemetry) and telemetry.sender == self.neighbours.settings.controller.id:
-            self.last = self.last[0], telemetry
 
     def _hear(self, estimate: Message, frame: can.Message) -> None:
         if estimate.sender in self.neighbours.nodes:
@@ -105,5 +99,4 @@ class RadioRun:
             self.strangers += 1
             return
         self.heard += 1
-        self.last = estimate, self.last[1]
         self._said.append(frame)

@@ -9,20 +9,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import can
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, write_atomically
-from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs
-from mcp_asdf_tools.radio.comparison import BUS, ESTIMATE, TELEMETRY, Symptom, cause_of
-from mcp_asdf_tools.radio.filter_phases import LONG_RUN
+from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs, Disturbed
+from mcp_asdf_tools.radio.comparison import ESTIMATE, TELEMETRY
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.other_nodes import Disturbed
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
@@ -68,29 +63,20 @@ class ControllerVerdict:
     Attributes:
         phases: Result of each phase, in order.
         difference: First difference between the controller and the model; None if there is none.
-        cause: What this difference proves, where it proves anything.
-        disturbance: The other node that ended the run, in words; None if there was none.
-        other_nodes: Nodes that had no part in the run, in words.
+        disturbance: The other node, or the failure of the bus, that ended the run, in words; None if none.
         not_exercised: Claims about the controller that the run has not put to the test.
         not_checked: What no verdict on a controller of this configuration says.
         is_interrupted: Whether the verification was asked to stop before its end.
-        other_frames: Frames of the controller that were not judged.
         repeated: Commands repeated because the controller had not answered.
-        latency_mean, latency_maximum: Seconds from a command to its answer.
     """
 
     phases: list[PhaseResult]
     difference: str | None = None
-    cause: str | None = None
     disturbance: str | None = None
-    other_nodes: list[str] = field(default_factory=list)
     not_exercised: list[str] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
     is_interrupted: bool = False
-    other_frames: int = 0
     repeated: int = 0
-    latency_mean: float = 0.0
-    latency_maximum: float = 0.0
 
     @property
     def has_passed(self) -> bool:
@@ -106,8 +92,7 @@ class ControllerVerdict:
             repeated = f"; {self.repeated} commands were repeated" * bool(self.repeated)
             return f"PASSED: {count}; every frame of the controller equals the model's{repeated}"
         if self.difference is not None:
-            cause = f". So {self.cause}" if self.cause else ""
-            return f"FAILED: {count}; first in {self.difference}{cause}"
+            return f"FAILED: {count}; first in {self.difference}"
         if self.disturbance is not None:
             return f"DISTURBED, no verdict: {count}; {self.disturbance}"
         if self.is_interrupted:
@@ -118,11 +103,7 @@ class ControllerVerdict:
 
     def lists(self) -> dict[str, list[str]]:
         """What the verdict leaves open, by title; empty lists are left out."""
-        lists = {
-            "Not exercised": self.not_exercised,
-            "Not checked": self.not_checked,
-            "Others on the bus": self.other_nodes,
-        }
+        lists = {"Not exercised": self.not_exercised, "Not checked": self.not_checked}
         return {title: entries for title, entries in lists.items() if entries}
 
     def plain(self) -> dict[str, Any]:
@@ -191,14 +172,6 @@ class Verification:
             not_checked=not_checked(config),
         )
 
-    @property
-    def expected_ticks(self) -> int:
-        """About how many ticks the run takes."""
-        config = self.bench.config
-        waiting = sum(phase.tests for phase in self._phases) * config.filter_period
-        observing = 3 * config.memory if is_halved(config) else LONG_RUN
-        return max(waiting, observing) + self._phase_ticks * len(self._phases)
-
     def run(self) -> ControllerVerdict:
         """Go through the phases up to the first difference."""
         verdict, bench = self.verdict, self.bench
@@ -211,18 +184,18 @@ class Verification:
             verdict.not_exercised = self._not_exercised()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
-        except Disturbed as other:
+        except (Disturbed, can.CanError) as error:
             result.outcome = DISTURBED
-            verdict.disturbance = f"{self._place(phase)}: {other}"
-        except (Differs, LockstepError, can.CanError) as error:
+            verdict.disturbance = f"{self._place(phase)}: {error}"
+        except Differs as error:
             result.outcome = FAILED
-            symptom = self._symptom(error)
-            verdict.difference = f"{self._place(phase)}: {symptom}"
-            verdict.cause = cause_of(symptom, phase.name)
-        verdict.other_nodes = bench.other_nodes.lines()
-        verdict.other_frames, verdict.repeated = bench.comparison.others, bench.lockstep.repeated
-        verdict.latency_maximum = max(bench.latencies, default=0.0)
-        verdict.latency_mean = fmean(bench.latencies or [0.0])
+            verdict.difference = f"{self._place(phase)}: {error}"
+        except LockstepError as error:
+            result.outcome = FAILED
+            said = bench.symptom()  # who did not answer may have said something else
+            told = error if said is None or said.field == "missing" else said
+            verdict.difference = f"{self._place(phase)}: {told}"
+        verdict.repeated = bench.lockstep.repeated
         return verdict
 
     def _not_exercised(self) -> list[str]:
@@ -256,16 +229,6 @@ class Verification:
             "answers": equal[TELEMETRY],
         }
 
-    def _symptom(self, error: Exception) -> Symptom:
-        """The symptom of what ended the run; who did not answer may have said something else."""
-        if isinstance(error, Differs):
-            return error.symptom
-        kind = "failed" if isinstance(error, can.CanError) else "silent"
-        said = None if kind == "failed" else self.bench.symptom()
-        if said is not None and said.field != "missing":
-            return said
-        return Symptom(BUS, kind, str(error), "")
-
     def _place(self, phase: Phase) -> str:
         doing = self.bench.doing
         also = f" ({doing})" if doing and doing not in (phase.name, phase.fault) else ""
@@ -287,38 +250,31 @@ COLUMNS = {
 """Figures of each phase, and their headings."""
 
 
-def check_report_path(path: Path | None) -> None:
-    """Raises UsageError if the suffix is unknown or the file cannot be written there."""
-    if path is None:
-        return
-    if path.suffix not in (".json", ".md"):
-        raise UsageError(f"report {path} has no known format; name it .json or .md")
-    check_target(path)
-
-
-def write_report(path: Path, verdict: ControllerVerdict, report: dict[str, Any]) -> None:
-    """Write a report in the format of its suffix. Raises UsageError if that is impossible."""
-    is_json = path.suffix == ".json"
-    write_atomically(path, json.dumps(report, indent=2) + "\n" if is_json else markdown(verdict, report))
+def shown(verdict: ControllerVerdict) -> str:
+    """The verdict in Markdown, with its table in columns."""
+    rows = [tuple(COLUMNS.values())]
+    rows += [tuple(str(getattr(phase, name) or "") for name in COLUMNS) for phase in verdict.phases]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    rows.insert(1, tuple("-" * width for width in widths))
+    table = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows]
+    lines = [f"**{verdict.headline}**", "", *table]
+    for title, entries in verdict.lists().items():
+        lines += ["", f"{title}:", "", *(f"- {entry}" for entry in entries)]
+    return "\n".join(lines) + "\n"
 
 
 def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
     """The verdict in Markdown, with what is needed to repeat the run."""
-    bus = report["bus"]
-    lines = [
-        "# Verification of a controller",
-        "",
-        f"**{verdict.headline}**",
-        "",
-        f"Robot {report['parameters']['controller']['id']} on {bus['interface']} {bus['channel'] or ''}, "
-        f"{report['time']}.",
-        "",
-    ]
-    for title, entries in verdict.lists().items():
-        lines += [f"{title}:", "", *(f"- {entry}" for entry in entries), ""]
-    rows = [list(COLUMNS.values()), ["---"] * len(COLUMNS)]
-    rows += [[str(getattr(phase, name) or "") for name in COLUMNS] for phase in verdict.phases]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    bus, robot = report["bus"], report["parameters"]["controller"]["id"]
     everything = {key: report[key] for key in ("parameters", "versions")}
-    lines += ["", "To repeat it:", "", "```json", json.dumps(everything, indent=2), "```", ""]
-    return "\n".join(lines)
+    return f"""# Verification of a controller
+
+Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}.
+
+{shown(verdict)}
+To repeat it:
+
+```json
+{json.dumps(everything, indent=2)}
+```
+"""

@@ -3,61 +3,30 @@
 from __future__ import annotations
 
 import json
-import random
 import shlex
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frames import (
-    Action,
-    Command,
-    FrameFormat,
-    Message,
-    Rejection,
-    decode,
-    decode_command,
-    encode,
-    encode_command,
-)
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids, configured_like
-from mcp_asdf_tools.radio.odd_frames import STRAY, malformed, stray_command
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.world import World
 from node_thread import join, live_robot, meanwhile
 from support import PATIENCE
 from wire import Wire, record
+from wrong_robots import ID, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")
-
-ID = 3
-TICKS = 25
-
-
-def settings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:
-    """A controller, robot 3, among robots 0, 1, 2 and 4."""
-    own = controller or record(ID, "mirror", 0.55)
-    neighbours = tuple(configured_like(own, robot, 0.95) for robot in choose_ids(own.id, 4))
-    return RadioSettings(
-        own,
-        neighbours,
-        SwarmSettings(robots=5, **{"seed": 6} | world),
-        Subjects(),
-        tuple(parse_fault(text) for text in faults.split()),
-    )
-
 
 # Neighbours
 
@@ -92,7 +61,7 @@ def test_a_controller_hears_and_is_heard_in_range_only() -> None:
     own = record(ID)
     world = SwarmSettings(robots=5, topology="dynamic", seed=4)
     neighbourhood = Neighbourhood(
-        RadioSettings(own, tuple(configured_like(own, robot, 0.9) for robot in ids[1:]), world, Subjects())
+        RadioSettings(own, tuple(record(robot) for robot in ids[1:]), world, Subjects())
     )
     twin = World(world)
     seen: set[int] = set()
@@ -114,7 +83,7 @@ def test_a_controller_hears_and_is_heard_in_range_only() -> None:
 def test_crashed_neighbours_are_silent_and_rejoin_new_or_as_they_were() -> None:
     for rejoin in ("new", "restored"):
         neighbourhood = Neighbourhood(
-            settings(faults=f"crash,robots=1,from=10,to=11,ticks=5,rejoin={rejoin}")
+            surroundings(faults=f"crash,robots=1,from=10,to=11,ticks=5,rejoin={rejoin}")
         )
         senders = []
         for _ in range(30):
@@ -141,35 +110,6 @@ def test_ids_are_chosen_around_the_controller() -> None:
     ):
         with pytest.raises(UsageError, match=text):
             choose_ids(3, count, first)
-    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        RadioSettings(record(1), (record(1),), SwarmSettings(robots=2), Subjects())
-
-
-# Odd frames
-
-
-def test_malformed_frames_are_no_estimates() -> None:
-    draw, subjects, reasons = random.Random(1), Subjects(), set[Rejection]()
-    for _ in range(200):
-        for frame in malformed(draw, subjects, 9).values():
-            verdict = decode(frame, subjects.estimates)
-            assert isinstance(verdict, Rejection)
-            assert isinstance(decode_command(frame, subjects.commands), Rejection)
-            reasons.add(verdict)
-    own_kind = {Rejection.MODE, Rejection.X, Rejection.B_HAT, Rejection.TARGET, Rejection.ACTION}
-    assert reasons == set(Rejection) - own_kind - {Rejection.ERROR_FRAME, Rejection.FD_FRAME}
-
-
-@pytest.mark.parametrize("tick", [0, 17, 2**32 - 1])
-def test_stray_commands_are_not_obeyed(tick: int) -> None:
-    draw = random.Random(2)
-    robot = RobotNode(record(ID))
-    robot.hear(encode_command(Command(9, tick, ID, Action.OBSERVE_WHITE, 0)))
-    for _ in range(200):
-        for name in STRAY:
-            usual = Command(126, tick, ID, Action.SETTLE, 0)
-            assert robot.hear(stray_command(name, draw, usual, 9, Subjects().commands)) == [], name
-    assert (robot.robot.t, robot.reception.rejected) == (1, {})
 
 
 def test_neighbours_go_on_when_the_bus_fails() -> None:
@@ -179,7 +119,7 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
             if len(self.sent) % 2:
                 raise can.CanOperationError("cable pulled")
 
-    plan = settings(steps_per_second=1000)
+    plan = surroundings(steps_per_second=1000)
     run = RadioRun(Neighbourhood(plan), BusLink(Failing(), endures=True), ticks=20)
     run.run()
     figures = run.figures()
@@ -189,9 +129,6 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
 
 
 # The command
-
-
-CONTROLLER = "--id 3 --b-hat 0.55 --filter-period 10 --neighbours 20"
 
 
 def radio(options: str) -> int:
@@ -246,7 +183,6 @@ BAD = {
     "--id 3 --timeout 2": "--timeout is for a verification",
     "--id 3 --verify --timeout 0": "timeout is 0.0",
     "--id 3 --verify --wait nan": "wait is nan",
-    "--id 3 --verify --report x.txt": "report x.txt has no known format",
     "--id 126 --verify": "robot 126 has the id of the simulator",
     "--id 3 --log run.db": "cannot log to run.db: choose .log",
     "--id 3 --command-subject 3000": "choose three different ones",
