@@ -71,12 +71,6 @@ class Graph:
     links: frozenset[tuple[int, int]]
     source: str = field(default="graph", compare=False)
 
-    def __post_init__(self) -> None:
-        """Raises UsageError unless links are pairs of different ids."""
-        for link in self.links:
-            if len(link) != 2 or link[0] == link[1] or not all(0 <= robot <= MAX_ID for robot in link):
-                raise UsageError(f"links has {link}; give pairs of different ids, 0 to {MAX_ID}")
-
     def topology(self, robots: int) -> Static:
         """Who hears whom among ``robots`` robots. Raises UsageError for a link to any other."""
         self.check(robots)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.world import topology
+from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
-
-if TYPE_CHECKING:
-    from mcp_asdf_tools.world.arena import Arena
 
 _STEPS_AT_ONCE = 64
 """Steps computed ahead where they are taken one by one."""
@@ -58,7 +56,7 @@ class World:
         self._draws = Stream(OBSERVATIONS, settings.seed, trial, settings.robots)
         self._next = 0
         self._sensors = sensor_model(settings, trial)
-        self._arena = _arena_of(settings, trial) if settings.is_dynamic else None
+        self._arena = Arena(settings, trial) if settings.is_dynamic else None
         self._topology = None if settings.is_dynamic else _topology_of(settings, trial)
         self._ahead: Scene | None = None
         self._at = -1
@@ -127,10 +125,3 @@ def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
         Callable[[WorldSettings, int], topology.Topology], extensions.load(extensions.TOPOLOGIES, name)
     )
     return topology.Checked(make(settings, trial), name, settings.robots)
-
-
-def _arena_of(settings: WorldSettings, trial: int) -> Arena:
-    # Imported here, so that robots that do not move run where no arena has been built.
-    from mcp_asdf_tools.world.arena import Arena  # noqa: PLC0415
-
-    return Arena(settings, trial)

@@ -108,6 +108,5 @@ def test_degrees_of_trials_are_those_of_the_simulation() -> None:
 def mean_degree(experiment: Experiment, trial: int) -> float:
     arena, links = Arena(experiment, trial), 0
     for _ in range(400):
-        arena.step(100)
-        links += len(arena.links)
-    return 2 * links / (400 * experiment.robots)
+        links += arena.record(100).adjacency[-1].sum()
+    return links / (400 * experiment.robots)

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from host_tools.world.motion_statistics import motion_statistics
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, config_values
+from mcp_asdf_tools.world.arena import Arena, Motion, config_values
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
 
@@ -88,30 +87,21 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected
 def test_seeds_differ_and_time_may_pass_in_any_portions() -> None:
     whole, parts = Arena(CROWD, 7), Arena(CROWD, 7)
     assert not np.array_equal(whole.positions, Arena(CROWD, 8).positions)
-    whole.step(500)
-    for portion in (0, 1, 2, 97, 400):
+    motion = whole.record(500)
+    for portion in (0, 1, 2, 97):
         parts.step(portion)
-    assert whole.ticks == parts.ticks == 500
-    assert np.array_equal(whole.positions, parts.positions)
-    assert np.array_equal(whole.headings, parts.headings)
-    assert np.array_equal(whole.links, parts.links)
-
-
-def test_a_record_ends_with_what_the_arena_shows() -> None:
-    arena = Arena(PAPER, 2)
-    motion = arena.record(300)
-    assert np.array_equal(motion.position[-1], arena.positions)
-    assert np.array_equal(motion.heading[-1], arena.headings)
-    assert np.array_equal(motion.black[-1], arena.black)
-    for robot in range(20):
-        pairs = arena.links[(arena.links == robot).any(axis=1)]
-        assert set(np.flatnonzero(motion.adjacency[-1, robot])) == set(pairs.ravel().tolist()) - {robot}
+    rest = parts.record(400)
+    for name, values in vars(rest).items():
+        assert np.array_equal(values, getattr(motion, name)[100:]), name
+    assert np.array_equal(whole.positions, motion.position[-1])
 
 
 def test_places_and_headings_at_the_start_are_uniform() -> None:
     starts = [Arena(PAPER, seed) for seed in range(300)]
     x, y = np.concatenate([arena.positions for arena in starts]).T / (PAPER.sides[0] - 2 * RADIUS)
-    cx, cy = np.concatenate([arena.headings for arena in starts]).T
+    cx, cy = (
+        np.array([list(zip(a._arena.cx, a._arena.cy, strict=True))[:20] for a in starts]).reshape(-1, 2).T
+    )
     limit = 4 / math.sqrt(len(x))
     for centred, deviation in ((x, 12**-0.5), (y, 12**-0.5), (cx, 0.5**0.5), (cy, 0.5**0.5)):
         assert abs(centred.mean()) < limit * deviation
@@ -127,18 +117,14 @@ def test_bodies_are_rigid_stay_inside_and_keep_the_speed_limit(settings: WorldSe
     motion = Arena(settings, seed).record(3000)
     room = np.array(settings.sides) / 2 - RADIUS
     assert np.all(np.abs(motion.position) <= room + 1e-6)
-    assert min(distances(position).min() for position in motion.position[::3]) >= 2 * RADIUS - 5e-4
+    nearest = np.array([distances(position).min() for position in motion.position[::3]])
+    assert nearest.min() >= 2 * RADIUS - 5e-4
+    if settings is CROWD:  # they do touch, and do not freeze
+        assert (nearest < 2 * RADIUS + 1e-3).sum() > 20
+        assert np.median(np.linalg.norm(motion.position[-1] - motion.position[-600], axis=1)) > 0.1
     steps = np.linalg.norm(np.diff(motion.position, axis=0), axis=2)
     assert steps.max() <= settings.speed * TICK * (1 + 1e-9)
     assert np.abs(np.linalg.norm(motion.heading, axis=2) - 1).max() < 1e-9
-
-
-def test_a_crowd_does_touch_and_does_not_freeze() -> None:
-    """Otherwise the test above says nothing."""
-    motion = Arena(CROWD, 4).record(3000)
-    assert sum(distances(position).min() < 2 * RADIUS + 1e-3 for position in motion.position[::3]) > 20
-    moved = np.linalg.norm(motion.position[-1] - motion.position[-600], axis=1)
-    assert np.median(moved) > 0.1
 
 
 def test_a_lone_robot_drives_straight_at_full_speed_until_a_wall_is_in_reach() -> None:
@@ -201,32 +187,17 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        PAPER,
-        CROWD,
-        world(128, 6.0, 5.0, speed=0.4),
-        world(40, 2.0, 2.0, radio_range=0.17),
-    ],
+    "settings", [PAPER, CROWD, world(128, 6.0, 5.0, speed=0.4), world(40, 2.0, 2.0, radio_range=0.17)]
 )
 def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
-    arena = Arena(settings, 11)
-    count = 0
-    for portion in (0, *itertools.repeat(1, 14), *itertools.repeat(37, 10)):
-        arena.step(portion)
-        expected = links_by_definition(arena.positions, settings)
-        found = np.zeros_like(expected)
-        first, second = arena.links.T
-        found[first, second] = found[second, first] = True
-        assert np.array_equal(found, expected), f"seed 11, tick {arena.ticks}"
-        count += len(first)
-    assert count > 0
-
-
-def test_a_body_between_does_cut_links() -> None:
-    arena = Arena(CROWD, 4)
-    near = np.triu(distances(arena.positions) < 0.5).sum()
-    assert 0 < len(arena.links) < 0.8 * near
+    arena, linked, near = Arena(settings, 11), 0, 0
+    for portion in (*itertools.repeat(1, 14), *itertools.repeat(37, 10)):
+        motion = arena.record(portion)
+        expected = links_by_definition(motion.position[-1], settings)
+        assert np.array_equal(motion.adjacency[-1], expected), f"seed 11, after {portion} ticks"
+        linked += expected.sum()
+        near += (distances(motion.position[-1]) < settings.radio_range).sum()
+    assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
 
 
 # ---------------------------------------------------------------- proximity and wheels
@@ -243,7 +214,7 @@ def obstacle_by_marching(arena: Arena, robot: int) -> complex:
     half = np.array(arena.settings.sides) / 2
     centre, others = arena.positions[robot], np.delete(arena.positions, robot, axis=0)
     others = others[np.linalg.norm(others - centre, axis=1) < 2 * RADIUS + REACH + 0.01]
-    heading = complex(*arena.headings[robot])
+    heading = complex(arena._arena.cx[robot], arena._arena.cy[robot])
     strides = np.linspace(0, REACH, 1201)
     total = 0j
     for k in range(8):
@@ -266,14 +237,14 @@ def test_the_reading_is_that_of_the_sensors_data() -> None:
 @pytest.mark.parametrize("settings", [CROWD, world(2, 0.5, 0.5), world(3, 0.3, 2.0)])
 def test_obstacle_vectors_agree_with_marching_along_the_rays(settings: WorldSettings) -> None:
     arena = Arena(settings, 5)
-    ahead, left, sees = (_arena.ffi.new(kind) for kind in ("double *", "double *", "uint8_t *"))
+    ahead, left = _arena.ffi.new("double *"), _arena.ffi.new("double *")
     strong = 0
     for _ in range(60):
         arena.step(5)
         for robot in range(min(settings.robots, 3)):
-            _arena.lib.mcp_asdf_arena_obstacle(arena._arena, robot, ahead, left, sees)
+            _arena.lib.mcp_asdf_arena_obstacle(arena._arena, robot, ahead, left)
             assert abs(complex(ahead[0], left[0]) - obstacle_by_marching(arena, robot)) < 0.03, (
-                f"seed 5, tick {arena.ticks}, robot {robot}"
+                f"seed 5, robot {robot}"
             )
             strong += abs(complex(ahead[0], left[0])) > 0.1
     assert strong > 10
@@ -314,18 +285,6 @@ def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
         assert found == pytest.approx(expected, abs=1e-12), f"{ahead}, {left}, {rules.state}"
         states.add((rules.state, arena._arena.wheels[0]))
     assert states == {("none", 0), ("soft", 1), ("hard", 2)}
-
-
-@pytest.mark.parametrize(("ahead", "left", "turn"), [(0, 0.5, -1), (0, -0.5, 1), (0.5, 0, -1)])
-def test_an_obstacle_at_the_side_or_ahead_calls_for_a_hard_turn(ahead: float, left: float, turn: int) -> None:
-    """Away from it; to the right if it is ahead."""
-    arena = Arena(world(1, 5, 5), 0)
-    for _ in range(2):
-        _arena.lib.mcp_asdf_arena_steer(arena._arena, 0, 0.0, 0.0)
-        assert arena._arena.wheels[0] == 0
-        _arena.lib.mcp_asdf_arena_steer(arena._arena, 0, ahead, left)
-        assert arena._arena.wheels[0] == 2
-        assert arena._arena.wanted_spin[0] == pytest.approx(turn * 2 * 0.1414 / WHEELS_APART)
 
 
 # ---------------------------------------------------------------- floor
@@ -373,19 +332,56 @@ def test_a_code_lies_with_its_first_row_in_the_north() -> None:
 @pytest.mark.parametrize("floor", [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}])
 def test_robots_look_at_the_floor_before_their_right_front(floor: dict[str, Any]) -> None:
     arena = Arena(world(20, 3, 2, **floor), 9)
-    for _ in range(50):
-        arena.step(3)
-        ahead = arena.headings
+    motion = arena.record(150)
+    for position, ahead, black in zip(motion.position, motion.heading, motion.black, strict=True):
         right = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
-        expected = colours(arena, arena.positions + 0.0614 * ahead + 0.01 * right)
-        assert arena.black.tolist() == expected.astype(int).tolist(), f"seed 9, tick {arena.ticks}"
+        assert black.tolist() == colours(arena, position + 0.0614 * ahead + 0.01 * right).tolist()
 
 
 # ---------------------------------------------------------------- statistics
 
+MEAN_DEGREE = 0.867
+"""Of all trials together. About the mean of each trial alone the degree would look less persistent: a trial
+is too short to tell its mean from slow changes."""
 
-DIFFERENT = {"degree without blocking", "time between contacts", "largest coordinate"}
-"""Not measured here, or measured otherwise: docs/arena.md."""
+
+def contact(adjacency: NDArray[np.bool_]) -> float:
+    """Mean length of the runs of ticks in which a pair is linked, of those that begin and end within."""
+    lengths: list[int] = []
+    for linked in adjacency[:, *np.triu_indices(adjacency.shape[1], 1)].T:
+        change = np.diff(linked.astype(np.int8))
+        starts, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+        starts, ends = starts[starts < max(ends, default=0)], ends[ends > min(starts, default=len(linked))]
+        lengths += (ends - starts).tolist()
+    return float(np.mean(lengths))
+
+
+def motion_statistics(motion: Motion) -> dict[str, float]:
+    """Every statistic by its name in the reference; in metres, radians and ticks, but the speed in m/s."""
+    adjacency, position, heading = motion.adjacency, motion.position, motion.heading
+    degree = adjacency.sum(axis=2, dtype=np.float64)
+    deviation = degree - MEAN_DEGREE
+    found = {
+        "degree": degree,
+        "rounds with 0 neighbours": degree == 0,
+        "rounds with 1 neighbour": degree == 1,
+        "rounds with 2 or more neighbours": degree >= 2,
+        "speed": np.linalg.norm(np.diff(position, axis=0), axis=2) / TICK,
+        "ticks straight": motion.wheels == 0,
+        "ticks in a soft turn": motion.wheels == 1,
+        "ticks in a hard turn": motion.wheels == 2,
+        "ticks avoiding": motion.avoids,
+        "contact": np.array(contact(adjacency)),
+    }
+    for lag in (1, 10, 50, 100, 500):
+        together, before = adjacency[lag:] & adjacency[:-lag], adjacency[:-lag]
+        found[f"pairs persisting after {lag}"] = together.sum() / before.sum()
+        correlation = (deviation[lag:] * deviation[:-lag]).mean() / (deviation**2).mean()
+        found[f"degree autocorrelation after {lag}"] = correlation
+        moved = position[lag:] - position[:-lag]
+        found[f"squared displacement after {lag}"] = (moved**2).sum(axis=2)
+        found[f"cosine of turn after {lag}"] = (heading[lag:] * heading[:-lag]).sum(axis=2)
+    return {name: float(np.mean(values)) for name, values in found.items()}
 
 
 @pytest.mark.slow
@@ -394,9 +390,8 @@ def test_the_motion_has_the_statistics_of_the_reference() -> None:
     with ThreadPoolExecutor(2) as pool:
         trials = list(pool.map(lambda seed: motion_statistics(Arena(PAPER, seed).record(10000)), range(12)))
     wrong = []
-    for name, expected in REFERENCE.items():
-        if name in DIFFERENT:
-            continue
+    for name in trials[0]:
+        expected = REFERENCE[name]
         values = np.array([trial[name] for trial in trials])
         error = values.std(ddof=1) / math.sqrt(len(values))
         digit = 0.5 * 10.0 ** -len(str(expected).partition(".")[2])

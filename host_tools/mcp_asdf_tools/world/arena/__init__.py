@@ -33,7 +33,6 @@ class Motion:
         black: 1 if the floor under the ground sensor is black, shape (ticks, N).
         wheels: 0 straight, 1 soft turn, 2 hard turn in the coming tick, shape (ticks, N).
         avoids: 1 if heading away from an obstacle, shape (ticks, N).
-        sees_robot: 1 if a proximity sensor meets a robot, shape (ticks, N).
         linked: Links as bits, shape (ticks, N, 2): bit j % 64 of word j // 64 is set if j is heard.
     """
 
@@ -42,7 +41,6 @@ class Motion:
     black: NDArray[np.uint8]
     wheels: NDArray[np.uint8]
     avoids: NDArray[np.uint8]
-    sees_robot: NDArray[np.uint8]
     linked: NDArray[np.uint64]
 
     @property
@@ -68,30 +66,10 @@ class Arena:
             raise UsageError(f"{where}; take fewer or a larger arena")
 
     @property
-    def ticks(self) -> int:
-        """Number of ticks passed."""
-        return int(self._arena.ticks)
-
-    @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        return np.stack([self._column("x"), self._column("y")], axis=1)
-
-    @property
-    def headings(self) -> NDArray[np.float64]:
-        """Cosine and sine, shape (N, 2)."""
-        return np.stack([self._column("cx"), self._column("cy")], axis=1)
-
-    @property
-    def black(self) -> NDArray[np.uint8]:
-        """1 where the floor under a robot's ground sensor is black, shape (N,)."""
-        return self._column("black", np.uint8)
-
-    @property
-    def links(self) -> NDArray[np.uint8]:
-        """Pairs of robots that hear each other, the lower id first, shape (links, 2)."""
-        pairs = np.frombuffer(_arena.ffi.buffer(self._arena.links), np.uint8).reshape(-1, 2)
-        return pairs[: self._arena.link_count].copy()
+        columns = (np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name))) for name in "xy")
+        return np.stack([*columns], axis=1)[: self.settings.robots]
 
     def is_black(self, x: float, y: float) -> bool:
         """The colour of the floor. Raises UsageError if (x, y) is not on it."""
@@ -113,10 +91,10 @@ class Arena:
         self._run(ticks, {})
 
     def record(self, ticks: int) -> Motion:
-        """Let time pass and say what each tick left. Raises as ``step``. Takes 52 bytes a robot and tick."""
+        """Let time pass and say what each tick left. Raises as ``step``. Takes 51 bytes a robot and tick."""
         shape = (_check_ticks(ticks), self.settings.robots)
         columns: dict[str, NDArray[Any]] = {
-            name: np.empty(shape, np.uint8) for name in ("black", "wheels", "avoids", "sees_robot")
+            name: np.empty(shape, np.uint8) for name in ("black", "wheels", "avoids")
         }
         columns |= {name: np.empty((*shape, 2), np.float64) for name in ("position", "heading")}
         columns["linked"] = np.empty((*shape, 2), np.uint64)
@@ -127,10 +105,6 @@ class Arena:
         pointers = {name: _arena.ffi.cast("void *", values.ctypes.data) for name, values in columns.items()}
         record = _arena.ffi.new("mcp_asdf_arena_record_t *", pointers)
         _arena.lib.mcp_asdf_arena_run(self._arena, _check_ticks(ticks), record)
-
-    def _column(self, name: str, kind: type[Any] = np.float64) -> NDArray[Any]:
-        values = np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name)), kind)
-        return values[: self.settings.robots].copy()
 
 
 def _check_ticks(ticks: int) -> int:

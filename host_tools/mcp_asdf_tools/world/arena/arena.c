@@ -3,11 +3,9 @@
  *
  * Each file here has one part of the model:
  *   start.c        settings are checked and robots placed
- *   motion.c       bodies on their own move as their motors drive them
- *   contacts.c     bodies that may touch another one or a wall move together
+ *   motion.c       bodies move as their motors and contacts drive them
  *   links.c        which pairs are near, and which hear each other
- *   proximity.c    proximity sensors, and the obstacle vector they add up to
- *   steering.c     wheels turn the robot away from obstacles
+ *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
  *   floor.c        colours of the floor, and the ground sensor
  *   elementary.c   sines, angles and exponentials without a mathematics library
  *   splitmix.h     random numbers
@@ -29,7 +27,7 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arena)
     arena_look(arena);
 }
 
-void mcp_asdf_arena_links(const mcp_asdf_arena_t *arena, uint64_t *linked)
+static void write_links(const mcp_asdf_arena_t *arena, uint64_t *linked)
 {
     memset(linked, 0, 2 * sizeof *linked * arena->config.robots);
     for (uint32_t p = 0; p < arena->link_count; ++p) {
@@ -64,9 +62,8 @@ static void write_record(const mcp_asdf_arena_t *arena, const mcp_asdf_arena_rec
     write_flags(record->black, first, arena->black, robots);
     write_flags(record->wheels, first, arena->wheels, robots);
     write_flags(record->avoids, first, arena->avoids, robots);
-    write_flags(record->sees_robot, first, arena->sees_robot, robots);
     if (record->linked != NULL) {
-        mcp_asdf_arena_links(arena, record->linked + 2 * first);
+        write_links(arena, record->linked + 2 * first);
     }
 }
 

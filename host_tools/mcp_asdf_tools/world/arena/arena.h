@@ -75,7 +75,6 @@ typedef struct {
  *   black        1 if the floor under the ground sensor is black
  *   wheels       mcp_asdf_wheels_t for the coming tick
  *   avoids       1 if the robot heads away from an obstacle
- *   sees_robot   1 if a proximity sensor sees another robot
  *   links        the link_count pairs that hear each other, in no particular order
  * Private, below links:
  *   vx, vy, spin                velocities now
@@ -99,7 +98,6 @@ typedef struct {
     uint8_t black[MCP_ASDF_ARENA_MAX_ROBOTS];
     uint8_t wheels[MCP_ASDF_ARENA_MAX_ROBOTS];
     uint8_t avoids[MCP_ASDF_ARENA_MAX_ROBOTS];
-    uint8_t sees_robot[MCP_ASDF_ARENA_MAX_ROBOTS];
     uint32_t link_count;
     mcp_asdf_pair_t links[MCP_ASDF_ARENA_MAX_PAIRS];
 
@@ -125,15 +123,14 @@ typedef struct {
 } mcp_asdf_arena_t;
 
 /* Where mcp_asdf_arena_run() writes the state after each tick: arrays of [ticks][robots], or NULL where not
- * wanted. position (x, y), heading (cx, cy) and linked (as mcp_asdf_arena_links() writes it) have a last axis
- * of 2. */
+ * wanted. position (x, y), heading (cx, cy) and linked have a last axis of 2: bit j % 64 of word j / 64 is
+ * set if robots i and j hear each other. */
 typedef struct {
     double *position;
     double *heading;
     uint8_t *black;
     uint8_t *wheels;
     uint8_t *avoids;
-    uint8_t *sees_robot;
     uint64_t *linked;
 } mcp_asdf_arena_record_t;
 
@@ -150,10 +147,6 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arena);
 /* Run `ticks` ticks and record each. */
 void mcp_asdf_arena_run(mcp_asdf_arena_t *arena, uint32_t ticks, const mcp_asdf_arena_record_t *record);
 
-/* Write the links as bits: bit j % 64 of linked[2 i + j / 64] is set if robots i and j hear each other.
- * `linked` has 2 * robots words. */
-void mcp_asdf_arena_links(const mcp_asdf_arena_t *arena, uint64_t *linked);
-
 /* 1 if the floor is black at (x, y), which must be on the floor; otherwise 0. O(1). */
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y);
 
@@ -162,9 +155,8 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y);
 double mcp_asdf_arena_reading(double distance);
 
 /* The obstacle vector of robot `robot`, in its own frame: the sum of its sensors' directions, each weighted
- * by its reading. Sets *ahead and *left, and *sees_robot to 1 or 0. O(robots close enough to be seen). */
-void mcp_asdf_arena_obstacle(const mcp_asdf_arena_t *arena, uint32_t robot, double *ahead, double *left,
-                             uint8_t *sees_robot);
+ * by its reading. O(robots close enough to be seen). */
+void mcp_asdf_arena_obstacle(const mcp_asdf_arena_t *arena, uint32_t robot, double *ahead, double *left);
 
 /* Set the wheels of robot `robot` so that it turns away from an obstacle vector. O(1). */
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left);

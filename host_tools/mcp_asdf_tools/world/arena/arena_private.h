@@ -37,31 +37,17 @@ static inline double clamp(double value, double low, double high)
 /* Sets of robots: bit j % 64 of word j / 64 stands for robot j. */
 static inline void set_bit(uint64_t mask[2], uint32_t bit) { mask[bit >> 6] |= (uint64_t)1 << (bit & 63); }
 
-/* Number of the lowest bit of a set that is not empty. */
-#ifdef __GNUC__
-static inline int lowest_bit(uint64_t set) { return __builtin_ctzll(set); }
-#else
-static inline int lowest_bit(uint64_t set)
-{
-    int bit = 0;
-    for (; (set & 1) == 0; set >>= 1) {
-        ++bit;
-    }
-    return bit;
-}
-#endif
-
 /* Remove the lowest bit and return its number; -1 if the set is empty. No index depends on the set, so that a
  * loop over a set can keep it in registers. */
 static inline int take_bit(uint64_t mask[2])
 {
     if (mask[0] != 0) {
-        const int bit = lowest_bit(mask[0]);
+        const int bit = __builtin_ctzll(mask[0]);
         mask[0] &= mask[0] - 1;
         return bit;
     }
     if (mask[1] != 0) {
-        const int bit = lowest_bit(mask[1]);
+        const int bit = __builtin_ctzll(mask[1]);
         mask[1] &= mask[1] - 1;
         return 64 + bit;
     }
@@ -109,10 +95,9 @@ static inline void turn(mcp_asdf_arena_t *arena, uint32_t i)
     }
 }
 
-/* The steps of a tick: move all bodies, in it those that may touch something; find who is near and who hears
+/* The steps of a tick: move all bodies; find who is near and who hears
  * whom; set wheels from proximity sensors; read the ground sensors. */
 void arena_move(mcp_asdf_arena_t *arena);
-void arena_move_crowd(mcp_asdf_arena_t *arena);
 void arena_find_links(mcp_asdf_arena_t *arena);
 void arena_set_wheels(mcp_asdf_arena_t *arena);
 void arena_see_floor(mcp_asdf_arena_t *arena);

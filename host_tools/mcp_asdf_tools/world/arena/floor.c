@@ -27,21 +27,17 @@ static inline bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double
     return (double)(splitmix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
 }
 
-static inline bool is_black(const mcp_asdf_arena_t *arena, double x, double y)
-{
-    return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
-}
-
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
-    return is_black(arena, x, y);
+    return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
 }
 
 void arena_see_floor(mcp_asdf_arena_t *arena)
 {
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         const double cx = arena->cx[i], cy = arena->cy[i];
-        arena->black[i] = is_black(arena, arena->x[i] + SENSOR_FORWARD * cx + SENSOR_RIGHT * cy,
-                                   arena->y[i] + SENSOR_FORWARD * cy - SENSOR_RIGHT * cx);
+        const double x = arena->x[i] + SENSOR_FORWARD * cx + SENSOR_RIGHT * cy;
+        const double y = arena->y[i] + SENSOR_FORWARD * cy - SENSOR_RIGHT * cx;
+        arena->black[i] = (uint8_t)mcp_asdf_arena_is_black(arena, x, y);
     }
 }
