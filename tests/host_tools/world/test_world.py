@@ -89,9 +89,8 @@ def test_how_many_steps_are_taken_at_once_changes_nothing(kind: str) -> None:
             np.flatnonzero(row).tolist() for row in whole.hears[step]
         ]
         assert np.array_equal(world.accuracy, whole.accuracy[step])
-        if whole.positions is None:
-            assert world.positions is None
-        else:
+        assert (world.positions is None) == (whole.positions is None)
+        if whole.positions is not None and world.positions is not None:
             assert np.array_equal(world.positions, whole.positions[step])
 
 
