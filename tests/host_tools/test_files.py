@@ -20,24 +20,29 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
     files.write_atomically(tmp_path / "link", data)
     assert (tmp_path / "file").read_bytes() == (data.encode() if isinstance(data, str) else data)
     assert (tmp_path / "link").is_symlink() and len([*tmp_path.iterdir()]) == 2
+    assert files.write_files(tmp_path / "new/one", {"a": "1", "b": "2"}) == [
+        tmp_path / "new/one/a",
+        tmp_path / "new/one/b",
+    ]
     (tmp_path / "usual").touch()
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
-def test_files_of_a_set_appear_together(tmp_path: Path) -> None:
-    with files.FileSet() as together:
-        together.write(tmp_path / "a", "1")
-        together.write(tmp_path / "b", "2")
-        assert not (tmp_path / "a").exists()
-    assert {entry.name: entry.read_text() for entry in tmp_path.iterdir()} == {"a": "1", "b": "2"}
-
-
 @pytest.mark.parametrize("lost", ["a", "b"])
-def test_a_file_that_cannot_appear_keeps_back_its_set(lost: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=f"cannot write .*/{lost}: "), files.FileSet() as together:
-        for name in ("a", "b"):
-            together.write(tmp_path / name, "new")
-        (tmp_path / lost).mkdir()
+def test_a_file_that_cannot_appear_keeps_back_the_others(
+    lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its name is taken by a folder once all are complete, before which none has its name."""
+
+    def obstruct(file: int) -> None:
+        drafts = [entry.name for entry in tmp_path.iterdir()]
+        assert all(name.startswith(".") for name in drafts)
+        if len(drafts) == 2:
+            (tmp_path / lost).mkdir()
+
+    monkeypatch.setattr(os, "fsync", obstruct)
+    with pytest.raises(UsageError, match=f"cannot write .*/{lost}: "):
+        files.write_files(tmp_path, {"a": "new", "b": "new"})
     assert [entry.name for entry in tmp_path.iterdir()] == [lost]
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -21,7 +22,7 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import FileSet, results_beside
+from mcp_asdf_tools.common.files import results_beside, write_together
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.recording.recording import LogOutputs
@@ -99,14 +100,13 @@ def run(args: argparse.Namespace) -> int:
                 outcome, report, seconds = _emulate(plan, outputs, camera)
                 # Printed even if a file cannot be completed.
                 ending.callback(_print, plan, outcome, report, seconds)
-            with FileSet() as files:
-                if args.plot is not None:
-                    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
-                    from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
+            files: dict[Path, bytes | str] = dict.fromkeys(beside, json.dumps(report, indent=2) + "\n")
+            if args.plot is not None:
+                from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
+                from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
 
-                    files.write(args.plot, image_of(draw(outcome), args.plot))
-                for path in beside:
-                    files.write(path, json.dumps(report, indent=2) + "\n")
+                files[args.plot] = image_of(draw(outcome), args.plot)
+            write_together(files)
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1

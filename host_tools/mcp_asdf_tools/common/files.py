@@ -7,60 +7,37 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 
 from mcp_asdf_tools.common.errors import UsageError
 
 
-class FileSet:
-    """Output files that take their names together, once all are complete, or not at all.
+def write_together(contents: Mapping[Path, bytes | str]) -> None:
+    """Write files by their paths, texts as UTF-8: once all are complete they take their names, or none does.
 
-    A context manager: on a regular end every file begun replaces what stood under its name, a symbolic
-    link being followed. On an exception, or if one of them cannot be written, none does.
+    Each replaces what stood under its name, a symbolic link being followed. Raises UsageError if one cannot
+    be written.
     """
-
-    def __init__(self) -> None:
-        """Begin with no file."""
-        self._drafts: list[tuple[Path | str, Path]] = []
-
-    def write(self, path: Path | str, data: bytes | str) -> None:
-        """Write what will be ``path``; text as UTF-8. Raises UsageError if it cannot be written."""
-        temporary = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
-        self._drafts.append((path, temporary))
-        with explaining(path), temporary.open("wb") as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-            file.flush()
-            os.fsync(file.fileno())  # it must not have its name before the disk has it: the power may fail
-
-    def __enter__(self) -> FileSet:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._keep()
-        finally:
-            for _, temporary in self._drafts:
-                with suppress(OSError):
-                    temporary.unlink()
-
-    def _keep(self) -> None:
+    drafts: dict[Path, Path] = {}
+    try:
+        for path, data in contents.items():
+            drafts[path] = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
+            with explaining(path), drafts[path].open("wb") as file:
+                file.write(data.encode() if isinstance(data, str) else data)
+                file.flush()
+                os.fsync(file.fileno())  # the disk must have it before it has its name: the power may fail
         # What can be known to fail is looked for again before the first file is replaced.
-        targets = [check_target(path) for path, _ in self._drafts]
-        for (path, temporary), target in zip(self._drafts, targets, strict=True):
+        for path, target in [(path, check_target(path)) for path in drafts]:
             with explaining(path):
-                os.replace(temporary, target)
+                os.replace(drafts[path], target)
+    finally:
+        for draft in drafts.values():
+            with suppress(OSError):
+                draft.unlink()
 
 
 def write_atomically(path: Path | str, data: bytes | str) -> None:
-    """Write ``data`` (text as UTF-8) to ``path``, whole or not at all.
-
-    Raises UsageError if it cannot be written, which leaves an earlier file unchanged.
-    """
-    with FileSet() as files:
-        files.write(path, data)
+    """Write one file as ``write_together`` does."""
+    write_together({Path(path): data})
 
 
 def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
@@ -70,9 +47,7 @@ def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
     """
     with explaining(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    with FileSet() as files:
-        for name, text in contents.items():
-            files.write(folder / name, text)
+    write_together({folder / name: text for name, text in contents.items()})
     return [folder / name for name in contents]
 
 

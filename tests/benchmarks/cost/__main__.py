@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from mcp_asdf_tools.common.files import FileSet
+from mcp_asdf_tools.common.files import write_together
 
 from .images import LEVELS, TARGETS
 from .measurement import kilobot, measure
@@ -37,9 +37,7 @@ def main() -> int:
         }
         figures = {cell: part.result() for cell, part in parts.items()}
         written = sections(figures, kilobot(Path(name, "kilobot")))
-    with FileSet() as files:
-        for path in PAGES:
-            files.write(path, fill(path.read_text(encoding="utf-8"), written[path]))
+    write_together({path: fill(path.read_text(encoding="utf-8"), written[path]) for path in PAGES})
     return 0
 
 
