@@ -6,8 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +32,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmHook, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmRun, results_of, run_swarm
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.films import SwarmCamera
@@ -141,18 +140,22 @@ def _emulate(
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
-    began = time.monotonic()
-    companion = Companion(plan.settings) if plan.args.compare else None
+    settings, began = plan.settings, time.monotonic()
+    companion = Companion(settings) if plan.args.compare else None
     with ExitStack() as stack:
         port = _admit(plan, stack)
-        swarm = stack.enter_context(Swarm(plan.settings, plan.wiring, *outputs))
-        nodes = stack.enter_context(_start(plan))
+        swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
+        robots = settings.records() if plan.args.processes else []
+        subjects = Subjects(estimates=settings.frames) if robots else Subjects()
+        processes = NodeProcesses(robots, plan.choice.of_robot, subjects, settings.steps_per_second)
+        nodes = stack.enter_context(processes)
         if plan.wiring.remote:
             with plan.console.status("waiting for robots elsewhere"):
                 swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        with LiveView(plan.console, companion) as live, _interruptible() as stop:
-            hooks = [each for each in (companion, camera, live, stop) if each is not None]
-            outcome = run_swarm(swarm, hooks)
+        # A signal counts between two ticks, so that log and results end on a whole one.
+        with LiveView(plan.console, companion) as live, stopping() as should_stop:
+            hooks = [each for each in (companion, camera, live) if each is not None]
+            outcome = run_swarm(swarm, hooks, should_stop)
     choice = plan.choice
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
@@ -160,7 +163,7 @@ def _emulate(
     if companion is not None:
         seconds -= companion.seconds
         if outcome.failure is None:
-            report["without_filter"] = companion.results()
+            report["without_filter"] = results_of(companion.swarm)
     return outcome, report, seconds
 
 
@@ -194,29 +197,6 @@ def _admit(plan: _Plan, stack: ExitStack) -> int | None:
     # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
-
-
-def _start(plan: _Plan) -> NodeProcesses:
-    """The robots' processes; none unless asked for."""
-    settings = plan.settings
-    robots = settings.records() if plan.args.processes else []
-    subjects = Subjects(estimates=settings.frames) if robots else Subjects()
-    return NodeProcesses(robots, plan.choice.of_robot, subjects, settings.steps_per_second)
-
-
-@contextmanager
-def _interruptible() -> Iterator[SwarmHook]:
-    """Turn a signal into a KeyboardInterrupt between two ticks, so that log and results end on a whole one.
-
-    Ctrl-C after that, if a tick does not end, acts at once.
-    """
-    with stopping() as is_asked:
-
-        def obey(swarm: Swarm) -> None:
-            if is_asked():
-                raise KeyboardInterrupt
-
-        yield obey
 
 
 def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: float) -> None:

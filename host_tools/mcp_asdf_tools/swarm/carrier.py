@@ -151,12 +151,12 @@ class Connection:
 
 def _took(left: Counter[Content], content: Content) -> bool:
     """Take one of ``content`` off; False if none is left."""
-    number = left.get(content, 0)
-    if number == 1:
+    if content not in left:
+        return False
+    left[content] -= 1
+    if not left[content]:
         del left[content]
-    elif number:
-        left[content] = number - 1
-    return number > 0
+    return True
 
 
 class Carrier:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from statistics import fmean
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm, mean_error
 
 _NOTABLE = 0.002
 """Change of b_hat below which nothing is said: a robot that is right and tests again."""
@@ -73,7 +72,7 @@ class LiveView:
 
     def _print_lines(self, swarm: Swarm) -> None:
         """A line for each robot that has recalibrated, and now and then one with the mean error."""
-        before = self._b_hat or [swarm.settings.b_hat(node.id) for node in swarm.nodes]
+        before = self._b_hat or swarm.b_hat_at_start
         self._b_hat = [node.robot.b_hat for node in swarm.nodes]
         for robot, (old, new) in enumerate(zip(before, self._b_hat, strict=True)):
             if abs(new - old) > _NOTABLE:
@@ -88,8 +87,3 @@ class LiveView:
         """One line with tabs between its fields, which is passed on at once."""
         self._console.file.write("\t".join(map(str, fields)) + "\n")
         self._console.file.flush()
-
-
-def mean_error(swarm: Swarm) -> float:
-    """Mean |x - f| over the robots at present."""
-    return fmean(abs(node.robot.x - swarm.settings.fill_ratio) for node in swarm.nodes)

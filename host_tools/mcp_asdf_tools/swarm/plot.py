@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from mcp_asdf_tools.robots.population import FILTER_NAMES
 from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import SwarmRun
+from mcp_asdf_tools.swarm.swarm import QUANTITIES, SwarmRun
 from mcp_asdf_tools.world.topology import Graph
 
 _LETTERS = 100
@@ -21,13 +21,11 @@ _LETTERS = 100
 def draw(run: SwarmRun) -> Figure:
     """Return a figure of three panels that share the time axis."""
     settings = run.settings
-    order = sorted(run.nodes, key=lambda node: (not settings.is_flawed(node.id), node.id))
-    robots = [node.id for node in order]
     series = TimeSeries(
         title=_title(settings),
         steps=np.asarray(run.history.ticks, np.float64),
-        values={name: run.history.values(name)[:, robots] for name in ("b_hat", "x_hat", "x")},
-        flawed=sum(settings.is_flawed(robot) for robot in robots),
+        values={name: run.history.values(name) for name in QUANTITIES},
+        flawed=settings.flawed,
         truths={"b": settings.true_accuracy, "f": settings.fill_ratio},
     )
     return draw_time_series([series])

@@ -17,18 +17,28 @@ Rows = Sequence[tuple[str, str]]
 
 def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
     """Summary of ``run``, which took so many seconds on ``bus``."""
-    results, settings = run.results, run.settings
+    results, settings, frames = run.results, run.settings, run.results["frames"]
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     return [
         ("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}"),
-        ("estimate", _estimate(run)),
+        (
+            "estimate",
+            f"mean x {results['mean_x']:.5f}, f {settings.fill_ratio:g}, mean error "
+            f"{results['mean_error']:.5f}, spread of x {results['spread_x']:.5f}, of x_hat "
+            f"{results['spread_x_hat']:.5f}",
+        ),
         *(
             (f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
             for name in ("flawed", "other")
         ),
         ("filter", f"{tests} tests, {results['updates']} updates"),
-        ("frames", _frames(run, bus)),
-        *(*_faults(results), *_rejections(results), *_id_conflicts(results), *_clock(results)),
+        (
+            "frames",
+            f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "
+            f"{frames['delivered']} messages delivered, {sum(frames['rejected'].values())} frames rejected, "
+            f"{frames['refused']} messages refused, {frames['strays']} strays",
+        ),
+        *_troubles(results),
         ("bus load", _loads(results)),
     ]
 
@@ -82,14 +92,6 @@ def _ending(run: SwarmRun) -> str:
     return "; interrupted" if run.interrupted else ""
 
 
-def _estimate(run: SwarmRun) -> str:
-    results, f = run.results, run.settings.fill_ratio
-    return (
-        f"mean x {results['mean_x']:.5f}, f {f:g}, mean error {results['mean_error']:.5f}, "
-        f"spread of x {results['spread_x']:.5f}, of x_hat {results['spread_x_hat']:.5f}"
-    )
-
-
 def _change(group: dict[str, float] | None, truth: float) -> str:
     if group is None:
         return "no such robots"
@@ -99,57 +101,29 @@ def _change(group: dict[str, float] | None, truth: float) -> str:
     )
 
 
-def _frames(run: SwarmRun, bus: str) -> str:
-    frames = run.results["frames"]
-    rejected = sum(frames["rejected"].values())
-    return (
-        f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "
-        f"{frames['delivered']} messages delivered, {rejected} frames rejected, {frames['refused']} "
-        f"messages refused, {frames['strays']} strays"
-    )
-
-
-def _faults(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Faults injected, and the share of the traffic that arrived."""
-    if not results["faults"]:
-        return
-    frames = results["frames"]
-    share = frames["arrived"] / frames["in_range"] if frames["in_range"] else 0.0
-    yield (
-        "arrived",
-        f"{frames['arrived']} of {frames['in_range']} frames, {share:.1%}; {frames['on_the_bus']} on the bus",
-    )
+def _troubles(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Faults, what robots rejected, conflicts of ids, and how late ticks were, as far as there is any."""
+    frames, clock = results["frames"], results["clock"]
+    if results["faults"]:
+        arrived, in_range = frames["arrived"], frames["in_range"]
+        share = arrived / in_range if in_range else 0.0
+        yield "arrived", f"{arrived} of {in_range} frames, {share:.1%}; {frames['on_the_bus']} on the bus"
     for fault in results["faults"]:
         yield "fault", f"{fault['fault']}: {fault['injected']} injected"
-
-
-def _rejections(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Frames that each robot rejected or refused."""
     for robot in results["robots"]:
         reasons = [f"{count} {reason}" for reason, count in robot["rejected"].items()]
         reasons += [f"{robot['refused']} refused"] if robot["refused"] else []
         if reasons:
             yield f"robot {robot['id']}", f"{robot['delivered']} messages delivered; {', '.join(reasons)}"
-
-
-def _id_conflicts(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for robot_id, number in results["frames"]["id_conflicts"].items():
+    for robot, number in frames["id_conflicts"].items():
+        yield "node-id conflict", f"another node sent {number} messages as robot {robot}; give it a free id"
+    if clock is not None:
+        mean, most, drift = (1e3 * clock[name] for name in ("mean_lateness", "max_lateness", "drift"))
         yield (
-            "node-id conflict",
-            f"another node sent {number} messages as robot {robot_id}; give it a free id",
+            "clock",
+            f"ticks began {mean:.3f} ms late on average, {most:.3f} ms at most, {clock['late_ticks']} of "
+            f"them by more than half a tick; drift {drift:.3f} ms; {frames['missed']} frames late or lost",
         )
-
-
-def _clock(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    clock = results["clock"]
-    if clock is None:
-        return
-    mean, most, drift = (1e3 * clock[name] for name in ("mean_lateness", "max_lateness", "drift"))
-    yield (
-        "clock",
-        f"ticks began {mean:.3f} ms late on average, {most:.3f} ms at most, {clock['late_ticks']} of them by "
-        f"more than half a tick; drift {drift:.3f} ms; {results['frames']['missed']} frames came late or not",
-    )
 
 
 def _loads(results: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ the faults have not taken away, so that a run depends on its settings alone, not
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any
@@ -23,11 +23,10 @@ from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
 from mcp_asdf_tools.bus.load import BIT_RATES, bus_load
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.input_log import InputLogWriter
-from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.faults import Faults
@@ -54,6 +53,7 @@ class Swarm:
         clock: The clock that ends ticks; None in lockstep.
         traffic: Frames on the bus so far.
         ticks: Ticks done.
+        b_hat_at_start: Assumed accuracy of each robot at the start.
     """
 
     def __init__(
@@ -78,10 +78,14 @@ class Swarm:
         self._input_log = input_log
         self._remote = wiring.remote
         check_remote(settings, wiring)
+        recorders: Mapping[int, Recorder] = {} if input_log is None else input_log.robots
         self.nodes = [
-            _robot_of(record, record.id in wiring.remote, settings.frames, input_log)
+            (remote_robot if record.id in wiring.remote else BusRobot)(
+                record, settings.frames, recorders.get(record.id)
+            )
             for record in settings.records()
         ]
+        self.b_hat_at_start = [node.robot.b_hat for node in self.nodes]
         self._here = [node for node in self.nodes if node.id not in wiring.remote]
         self.traffic = Traffic([node.reception for node in self.nodes])
         self._delivery = Delivery(self.world, self.faults, settings.latency)
@@ -197,15 +201,6 @@ class Swarm:
         traffic.missed = self._carrier.missed
 
 
-def _robot_of(
-    record: RobotRecord, is_remote: bool, frames: FrameFormat, input_log: InputLogWriter | None
-) -> BusRobot:
-    recorder = None if input_log is None else input_log.robots[record.id]
-    if is_remote:
-        return remote_robot(record, frames, recorder)
-    return BusRobot(record, frames, recorder)
-
-
 def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:
     """Mark frames as received: SocketCAN marks those from this computer as sent."""
 
@@ -309,26 +304,29 @@ class SwarmRun:
         }
 
 
-def run_swarm(swarm: Swarm, hooks: Sequence[SwarmHook] = ()) -> SwarmRun:
+def run_swarm(
+    swarm: Swarm, hooks: Sequence[SwarmHook] = (), should_stop: Callable[[], bool] = lambda: False
+) -> SwarmRun:
     """Run ``swarm`` for the ticks its settings ask for, calling every hook after each tick.
 
-    KeyboardInterrupt (from a hook, say) and a failing bus end the run early; the ticks done count.
+    ``should_stop``, KeyboardInterrupt and a failing bus end the run early; the ticks done count.
     """
     history = History(swarm.settings.steps)
     history.add(swarm)
     outcome = SwarmRun(swarm.settings, swarm.nodes, history)
     try:
-        while swarm.ticks < swarm.settings.steps:
+        while swarm.ticks < swarm.settings.steps and not outcome.interrupted:
             swarm.tick()
             history.sample(swarm)
             for hook in hooks:
                 hook(swarm)
+            outcome.interrupted = should_stop()
     except KeyboardInterrupt:
         outcome.interrupted = True
     except (SwarmError, LockstepError, can.CanError) as error:
         outcome.failure = f"tick {swarm.ticks + 1}: {error}"
     history.add(swarm)
-    outcome.results = _results(swarm, history)
+    outcome.results = results_of(swarm)
     return outcome
 
 
@@ -346,61 +344,56 @@ class Companion:
         """Make the other swarm. Raises as ``Swarm``."""
         self.swarm = Swarm(replace(settings.without_filter(), clock="lockstep"), Wiring())
         self.seconds = 0.0
-        self._history = History(settings.steps)
-        self._history.add(self.swarm)
 
     def __call__(self, swarm: Swarm) -> None:
         """Take a step, as ``swarm`` has."""
         began = time.monotonic()
         self.swarm.tick()
-        self._history.sample(self.swarm)
         self.seconds += time.monotonic() - began
 
-    def results(self) -> dict[str, Any]:
-        """Its results so far, as those of a run."""
-        self._history.add(self.swarm)
-        return _results(self.swarm, self._history)
 
-
-def _results(swarm: Swarm, history: History) -> dict[str, Any]:
-    x, x_hat = history.values("x")[-1], history.values("x_hat")[-1]
-    counters = [node.counters for node in swarm.nodes]
-    has_remote = any(isinstance(node.robot, RemoteFirmware) for node in swarm.nodes)
-    flawed = [node.id for node in swarm.nodes if swarm.settings.is_flawed(node.id)]
-    other = [node.id for node in swarm.nodes if not swarm.settings.is_flawed(node.id)]
-    tick = 1 / swarm.settings.steps_per_second
+def results_of(swarm: Swarm) -> dict[str, Any]:
+    """Results of a swarm so far, as plain values."""
+    settings, nodes = swarm.settings, swarm.nodes
+    x, x_hat = ([getattr(node.robot, name) for node in nodes] for name in ("x", "x_hat"))
+    has_remote = any(isinstance(node.robot, RemoteFirmware) for node in nodes)
+    tick = 1 / settings.steps_per_second
     return {
         "steps": swarm.ticks,
         "mean_x": fmean(x),
-        "mean_error": fmean(np.abs(x - swarm.settings.fill_ratio)),
-        "spread_x": float(np.ptp(x)),
-        "spread_x_hat": float(np.ptp(x_hat)),
-        "tests": None if has_remote else sum(each.tests for each in counters),
-        "updates": sum(each.updates for each in counters),
+        "mean_error": mean_error(swarm),
+        "spread_x": max(x) - min(x),
+        "spread_x_hat": max(x_hat) - min(x_hat),
+        "tests": None if has_remote else sum(node.counters.tests for node in nodes),
+        "updates": sum(node.counters.updates for node in nodes),
         "b_hat": {
-            "flawed": _before_and_after(history, flawed),
-            "other": _before_and_after(history, other),
+            "flawed": _before_and_after(swarm, range(settings.flawed)),
+            "other": _before_and_after(swarm, range(settings.flawed, settings.robots)),
         },
         "frames": swarm.traffic.figures(),
         "faults": swarm.faults.figures(),
         "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
         "clock": None if swarm.clock is None else swarm.clock.figures(),
-        "robots": [_robot_figures(node) for node in swarm.nodes],
+        "robots": [_robot_figures(node) for node in nodes],
     }
 
 
-def _before_and_after(history: History, robots: Sequence[int]) -> dict[str, Any] | None:
-    """Mean b_hat of ``robots`` at the start and at the end; None if there are none."""
+def mean_error(swarm: Swarm) -> float:
+    """Mean |x - f| over the robots at present."""
+    return fmean(abs(node.robot.x - swarm.settings.fill_ratio) for node in swarm.nodes)
+
+
+def _before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, Any] | None:
+    """Mean b_hat of ``robots`` at the start and at present; None if there are none."""
     if not robots:
         return None
-    chosen = history.values("b_hat")[:, robots]
-    after = chosen[-1]
+    after = [swarm.nodes[robot].robot.b_hat for robot in robots]
     return {
         "robots": len(robots),
-        "before": fmean(chosen[0]),
+        "before": fmean(swarm.b_hat_at_start[robot] for robot in robots),
         "after": fmean(after),
-        "after_min": float(after.min()),
-        "after_max": float(after.max()),
+        "after_min": min(after),
+        "after_max": max(after),
     }
 
 

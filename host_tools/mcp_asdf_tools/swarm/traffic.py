@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Rejection, Telemetry
+from mcp_asdf_tools.bus.frames import Rejection
 from mcp_asdf_tools.bus.load import worst_bits
 from mcp_asdf_tools.robots.bus_robot import Reception
 
@@ -53,24 +53,11 @@ class Traffic:
         """The sum over robots of one of the numbers in ``Reception``."""
         return sum(getattr(each, name) for each in self.receptions)
 
-    @property
-    def id_conflicts(self) -> dict[int, int]:
-        """Estimates under its own id that each robot heard, by id; robots that heard none are left out."""
-        return {robot: each.id_conflicts for robot, each in enumerate(self.receptions) if each.id_conflicts}
-
-    @property
-    def rejected(self) -> Counter[Rejection]:
-        """The frames that were no message, by reason."""
-        return sum((each.rejected for each in self.receptions), Counter[Rejection]())
-
-    @property
-    def telemetry(self) -> dict[int, Telemetry]:
-        """The last telemetry of each sender, by id."""
-        return {sender: last for each in self.receptions for sender, last in each.last_telemetry.items()}
-
     def figures(self) -> dict[str, Any]:
         """The counts as plain values, for JSON."""
         own = {name: value for name, value in vars(self).items() if name != "receptions"}
+        rejected = sum((each.rejected for each in self.receptions), Counter[Rejection]())
+        conflicts = {str(robot): each.id_conflicts for robot, each in enumerate(self.receptions)}
         return own | {
             "delivered": self.total("delivered"),
             "heartbeats_heard": self.total("heartbeats"),
@@ -78,6 +65,6 @@ class Traffic:
             "errors_heard": self.total("errors"),
             "refused": self.total("refused"),
             "strays": self.total("strays"),
-            "id_conflicts": {str(robot): count for robot, count in self.id_conflicts.items()},
-            "rejected": {reason.name: count for reason, count in self.rejected.items()},
+            "id_conflicts": {robot: count for robot, count in conflicts.items() if count},
+            "rejected": {reason.name: count for reason, count in rejected.items()},
         }

@@ -15,7 +15,7 @@ from rich.console import Console
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmRun, results_of, run_swarm
 
 MOVING = SwarmSettings(
     topology="dynamic",
@@ -37,7 +37,7 @@ def shown(settings: SwarmSettings, compare: bool = True, **options: Any) -> tupl
         run = run_swarm(swarm, [live] if companion is None else [companion, live])
     with Swarm(settings.without_filter(), Wiring()) as swarm:
         other = run_swarm(swarm)
-    assert companion is None or (companion.results() == other.results and companion.seconds > 0)
+    assert companion is None or (results_of(companion.swarm) == other.results and companion.seconds > 0)
     return out.getvalue(), run, other
 
 
