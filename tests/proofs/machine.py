@@ -17,6 +17,7 @@ from pycparser import c_ast
 from proofs.numbers import Arithmetic, Number, Type, known
 from proofs.source import Program, nodes, stated_shift, stated_turns
 
+_COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 INTEGERS = {
     "_Bool": Type(1),
     **{f"uint{bits}_t": Type(bits) for bits in (8, 16, 32, 64)},
@@ -179,20 +180,17 @@ class Machine:
             self.execute(each)
 
     def _Decl(self, node: Any) -> None:  # noqa: N802
-        kind = self._resolve(node.type)
-        if node.init is None:
-            value: Any = None
-        elif isinstance(node.init, c_ast.InitList):
-            value = self._initialised(kind, node.init)
-        else:
+        value = None
+        if isinstance(node.init, c_ast.InitList):
+            value = self._initialised(self._resolve(node.type), node.init)
+        elif node.init is not None:
             value = self.value(node.init)
         self._declare(node.name, node.type, value)
 
     def _Return(self, node: Any) -> None:  # noqa: N802
         frame = self._frames[-1]
         value = None if node.expr is None else self.value(node.expr)
-        kind = self._resolve(frame.definition.decl.type.type)
-        value = self._converted(value, kind)
+        value = self._converted(value, self._resolve(frame.definition.decl.type.type))
         frame.returned.append((z3.And(self._path), value))
         self._path.append(z3.BoolVal(False))
 
@@ -276,14 +274,12 @@ class Machine:
             with self._under(left if node.op == "&&" else z3.Not(left)):
                 right = self.truth(node.right)
             return z3.And(left, right) if node.op == "&&" else z3.Or(left, right)
-        if isinstance(node, c_ast.BinaryOp) and node.op in ("<", "<=", ">", ">=", "==", "!="):
-            return self.arithmetic.compare(
-                node.op, *self._common(self.value(node.left), self.value(node.right))
-            )
+        if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
+            both = self._common(self.value(node.left), self.value(node.right))
+            return self.arithmetic.compare(node.op, *both)
         if isinstance(node, c_ast.UnaryOp) and node.op == "!":
             return z3.Not(self.truth(node.expr))
-        number = self.value(node)
-        return number.term != 0
+        return self.value(node).term != 0
 
     def _value_Constant(self, node: Any) -> Number:  # noqa: N802
         digits = node.value.rstrip("uUlL")
@@ -300,11 +296,7 @@ class Machine:
         return self.load(self._place(node))
 
     def _value_StructRef(self, node: Any) -> Any:  # noqa: N802
-        return self._member(
-            self.value(node.name) if node.type == "." else self.load(self.value(node.name)), node
-        )
-
-    def _member(self, whole: Any, node: Any) -> Any:
+        whole = self.value(node.name) if node.type == "." else self.load(self.value(node.name))
         return whole[node.field.name]
 
     def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
@@ -314,17 +306,16 @@ class Machine:
         return self.value(node.name)[known(index.term)]
 
     def _element(self, array: list[int], index: Number) -> Number:
+        byte = INTEGERS["uint8_t"]
         limit = self.arithmetic.constant(len(array), index.type)
         self.claim(self.arithmetic.compare("<", index, limit), "index beyond the array")
-        found = self.arithmetic.constant(array[-1], INTEGERS["uint8_t"]).term
-        for i, each in enumerate(array[:-1]):
-            here = index.term == self.arithmetic.constant(i, index.type).term
-            found = z3.If(here, self.arithmetic.constant(each, INTEGERS["uint8_t"]).term, found)
-        return Number(found, INTEGERS["uint8_t"])
+        values = [self.arithmetic.constant(each, byte).term for each in array]
+        found = values[-1]
+        for i, each in enumerate(values):
+            found = z3.If(index.term == self.arithmetic.constant(i, index.type).term, each, found)
+        return Number(found, byte)
 
     def _value_Cast(self, node: Any) -> Any:  # noqa: N802
-        if isinstance(node.expr, c_ast.UnaryOp) and node.expr.op == "!":
-            return self._truth_value(self.truth(node.expr))
         kind, value = self._resolve(node.to_type.type), self.value(node.expr)
         return as_binary32(value) if kind == "float" else self._converted(value, kind)
 
@@ -351,14 +342,11 @@ class Machine:
         if node.op == "!":
             return self._truth_value(self.truth(node))
         number = self._promoted(self.value(node.expr))
-        zero, ones = (self.arithmetic.constant(value, number.type) for value in (0, -1))
-        return {
-            "-": lambda: self.arithmetic.binary("-", zero, number),
-            "~": lambda: self.arithmetic.binary("^", ones, number),
-        }[node.op]()
+        operator, left = {"-": ("-", 0), "~": ("^", -1)}[node.op]
+        return self.arithmetic.binary(operator, self.arithmetic.constant(left, number.type), number)
 
     def _value_BinaryOp(self, node: Any) -> Number:  # noqa: N802
-        if node.op in ("&&", "||", "<", "<=", ">", ">=", "==", "!="):
+        if node.op in ("&&", "||", *_COMPARISONS):
             return self._truth_value(self.truth(node))
         left, right = self.value(node.left), self.value(node.right)
         self._claim_stated(node, node.op, right)
@@ -369,25 +357,22 @@ class Machine:
             by = self.value(node.rvalue)
             self._claim_stated(node, node.op[:-1], by)
             return self._changed(node.lvalue, node.op[:-1], by)
-        value = self.value(node.rvalue)
-        return self.store(self._place(node.lvalue), value)
+        return self.store(self._place(node.lvalue), self.value(node.rvalue))
 
     def _value_FuncCall(self, node: Any) -> Any:  # noqa: N802
-        arguments = [self.value(each) for each in node.args.exprs]
-        name = node.name.name
+        arguments, name = [self.value(each) for each in node.args.exprs], node.name.name
         if name == "__builtin_clz":
             return self._count_leading_zeros(arguments[0])
         kinds = [self._resolve(each.type) for each in self.program.parameters(name)]
-        given = zip(arguments, kinds, strict=True)
-        return self.call(name, *(self._converted(each, kind) for each, kind in given))
+        return self.call(name, *map(self._converted, arguments, kinds))
 
     def _count_leading_zeros(self, number: Number) -> Number:
         """gcc's and clang's, which leave it open for 0."""
         self.claim(number.term != 0, "leading zeros of 0")
-        found = self.arithmetic.constant(31, self.int).term
-        for place in range(1, 32):
-            has = z3.Extract(place, place, number.term) == 1
-            found = z3.If(has, self.arithmetic.constant(31 - place, self.int).term, found)
+        zeros = [self.arithmetic.constant(31 - place, self.int).term for place in range(32)]
+        found = zeros[0]
+        for place, each in enumerate(zeros):
+            found = z3.If(z3.Extract(place, place, number.term) == 1, each, found)
         return Number(found, self.int)
 
     # --- Values and places ---
@@ -449,11 +434,8 @@ class Machine:
         return Number(z3.If(condition, one, zero), self.int)
 
     def _declare(self, name: str, declared: Any, value: Any) -> None:
-        kind = self._resolve(declared)
-        if value is not None:
-            value = self._converted(value, kind)
         self._frames[-1].types[name] = declared
-        self._memory[self._frames[-1].number, name] = value
+        self._memory[self._frames[-1].number, name] = self._converted(value, self._resolve(declared))
 
     def _initialised(self, kind: Any, node: Any) -> Any:
         if isinstance(kind, c_ast.Union):
@@ -465,11 +447,10 @@ class Machine:
         }
 
     def _union(self, node: Any) -> Fields:
-        """The header's two unions: a binary32 and its bits; a long word and its two halves on an AVR."""
+        """The headers' two unions: a binary32 and its bits; a long word and its two halves on an AVR."""
         (given,) = node.exprs
         if isinstance(given, c_ast.Cast):
-            bits = z3.fpToIEEEBV(self.value(given))
-            return {"bits": Number(bits, INTEGERS["int32_t"])}
+            return {"bits": Number(z3.fpToIEEEBV(self.value(given)), INTEGERS["int32_t"])}
         long, by = INTEGERS["uint64_t"], self.arithmetic.constant(32, self.int)
         if given.name[0].name == "both":
             both = self.value(given.expr)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import z3
 
-from proofs.arithmetic import PREPARED, contracts, is_ratio, is_tried
+from proofs.arithmetic import PREPARED, contracts, is_tried
 from proofs.prove import UnprovenError, prove, prove_lemma
 from proofs.source import ARITHMETIC, HEADER, LANES, LANES_HEADER, VARIANTS, Program, Variant, program
 from support import require, run
@@ -63,15 +63,6 @@ def test_a_product_is_that_of_its_halves() -> None:
     a0, a1, b0, b1 = z3.Ints("a0 a1 b0 b1")
     multiplied = 2**32 * (a1 * b1) + 2**16 * (a1 * b0 + a0 * b1) + a0 * b0
     prove((2**16 * a1 + a0) * (2**16 * b1 + b0) == multiplied, about="halves")
-
-
-def test_what_a_ratio_loses() -> None:
-    """At most 2^-31 + 2^-30 a / d of it, and the quotient is never too large."""
-    a, d, upper_a, half_d, scale = z3.Ints("a d upper_a half_d scale")
-    known = (is_ratio(upper_a, half_d, a, d, scale), a >= 0, a <= d, d > 0, upper_a >= 0)
-    prove(upper_a * d <= a * 2 * half_d, *known, about="never more")
-    lost = a * 2 * half_d - upper_a * d
-    prove(lost * 2**31 <= d * 2 * half_d + 2 * a * 2 * half_d, *known, about="at most so much less")
 
 
 # --- Broken code has no proof ----------------------------------------------------------------------------
