@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from support import require
+from support import require, slow
 
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
 
@@ -21,7 +21,7 @@ from mcp_asdf import Config, MirrorRobot, Observation
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 TOLERANCE = 0.02
-every_target = pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+each_disassembler = pytest.mark.parametrize("target", TARGETS[::2], ids=lambda target: target.name)
 ALIGNMENT = {"avr-": 1, "arm-none-eabi-": 8, "riscv64-unknown-elf-": 16}
 """Bytes to which the stack pointer is aligned."""
 
@@ -37,7 +37,9 @@ def usable(target: Target) -> Target:
 # ---- The figures ----
 
 
-@every_target
+@pytest.mark.parametrize(
+    "target", [TARGETS[0], TARGETS[3], *slow(TARGETS[1:3] + TARGETS[4:])], ids=lambda target: target.name
+)
 def test_nothing_grows_and_the_cost_is_as_published(target: Target, tmp_path: Path) -> None:
     """All at once, as measuring is what takes the time: a target at both levels."""
     small, fast = (measure(usable(target), level, tmp_path / level) for level in LEVELS)
@@ -105,7 +107,7 @@ def test_a_kilobot_holds_its_firmware(tmp_path: Path) -> None:
 # ---- What measures ----
 
 
-@pytest.mark.parametrize("target", [AVR, *TARGETS[1:5:3]], ids=lambda target: target.name)
+@each_disassembler
 def test_an_image_computes_the_firmware_s_bits(target: Target, tmp_path: Path) -> None:
     robot = Robot(load(robot_image(usable(target), "-Os", tmp_path / "image")))
     mirror = MirrorRobot(Config(table=generate(parse_omega("0.05"), q=30), filter_period=20), OWN_ID, 0.75)
@@ -164,7 +166,7 @@ NO_BOUNDS = {
 
 
 @pytest.mark.parametrize("reason", NO_BOUNDS)
-@every_target
+@each_disassembler
 def test_what_has_no_bound_is_refused(target: Target, reason: str, tmp_path: Path) -> None:
     paths = Paths(program(usable(target), tmp_path, NO_BOUNDS[reason]))
     for bound in (paths.longest, paths.deepest) if reason != "there is a loop" else (paths.longest,):
