@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -16,12 +15,9 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
 
 from support import ROOT, run
-from targets.golden_scenarios import edge_scenarios, run_scenarios
+from targets.golden_vectors import FILES, load
 
 HERE = Path(__file__).resolve().parent
-VECTORS = {"golden_edges.bin": edge_scenarios, "golden_runs.bin": run_scenarios}
-"""Files of vectors, and the scenarios that they hold."""
-
 _ANSI = re.compile(r"\x1b\[\d+m")
 _BY_COMPILERS = r"memcpy|memset"
 _ON_CORTEX_M = r"|__aeabi_lmul|__gnu_thumb1_case_\w+"
@@ -123,8 +119,8 @@ class Cell:
         return f"{missing} {' '.join(tools.values())}" if missing else ""
 
     def vectors(self) -> list[str]:
-        """The files that it plays; an AVR's flash holds one, and the long runs take its simulator minutes."""
-        return list(VECTORS)[: 1 if self.target == AVR else None]
+        """The files that it plays; an ATmega328P's flash holds one."""
+        return list(FILES)[: 1 if self.target == AVR else None]
 
     def settings(self) -> Iterator[str]:
         """CMake's settings for its image."""
@@ -170,13 +166,12 @@ def play(cell: Cell, folder: Path) -> str:
     return _ANSI.sub("", "\n".join([*lines, "" if done.returncode == 0 else "a test of the image failed"]))
 
 
-@cache
-def verdict_of(*names: str) -> str:
-    """Expected output of an image that plays these files of ``VECTORS``; every call counts."""
-    scenarios = [scenario for name in names for scenario in VECTORS[name]()]
-    calls = [call.name for scenario in scenarios for call in scenario.calls()]
+def verdict_of(names: list[str]) -> str:
+    """Expected output of an image that plays these files; every call counts, and a scenario's two ends."""
+    played = [golden.scenario for golden in load(*names)]
+    calls = [call.name for scenario in played for call in scenario.calls]
     ticks = calls.count("observe") + calls.count("step")
-    return f"PASS scenarios {len(scenarios)} calls {2 * len(scenarios) + len(calls)} ticks {ticks}"
+    return f"PASS scenarios {len(played)} calls {2 * len(played) + len(calls)} ticks {ticks}"
 
 
 # ---- What is in an image ----

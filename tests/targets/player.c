@@ -10,7 +10,7 @@
 #define MAGIC UINT32_C(0x5647434D)
 #define STATE_WORDS (MCP_ASDF_IMAGE_SIZE / 4U)
 
-enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE, CROWD, RUN };
+enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE };
 enum { TABLE_NONE, TABLE_SOUND, TABLE_SPOILT };
 
 extern const uint8_t golden_vectors[]; /* files one behind the other, then a word that starts none */
@@ -20,7 +20,7 @@ static mcp_asdf_config_t config;
 static mcp_asdf_t robot;
 static uint8_t image[MCP_ASDF_IMAGE_SIZE];
 static const uint8_t *next; /* in golden_vectors */
-static uint32_t digest, number, calls, ticks, randomness;
+static uint32_t digest, number, calls, ticks;
 static bool alive;   /* there is a robot */
 static bool telling; /* a line for every call */
 
@@ -124,32 +124,15 @@ static void step(uint8_t z)
 
 static void settle(void) { note(mcp_asdf_settle(&robot), true); }
 
-static void receive(uint8_t sender, uint32_t x_hat, uint32_t alpha)
-{
-    note(mcp_asdf_receive(&robot, sender, x_hat, alpha), false);
-}
-
-static void play_receive(void)
+static void receive(void)
 {
     const uint8_t sender = (uint8_t)take(1);
     const uint32_t x_hat = take(4);
-    receive(sender, x_hat, take(4));
-}
-
-static void play_crowd(void)
-{
-    uint8_t sender = (uint8_t)take(1);
-    uint8_t left = (uint8_t)take(1);
-    uint32_t x_hat = take(4);
-    const uint32_t step_of_x_hat = take(4), alpha = take(4);
-    for (; left > 0; --left) {
-        receive(sender++, x_hat, alpha);
-        x_hat += step_of_x_hat;
-    }
+    note(mcp_asdf_receive(&robot, sender, x_hat, take(4)), false);
 }
 
 /* Replace words of the robot's image and make its checksum right again; the robot becomes what it says. */
-static void play_restore(void)
+static void restore(void)
 {
     mcp_asdf_save(&robot, image);
     for (uint32_t left = take(1); left > 0; --left) {
@@ -164,77 +147,12 @@ static void play_restore(void)
     note(mcp_asdf_restore(&robot, &config, image), true);
 }
 
-static void play_damage(void)
+static void damage(void)
 {
     mcp_asdf_save(&robot, image);
     uint8_t *const byte = &image[take(1)];
     *byte = (uint8_t)(*byte ^ take(1));
     note(mcp_asdf_restore(&robot, &config, image), true);
-}
-
-/* ---- Runs: many ticks from a few numbers ---- */
-
-static uint32_t draw(void)
-{
-    randomness ^= randomness << 13;
-    randomness ^= randomness >> 17;
-    randomness ^= randomness << 5;
-    return randomness;
-}
-
-/* Mostly a canonical word of any magnitude, sometimes a small mantissa, or any bits. */
-static uint32_t draw_alpha(void)
-{
-    const uint32_t word = draw();
-    switch (word >> 5 & 7) {
-    case 0:
-        return draw();
-    case 1:
-        return word >> (word & 31);
-    default:
-        return (word | UINT32_C(0x80000000)) & ~UINT32_C(0xE0);
-    }
-}
-
-static void receive_drawn(uint32_t centre, uint8_t spread)
-{
-    const uint32_t who = draw();
-    const uint8_t stranger = (who & 31) == 0 ? 128 : 0;
-    const uint32_t x_hat = centre + (draw() >> spread) - (UINT32_C(0x80000000) >> spread);
-    receive((uint8_t)(who >> 25 | stranger), x_hat, draw_alpha());
-}
-
-static void tick_drawn(uint8_t black, uint8_t settled)
-{
-    const uint32_t bits = draw();
-    const uint8_t rare = bits >> 8 & 63; /* 0: nothing is seen; 1: what is no observation */
-    const bool settles = (bits >> 14 & 255) < settled;
-    const uint8_t z = rare == 1 ? 2 : (bits & 255) < black;
-    if (rare != 0 && settles && (bits >> 22 & 1) != 0) {
-        step(z);
-        return;
-    }
-    if (rare != 0) {
-        observe(z);
-    }
-    if (settles) {
-        settle();
-    }
-}
-
-static void play_run(void)
-{
-    randomness = take(4);
-    uint32_t left = take(2);
-    const uint8_t black = (uint8_t)take(1), settled = (uint8_t)take(1);
-    const uint8_t messages = (uint8_t)take(1), spread = (uint8_t)take(1);
-    const uint32_t centre = take(4);
-    for (; left > 0; --left) {
-        for (uint32_t more = (draw() >> 16) * (messages + UINT32_C(1)) >> 16; more > 0; --more) {
-            receive_drawn(centre, spread);
-        }
-        tick_drawn(black, settled);
-    }
 }
 
 /* ---- Scenarios ---- */
@@ -253,8 +171,8 @@ static void make_robot(void)
     note(status, true);
 }
 
-/* Play a call or a run; false at the end of the scenario. */
-static bool play_item(void)
+/* Play a call; false at the end of the scenario. */
+static bool play_call(void)
 {
     switch (take(1)) {
     case OBSERVE:
@@ -267,19 +185,13 @@ static bool play_item(void)
         settle();
         break;
     case RECEIVE:
-        play_receive();
+        receive();
         break;
     case RESTORE:
-        play_restore();
+        restore();
         break;
     case DAMAGE:
-        play_damage();
-        break;
-    case CROWD:
-        play_crowd();
-        break;
-    case RUN:
-        play_run();
+        damage();
         break;
     default:
         return false;
@@ -300,7 +212,7 @@ static void play(void)
     digest = 0;
     number = 0;
     make_robot();
-    while (play_item()) {
+    while (play_call()) {
     }
     finish();
     calls += number;

@@ -9,8 +9,7 @@ import pytest
 
 from support import slow
 from targets import matrix
-from targets.golden_scenarios import edge_scenarios, run_scenarios
-from targets.golden_vectors import explain
+from targets.golden_vectors import explain, load
 from targets.matrix import TARGETS, Cell, quick_cell, slow_cells
 
 CELLS = [*map(quick_cell, TARGETS), *slow(slow_cells())]
@@ -22,8 +21,8 @@ def test_the_target_computes_the_mirror_s_bits(cell: Cell, tmp_path: Path) -> No
         pytest.skip(reason)
     printed = matrix.play(cell, tmp_path)
     if " found " in printed:
-        pytest.fail(explain(printed, edge_scenarios() + run_scenarios()))
-    assert matrix.verdict_of(*cell.vectors()) in printed and "failed" not in printed, printed
+        pytest.fail(explain(printed, load()))
+    assert matrix.verdict_of(cell.vectors()) in printed and "failed" not in printed, printed
     if "LTO" in cell.level:
         return
     core = matrix.core_objects(tmp_path)
