@@ -22,7 +22,7 @@ import re
 import struct
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
@@ -46,8 +46,8 @@ HERE = Path(__file__).parent
 FILES = {"golden_few.bin": (1, 300, 14_500), "golden_many.bin": (2, 600, 90_000)}
 """Seed of each, how many scenarios are tried, and its bytes; an ATmega328P's flash holds the first alone."""
 MAGIC, MASK = 0x5647434D, 0xFFFFFFFF
-TABLES = (None, TableChoice("0.05", 30), TableChoice("0.05", 30, (2, 0)))
-"""By their codes; an image has one table. The last stands for any words that are none."""
+TABLES = (None, TableChoice("0.05", 30))
+"""By their codes; an image has one table."""
 
 _CODES = ("end", "observe", "step", "settle", "receive", "restore", "damage")
 _HEAD, _SCENARIO = struct.Struct("<IH"), struct.Struct("<IBBBIII")
@@ -156,17 +156,12 @@ def make(seed: int, tried: int, most: int) -> bytes:
 
 
 def _playable(scenario: Scenario) -> Scenario | None:
-    """The scenario with any spoilt table for any other, and observations of a byte; None if it needs a sound
-    table that an image does not have."""
-    table = scenario.setup.table
-    if table is not None and not table.replaced and table not in TABLES:
-        return None
-    kind = TABLES[2] if table is not None and table.replaced else table
+    """The scenario with observations of a byte; None if it needs a table that an image does not have."""
     calls = tuple(
         Call(call.name, (min(call.numbers[0], 255),)) if call.name in ("observe", "step") else call
         for call in scenario.calls
     )
-    return Scenario(replace(scenario.setup, table=kind), calls)
+    return scenario.with_calls(calls) if scenario.setup.table in TABLES else None
 
 
 def _encode(golden: Golden) -> bytes:

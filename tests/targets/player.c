@@ -11,7 +11,6 @@
 #define STATE_WORDS (MCP_ASDF_IMAGE_SIZE / 4U)
 
 enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE };
-enum { TABLE_NONE, TABLE_SOUND, TABLE_SPOILT };
 
 extern const uint8_t golden_vectors[]; /* files one behind the other, then a word that starts none */
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
@@ -159,11 +158,9 @@ static void damage(void)
 
 static void make_robot(void)
 {
-    const uint32_t *const table = mcp_asdf_t_table_omega05_q30;
     config.filter = (uint8_t)take(1);
-    const uint8_t kind = (uint8_t)take(1), id = (uint8_t)take(1);
-    config.table =
-        kind == TABLE_NONE ? 0 : table + (kind == TABLE_SPOILT); /* spoilt: its header is missing */
+    config.table = take(1) == 0 ? 0 : mcp_asdf_t_table_omega05_q30;
+    const uint8_t id = (uint8_t)take(1);
     config.filter_period = take(4);
     config.memory = take(4);
     const mcp_asdf_status_t status = mcp_asdf_init(&robot, &config, id, take(4));
