@@ -27,7 +27,7 @@ def join() -> can.BusABC:
 
 
 @contextmanager
-def meanwhile(work: Callable[[], None]) -> Iterator[None]:
+def meanwhile(work: Callable[[], object]) -> Iterator[None]:
     """Do ``work`` in another thread; what it raises is raised here at the end."""
     raised: list[BaseException] = []
 

@@ -20,7 +20,6 @@ from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, has_ended, standard_input, stopping
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import add_log_option
@@ -45,6 +44,8 @@ The robot observes and settles when command frames tell it to (docs/frame.md), a
 mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 
+_CONFLICT = "another node sends under this node's own id; give one of them another"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -56,41 +57,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
     add_subject_options(parser)
     output = parser.add_argument_group("output")
-    add_log_option(output, "FILE.events gets what a replay needs, FILE.json parameters and results")
+    add_log_option(output, "FILE.events gets what a replay needs")
     output.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until it ends; save and print what came out."""
+    """Run the node until it ends, and print what came out."""
     record, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     own = argparse.Namespace(steps_per_second=args.steps_per_second)
     rate = settings_from(own, Population).steps_per_second
     parameters = {"steps_per_second": rate, "steps": args.steps}
-    results = None if args.log is None else results_beside(args.log)
-    recording = recording_for(
-        "node", args.log, InputLogHeader([record], None, subjects.estimates, parameters), choice
-    )
-    with ExitStack() as ending:
-        with recording as (log, events):
-            node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
-            outcome = _go(args, node, choice, log)
-            report = {
-                "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},
-                "bus": {"interface": choice.interface, "channel": choice.channel},
-                "versions": software_versions(),
-                "results": {
-                    "steps": node.ticks,
-                    **vars(outcome),
-                    "robot": state_of(node),
-                    "frames": node.figures(),
-                },
-            }
-            ending.callback(_print, args, node, report, f"on {choice}")  # even if a file cannot be completed
-        if results is not None:
-            write_atomically(results, json.dumps(report, indent=2) + "\n")
-    return exit_code(recording, _exit_code(outcome))
+    header = InputLogHeader([record], None, subjects.estimates, parameters)
+    recording = recording_for("node", args.log, header, choice)
+    with recording as (log, events):
+        node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
+        outcome = _go(args, node, choice, log)
+    results = {
+        "steps": node.ticks,
+        **vars(outcome),
+        "robot": state_of(node),
+        "frames": node.figures(),
+    }
+    if args.json:
+        report = {
+            "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},
+            "bus": {"interface": choice.interface, "channel": choice.channel},
+            "versions": software_versions(),
+            "results": results,
+        }
+        print(json.dumps(report, indent=2))
+    elif not args.quiet:
+        Console(soft_wrap=True).print(_summary(node, results, f"on {choice}"))
+        print_again(args)
+    if outcome.has_failed:
+        print(f"mcp-asdf node: {outcome.ending}", file=sys.stderr)
+        return exit_code(recording, 1)
+    return exit_code(recording, INTERRUPTED if outcome.is_interrupted else 0)
 
 
 def _go(
@@ -110,14 +114,13 @@ def _go(
 
 def _watching(node: RobotNode, console: Console, status: Status | None) -> Callable[[], None]:
     """What shows the node's state on a terminal, and reports another node with its id at once."""
-    told: set[int] = set()
+    told = False
 
     def watch() -> None:
-        for sender, what in node.id_conflicts.items():
-            if sender not in told:
-                told.add(sender)
-                text = f"robot {node.id}: {what.value}: {sender}; give one of them another"
-                console.print(f"mcp-asdf node: {text}", soft_wrap=True)
+        nonlocal told
+        if node.reception.id_conflicts and not told:
+            told = True
+            console.print(f"mcp-asdf node: {_CONFLICT}", soft_wrap=True)
         if status is not None:
             robot = node.robot
             status.update(
@@ -127,14 +130,6 @@ def _watching(node: RobotNode, console: Console, status: Status | None) -> Calla
             )
 
     return watch
-
-
-def _print(args: argparse.Namespace, node: RobotNode, report: dict[str, Any], where: str) -> None:
-    if args.json:
-        print(json.dumps(report, indent=2))
-    elif not args.quiet:
-        Console(soft_wrap=True).print(_summary(node, report["results"], where))
-        print_again(args)
 
 
 def _summary(node: RobotNode, results: dict[str, Any], where: str) -> Table:
@@ -152,13 +147,6 @@ def _summary(node: RobotNode, results: dict[str, Any], where: str) -> Table:
         f"{frames['telemetry_sent']} telemetry sent {where}; {frames['delivered']} estimates heard, "
         f"{frames['refused']} of them refused, {sum(frames['rejected'].values())} other frames rejected",
     )
-    for sender, what in frames["id_conflicts"].items():
-        table.add_row("node-id conflict", f"{what}: {sender}; give one of them another")
+    if frames["id_conflicts"]:
+        table.add_row("node-id conflict", f"{_CONFLICT}: {frames['id_conflicts']} estimates")
     return table
-
-
-def _exit_code(outcome: RunOutcome) -> int:
-    if outcome.has_failed:
-        print(f"mcp-asdf node: {outcome.ending}", file=sys.stderr)
-        return 1
-    return INTERRUPTED if outcome.is_interrupted else 0

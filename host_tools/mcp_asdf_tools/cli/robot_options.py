@@ -62,25 +62,17 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     return record
 
 
-def add_estimate_options(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
-    """Declare the options of the estimates' format; returns the group of options."""
-    group = parser.add_argument_group("frames")
-    _add_number(group, "subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject)
-    _add_number(group, "priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority)
-    return group
-
-
 def add_subject_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of all message formats."""
-    group = add_estimate_options(parser)
-    _add_number(group, "telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject)
-    _add_number(group, "command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject)
-
-
-def _add_number(group: argparse._ArgumentGroup, name: str, text: str, default: int) -> None:
-    group.add_argument(
-        f"--{name}", type=int, metavar="N", default=default, help=f"{text} (default {default})"
-    )
+    group = parser.add_argument_group("frames")
+    for name, text, default in (
+        ("subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject),
+        ("priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority),
+        ("telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject),
+        ("command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject),
+    ):
+        words = f"{text} (default {default})"
+        group.add_argument(f"--{name}", type=int, metavar="N", default=default, help=words)
 
 
 def subjects_of(args: argparse.Namespace) -> Subjects:

@@ -102,7 +102,8 @@ class Lockstep:
         if DRIVER_ID in observations:
             raise UsageError(f"robot {DRIVER_ID} has the id of the simulator; give it another")
         self._estimates.clear()
-        self._order({robot: Action.observing(z) for robot, z in observations.items()})
+        self._orders = {robot: Action.observing(z) for robot, z in observations.items()}
+        self._send(self._orders)
 
     def estimates(self, robots: Collection[int]) -> dict[int, Message]:
         """Estimates of ``robots`` in this tick, by id; the first one if a robot sends several.
@@ -118,7 +119,8 @@ class Lockstep:
         the bus does not take the commands.
         """
         self._telemetry.clear()
-        self._order(dict.fromkeys(robots, Action.SETTLE))
+        self._orders = dict.fromkeys(robots, Action.SETTLE)
+        self._send(self._orders)
         answers = self._answers(robots, self._telemetry, "settle")
         for answer in answers.values():
             self._check_turn(answer)
@@ -143,8 +145,7 @@ class Lockstep:
             )
         self._turns[robot] = (number + 1) % TRANSFER_IDS
 
-    def _order(self, orders: Mapping[int, Action]) -> None:
-        self._orders = orders
+    def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []
         for robot, action in orders.items():
             command = Command(DRIVER_ID, self.tick, robot, action, self._commands % TRANSFER_IDS)
@@ -177,7 +178,7 @@ class Lockstep:
             if again and passed > seconds / 2:
                 late = {robot: action for robot, action in again.items() if robot in waiting}
                 self.repeated += len(late)
-                self._order(late)
+                self._send(late)
                 again, began = {}, time.monotonic() - seconds / 2
             left = (seconds / 2 if again else seconds) - passed
             frame = self._bus.recv(min(_SLICE, max(0.0, left)))

@@ -29,7 +29,6 @@ from mcp_asdf_tools.bus.frames import (
     decode,
     decode_command,
 )
-from mcp_asdf_tools.bus.id_conflicts import IdConflictWatch
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -94,7 +93,6 @@ class RobotNode(BusRobot):
         obeyed: Commands followed.
         disobeyed: Commands for this robot that the rules did not let it follow.
         unsettled: Ticks ended by the next one, since no *settle* had come.
-        id_conflicts: Evidence of two nodes with one id, by id.
     """
 
     def __init__(
@@ -114,8 +112,6 @@ class RobotNode(BusRobot):
         self.is_settled = True
         self.obeyed = self.disobeyed = self.unsettled = 0
         self._steps_per_second = steps_per_second
-        self._watch = IdConflictWatch(self.id)
-        self.id_conflicts = self._watch.found
         self._tick_of_command: int | None = None
 
     def start(self) -> list[can.Message]:
@@ -154,20 +150,18 @@ class RobotNode(BusRobot):
 
     def figures(self) -> dict[str, Any]:
         """The frames sent and heard so far as plain values, for JSON."""
-        counts = {f"{kind}_sent": count for kind, count in vars(self.sent).items()}
-        conflicts = sorted(self.id_conflicts.items())
-        return counts | {
+        return {
+            **{f"{kind}_sent": count for kind, count in vars(self.sent).items()},
             "delivered": self.reception.delivered,
             "refused": self.reception.refused,
             "obeyed": self.obeyed,
             "disobeyed": self.disobeyed,
             "unsettled": self.unsettled,
             "rejected": {reason.name: count for reason, count in self.reception.rejected.items()},
-            "id_conflicts": {str(sender): conflict.value for sender, conflict in conflicts},
+            "id_conflicts": self.reception.id_conflicts,
         }
 
     def _receive(self, message: Message) -> None:
-        self._watch.hear(message)
         self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
 
     def _obey(self, command: Command) -> list[can.Message]:
