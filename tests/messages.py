@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import can
+import yaml
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import alpha_units, alpha_word
@@ -23,6 +25,7 @@ from mcp_asdf_tools.bus.frames import (
     Mode,
     Telemetry,
 )
+from support import ROOT
 
 DEFAULT = FrameFormat()
 
@@ -79,3 +82,11 @@ estimates = messages.filter(lambda message: isinstance(message, Message))
 def encoded(message: Any) -> can.Message:
     """The frame of a message of any kind."""
     return KINDS[type(message)].encode(message)
+
+
+def write_regulated_types(folder: Path, *only: str) -> None:
+    """Write OpenCyphal's own types, all or some, which its tools do not bring along, into a folder."""
+    layouts = yaml.safe_load((ROOT / "tests/data/uavcan_types.yml").read_text(encoding="utf-8"))
+    for name in [each for each in layouts if not only or Path(each).name in only]:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(layouts[name])

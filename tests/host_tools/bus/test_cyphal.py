@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import importlib
-import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import can
 import pytest
@@ -29,7 +28,7 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     float_of,
 )
-from messages import DEFAULT, KINDS, encoded, estimates, messages
+from messages import DEFAULT, KINDS, encoded, estimates, messages, write_regulated_types
 from support import PATIENCE, ROOT, draws
 
 pytestmark = pytest.mark.random
@@ -42,28 +41,16 @@ cyphal_can = importlib.import_module("pycyphal.transport.can")
 
 fixed = settings(derandomize=True, deadline=None, max_examples=draws(200))
 
-# The specification's types, without their comments: pycyphal does not bring them along.
-REGULATED = {
-    "Health.1.0.dsdl": "uint2 value\n@sealed\n",
-    "Mode.1.0.dsdl": "uint3 value\n@sealed\n",
-    "7509.Heartbeat.1.0.dsdl": "uint32 uptime\nHealth.1.0 health\nMode.1.0 mode\n"
-    "uint8 vendor_specific_status_code\n@extent 12 * 8\n",
-}
-
 
 @pytest.fixture(scope="module")
 def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[type, Any]]:
     """Classes that pycyphal's compiler made from DSDL, by our kinds of messages."""
-    folder = tmp_path_factory.mktemp("dsdl")
-    regulated, compiled = folder / "uavcan/node", folder / "compiled"
-    regulated.mkdir(parents=True)
-    for name, text in REGULATED.items():
-        (regulated / name).write_text(text)
+    folder, compiled = tmp_path_factory.mktemp("dsdl"), tmp_path_factory.mktemp("compiled")
+    write_regulated_types(folder, "7509.Heartbeat.1.0.dsdl", "Health.1.0.dsdl", "Mode.1.0.dsdl")
     ours = ROOT / "host_tools/mcp_asdf_tools/bus/dsdl/mcp_asdf_messages"
-    pycyphal.dsdl.compile_all([ours, regulated.parent], output_directory=compiled)
-    before = set(sys.modules)
-    sys.path.insert(0, str(compiled))
-    try:
+    pycyphal.dsdl.compile_all([ours, folder / "uavcan"], output_directory=compiled)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(compiled)
         made, node = importlib.import_module("mcp_asdf_messages"), importlib.import_module("uavcan.node")
         yield {
             Message: made.Estimate_1_0,
@@ -73,20 +60,13 @@ def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[type, Any]]
             Health: node.Health_1_0,
             Mode: node.Mode_1_0,
         }
-    finally:
-        sys.path.remove(str(compiled))
-        for name in set(sys.modules) - before:
-            if name.partition(".")[0] in ("mcp_asdf_messages", "uavcan", "nunavut_support"):
-                del sys.modules[name]
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """A message transfer as pycyphal found it in a frame."""
 
     subject: int
-    sender: int
-    priority: int
+    sender: int | None
     transfer_id: int
     payload: bytes
 
@@ -98,35 +78,22 @@ def seen_by_pycyphal(frame: can.Message) -> Seen | None:
     trace = cyphal_can.CANTransport.make_tracer().update(capture)
     if not isinstance(trace, transport.TransferTrace):
         return None
-    metadata = trace.transfer.metadata
-    session = metadata.session_specifier
+    metadata, session = trace.transfer.metadata, trace.transfer.metadata.session_specifier
     if not isinstance(session.data_specifier, transport.MessageDataSpecifier):
         return None
-    return Seen(
-        session.data_specifier.subject_id,
-        session.source_node_id,
-        metadata.priority.value,
-        metadata.transfer_id,
-        b"".join(bytes(part) for part in trace.transfer.fragmented_payload),
-    )
+    payload = b"".join(map(bytes, trace.transfer.fragmented_payload))
+    return Seen(session.data_specifier.subject_id, session.source_node_id, metadata.transfer_id, payload)
 
 
 def members(message: Any) -> tuple[Any, ...]:
-    """What an object of the message's DSDL type has to hold, in its order."""
-    match message:
-        case Message():
-            return message.x_hat, word_to_alpha(message.alpha)
-        case Heartbeat():
-            return message.uptime, message.health.value, message.mode.value, message.vendor_status
-        case Telemetry():
-            return message.x, message.b_hat, message.updates
-        case _:
-            return message.tick, message.target, message.action.value
+    """What an object of the message's DSDL type holds, in its order."""
+    names = [item.name for item in fields(message) if item.name not in ("sender", "transfer_id")]
+    first, *rest = (plain(getattr(message, name)) for name in names)
+    return (first, word_to_alpha(*rest)) if isinstance(message, Message) else (first, *rest)
 
 
-def content_of(found: Any) -> tuple[Any, ...]:
-    """Members of an object of a DSDL type, in its order."""
-    return tuple(getattr(value, "value", value) for value in vars(found).values())
+def plain(value: Any) -> Any:
+    return getattr(value, "value", value)
 
 
 @fixed
@@ -141,7 +108,7 @@ def test_pycyphal_reads_our_frames(types: dict[type, Any], message: Any) -> None
     assert seen is not None
     assert (seen.subject, seen.sender, seen.transfer_id) == (subject, message.sender, message.transfer_id)
     found = pycyphal.dsdl.deserialize(types[type(message)], [memoryview(seen.payload)])
-    assert content_of(found) == members(message)
+    assert tuple(map(plain, vars(found).values())) == members(message)
 
 
 def test_units_and_names_of_the_dsdl_are_ours(types: dict[type, Any]) -> None:

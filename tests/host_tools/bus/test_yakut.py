@@ -15,11 +15,11 @@ from typing import Any
 
 import can
 import pytest
-import yaml
 
 from mcp_asdf.fixed_point import alpha_to_word
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import FrameFormat, Message
+from mcp_asdf_tools.bus.frames import Message
+from messages import DEFAULT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
 ROBOTS = 3
@@ -30,10 +30,7 @@ PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Variables that show yakut OpenCyphal's types and ours, and a home for its compiled files."""
     folder = tmp_path_factory.mktemp("types")
-    layouts = yaml.safe_load((ROOT / "tests/data/uavcan_types.yml").read_text(encoding="utf-8"))
-    for name, text in layouts.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
+    write_regulated_types(folder)
     path = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{folder}"
     home = str(tmp_path_factory.mktemp("home"))
     return {**os.environ, "PATH": PATH, "CYPHAL_PATH": path, "HOME": home, "COLUMNS": "160", "LINES": "60"}
@@ -92,5 +89,5 @@ def message_of(estimate: dict[str, Any]) -> Message:
 
 def logged(log: Path) -> set[Message]:
     with can.LogReader(log) as reader:
-        found = (frames.decode(frame, FrameFormat()) for frame in reader)
+        found = (frames.decode(frame, DEFAULT) for frame in reader)
         return {message for message in found if isinstance(message, Message)}
