@@ -26,15 +26,13 @@ from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import (
-    ControllerVerdict,
     Verification,
+    details,
     markdown,
-    shown,
 )
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
-from mcp_asdf_tools.recording.recording import LogOutputs
-from mcp_asdf_tools.robots.node import BusLink, FrameTaker, filters_for
+from mcp_asdf_tools.robots.node import BusLink, filters_for
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -83,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         check_target(args.report)
     settings, choice = settings_of(args), interfaces.choose_bus(args)
-    console = Console(stderr=True, quiet=args.json)
+    console = Console(stderr=True)
+    console.quiet = args.json or not console.is_terminal
     return (_verify if args.verify else _emulate)(args, settings, choice, console)
 
 
@@ -181,22 +180,26 @@ def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
     print_again(args, seed=report["parameters"]["seed"])
 
 
-# --- Verification ----------------------------------------------------------------------------------------
-
-
 def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
+    """Take the controller through all phases, and print and keep the verdict."""
     report = _report(args, settings, choice)
-    header = InputLogHeader(
-        [settings.controller], settings.swarm.seed, settings.subjects.estimates, report["parameters"]
-    )
+    controller, seed = settings.controller, settings.swarm.seed
+    header = InputLogHeader([controller], seed, settings.subjects.estimates, report["parameters"])
     recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
-        with recording as outputs:
-            verdict = _judge(args, settings, choice, console, outputs)
+        with recording as (log, events), choice.open() as bus, stopping() as should_stop:
+            options = BenchOptions(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+            options.log = options.log if log is None else log
+            options.recorder = None if events is None else events.robots[controller.id]
+            options.should_stop = should_stop
+            verification = Verification(settings, options)
+            with console.status("") as status:
+                options.progress = lambda ticks: status.update(f"tick {ticks}   {verification.bench.doing}")
+                verdict = verification.run()
             report |= {"verdict": verdict.plain()}
-            text = shown(verdict)
+            text = f"{details(verdict)}\n{verdict.headline}\n"
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
@@ -204,67 +207,28 @@ def _verify(
     return exit_code(recording, code)
 
 
-def _judge(
-    args: argparse.Namespace,
-    settings: RadioSettings,
-    choice: interfaces.BusChoice,
-    console: Console,
-    outputs: LogOutputs,
-) -> ControllerVerdict:
-    """Take the controller through all phases."""
-    with ExitStack() as stack:
-        bus = stack.enter_context(choice.open())
-        options = BenchOptions(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
-        log, events = outputs
-        options.log = options.log if log is None else log
-        options.recorder = None if events is None else events.robots[settings.controller.id]
-        options.should_stop = stack.enter_context(stopping())
-        verification = Verification(settings, options)
-        if console.is_terminal:
-            status = stack.enter_context(console.status(""))
-            options.progress = lambda ticks: status.update(f"tick {ticks}   {verification.bench.doing}")
-        return verification.run()
-
-
-# --- Emulation in real time ------------------------------------------------------------------------------
-
-
 def _emulate(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
+    """Tick until all is done, or until told to stop, and print and keep the results."""
     results = None if args.log is None else results_beside(args.log)
     recording = recording_for("radio", args.log, None, choice)
     with ExitStack() as ending:
-        with recording as (log, _):
-            run = _go(args, settings, choice, console, log)
+        with recording as (log, _), choice.open() as bus, stopping() as should_stop:
+            bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
+            link = BusLink(bus, should_stop, endures=True, log=log)
+            run = RadioRun(Neighbourhood(settings), link, args.steps)
+            with console.status("") as status:
+                run.watch = lambda: status.update(
+                    f"tick {run.neighbours.tick}   frames sent {run.sent}, estimates heard {run.heard}"
+                )
+                run.run()
             report = _report(args, settings, choice) | {"results": run.figures()}
             text = _results(report["results"])
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json.dumps(report, indent=2) + "\n")
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
-
-
-def _go(
-    args: argparse.Namespace,
-    settings: RadioSettings,
-    choice: interfaces.BusChoice,
-    console: Console,
-    log: FrameTaker | None,
-) -> RadioRun:
-    """Tick until all is done, or until told to stop; returns the run that is over."""
-    with ExitStack() as stack:
-        bus = stack.enter_context(choice.open())
-        bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
-        link = BusLink(bus, stack.enter_context(stopping()), endures=True, log=log)
-        status = stack.enter_context(console.status("")) if console.is_terminal else None
-        run = RadioRun(Neighbourhood(settings), link, args.steps)
-        if status is not None:
-            run.watch = lambda: status.update(
-                f"tick {run.neighbours.tick}   frames sent {run.sent}, estimates heard {run.heard}"
-            )
-        run.run()
-    return run
 
 
 def _results(results: dict[str, Any]) -> str:

@@ -93,7 +93,6 @@ class Bench:
         draw: Random numbers, the same in every run with this seed.
         doing: What is done at present, in words.
         place: Number of ticks before the last that was settled or is to be.
-        frames: Frames sent to the controller besides commands.
         missed: What could not be put to the test, in words.
         comparison: The frames compared so far.
     """
@@ -108,7 +107,7 @@ class Bench:
         self.neighbours = Neighbourhood(settings)
         self.draw = random.Random(settings.swarm.seed)
         self.doing = ""
-        self.place = self.frames = self._skipped = 0
+        self.place = self._skipped = 0
         self.missed: list[str] = []
         (greeting,) = self.model.start()
         self.comparison = Comparison(subjects, greeting)
@@ -160,7 +159,6 @@ class Bench:
         send_all(self.options.bus, frames, SEND_TIMEOUT)
         for frame in frames:
             self._note(frame)
-        self.frames += len(frames)
 
     def settle(self) -> None:
         """End the tick, and compare. Raises Differs."""

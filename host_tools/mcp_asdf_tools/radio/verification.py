@@ -16,7 +16,6 @@ import can
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs, Disturbed
-from mcp_asdf_tools.radio.comparison import ESTIMATE, TELEMETRY
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
@@ -39,20 +38,16 @@ class PhaseResult:
         name: Name of the phase.
         fault: The fault that struck, as text; None if none.
         ticks: Ticks done.
-        frames: Frames that the controller was sent besides commands.
         injected: Number of disturbances by the fault.
-        broadcasts: Estimates of the controller that equal the model's.
-        answers: Telemetry frames of the controller that equal the model's.
+        equal: Frames of the controller that equal the model's.
         outcome: PASSED, FAILED, DISTURBED, NOT_EXERCISED (it passed, but nothing went wrong) or NOT_RUN.
     """
 
     name: str
     fault: str | None
     ticks: int = 0
-    frames: int = 0
     injected: int = 0
-    broadcasts: int = 0
-    answers: int = 0
+    equal: int = 0
     outcome: str = NOT_RUN
 
 
@@ -220,14 +215,9 @@ class Verification:
 
     def _figures(self) -> dict[str, int]:
         """The figures of a ``PhaseResult`` so far, for all phases together."""
-        bench, equal = self.bench, self.bench.comparison.equal
-        return {
-            "ticks": bench.ticks,
-            "frames": bench.frames,
-            "injected": sum(figure["injected"] for figure in bench.neighbours.faults.figures()),
-            "broadcasts": equal[ESTIMATE],
-            "answers": equal[TELEMETRY],
-        }
+        bench = self.bench
+        injected = sum(figure["injected"] for figure in bench.neighbours.faults.figures())
+        return {"ticks": bench.ticks, "injected": injected, "equal": bench.comparison.equal.total()}
 
     def _place(self, phase: Phase) -> str:
         doing = self.bench.doing
@@ -239,25 +229,23 @@ class Verification:
 
 COLUMNS = {
     "name": "phase",
-    "fault": "fault",
     "ticks": "ticks",
-    "frames": "frames sent",
     "injected": "injected",
-    "broadcasts": "equal broadcasts",
-    "answers": "equal answers",
+    "equal": "equal frames",
     "outcome": "outcome",
+    "fault": "fault",
 }
 """Figures of each phase, and their headings."""
 
 
-def shown(verdict: ControllerVerdict) -> str:
-    """The verdict in Markdown, with its table in columns."""
+def details(verdict: ControllerVerdict) -> str:
+    """The table of the phases, its columns aligned, and what the verdict leaves open, in Markdown."""
     rows = [tuple(COLUMNS.values())]
     rows += [tuple(str(getattr(phase, name) or "") for name in COLUMNS) for phase in verdict.phases]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    widths[-1] = len(COLUMNS["fault"])
     rows.insert(1, tuple("-" * width for width in widths))
-    table = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows]
-    lines = [f"**{verdict.headline}**", "", *table]
+    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows]
     for title, entries in verdict.lists().items():
         lines += ["", f"{title}:", "", *(f"- {entry}" for entry in entries)]
     return "\n".join(lines) + "\n"
@@ -271,7 +259,9 @@ def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
 
 Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}.
 
-{shown(verdict)}
+**{verdict.headline}**
+
+{details(verdict)}
 To repeat it:
 
 ```json
