@@ -11,7 +11,7 @@ from abc import abstractmethod
 from operator import index
 from typing import TYPE_CHECKING
 
-from mcp_asdf.robot import MAX_ID, FixedPointRobot, Status, Sums, accepted, check_alpha, shown
+from mcp_asdf.robot import MAX_ID, FixedPointRobot, Status, Sums, accepted, check_alpha, reading, shown
 from mcp_asdf.table import MAX_WORD
 
 if TYPE_CHECKING:
@@ -143,32 +143,9 @@ class FixedPointView(FixedPointRobot):
     def __repr__(self) -> str:
         return shown(self)
 
-    @property
-    def b_hat(self) -> float:
-        """Assumed accuracy."""
-        return self.b_hat_raw / 2**32
-
-    @property
-    def x_hat(self) -> float:
-        """Local estimate (eq. 3)."""
-        return self.x_hat_raw / ONE
-
-    @property
-    def alpha(self) -> float:
-        """Local confidence (eq. 4)."""
-        return word_to_alpha(self.alpha_raw)
-
-    @property
-    def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round."""
-        return self.x_bar_raw / ONE
-
-    @property
-    def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round, rounded to float64."""
-        return self.beta_raw / UNITS_PER_ALPHA
-
-    @property
-    def x(self) -> float:
-        """Informed estimate (eq. 7)."""
-        return self.x_raw / ONE
+    b_hat = reading(lambda robot: robot.b_hat_raw / 2**32, "Assumed accuracy.")
+    x_hat = reading(lambda robot: robot.x_hat_raw / ONE, "Local estimate (eq. 3).")
+    alpha = reading(lambda robot: word_to_alpha(robot.alpha_raw), "Local confidence (eq. 4).")
+    x_bar = reading(lambda robot: robot.x_bar_raw / ONE, "Social estimate (eq. 5) of the last closed round.")
+    beta = reading(lambda robot: robot.beta_raw / UNITS_PER_ALPHA, "Social confidence, rounded to float64.")
+    x = reading(lambda robot: robot.x_raw / ONE, "Informed estimate (eq. 7).")

@@ -38,6 +38,7 @@ from mcp_asdf.robot import (
     check_identity,
     check_settings,
     check_table,
+    reading,
 )
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 
@@ -303,40 +304,13 @@ class MirrorRobot(FixedPointView):
         s.updated = 1
         return True
 
-    @property
-    def id(self) -> int:
-        """Own id."""
-        return self.s.id
-
-    @property
-    def t(self) -> int:
-        """Observations counted."""
-        return self.s.t
-
-    @property
-    def n(self) -> int:
-        """Black ones among them."""
-        return self.s.n
-
-    @property
-    def b_hat_raw(self) -> int:
-        """b_hat in units of 2**-32."""
-        return self.s.accuracy.b_hat
-
-    @property
-    def x_hat_raw(self) -> int:
-        """x_hat in units of 2**-23."""
-        return self.s.x_hat
-
-    @property
-    def alpha_raw(self) -> int:
-        """alpha as the firmware's word."""
-        return self.s.alpha
-
-    @property
-    def beta_raw(self) -> int:
-        """beta in units of 2**-24."""
-        return self.s.closed.alpha
+    id = reading(lambda robot: robot.s.id, "Own id.")
+    t = reading(lambda robot: robot.s.t, "Observations counted.")
+    n = reading(lambda robot: robot.s.n, "Black ones among them.")
+    b_hat_raw = reading(lambda robot: robot.s.accuracy.b_hat, "b_hat in units of 2**-32.")
+    x_hat_raw = reading(lambda robot: robot.s.x_hat, "x_hat in units of 2**-23.")
+    alpha_raw = reading(lambda robot: robot.s.alpha, "alpha as the firmware's word.")
+    beta_raw = reading(lambda robot: robot.s.closed.alpha, "beta in units of 2**-24.")
 
     @property
     def x_bar_raw(self) -> int:

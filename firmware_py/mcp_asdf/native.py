@@ -7,7 +7,7 @@ from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
 from operator import index
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from mcp_asdf.robot import (
     FirmwareError,
     Observation,
     Status,
+    reading,
 )
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
@@ -42,11 +43,6 @@ _REASONS = {
     Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
     Status.ERR_IMAGE: "the image is damaged, of another version or does not fit the configuration",
 }
-
-
-def _reading(function: Callable[[Any], Any], meaning: str) -> Any:
-    """A property that a function of the C reads."""
-    return property(lambda robot: int(function(robot.pointer)), doc=meaning)
 
 
 class NativeRobot(FixedPointView):
@@ -116,19 +112,15 @@ class NativeRobot(FixedPointView):
         """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
         return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, MAX_WORD))]
 
-    @property
-    def id(self) -> int:
-        """Own id."""
-        return int(self.pointer.id)
-
-    t = _reading(lib.mcp_asdf_t_count, "Observations counted.")
-    n = _reading(lib.mcp_asdf_n_count, "Black ones among them.")
-    b_hat_raw = _reading(lib.mcp_asdf_b_hat, "b_hat in units of 2**-32.")
-    x_hat_raw = _reading(lib.mcp_asdf_x_hat, "x_hat in units of 2**-23.")
-    alpha_raw = _reading(lib.mcp_asdf_alpha, "alpha as the firmware's word.")
-    x_bar_raw = _reading(lib.mcp_asdf_x_bar, "x_bar in units of 2**-23; HALF where beta is 0.")
-    beta_raw = _reading(lib.mcp_asdf_beta, "beta in units of 2**-24.")
-    x_raw = _reading(lib.mcp_asdf_x, "x in units of 2**-23.")
+    id = reading(lambda robot: int(robot.pointer.id), "Own id.")
+    t = reading(lambda robot: int(lib.mcp_asdf_t_count(robot.pointer)), "Observations counted.")
+    n = reading(lambda robot: int(lib.mcp_asdf_n_count(robot.pointer)), "Black ones among them.")
+    b_hat_raw = reading(lambda robot: int(lib.mcp_asdf_b_hat(robot.pointer)), "b_hat in units of 2**-32.")
+    x_hat_raw = reading(lambda robot: int(lib.mcp_asdf_x_hat(robot.pointer)), "x_hat in units of 2**-23.")
+    alpha_raw = reading(lambda robot: int(lib.mcp_asdf_alpha(robot.pointer)), "alpha as the firmware's word.")
+    x_bar_raw = reading(lambda robot: int(lib.mcp_asdf_x_bar(robot.pointer)), "x_bar in units of 2**-23.")
+    beta_raw = reading(lambda robot: int(lib.mcp_asdf_beta(robot.pointer)), "beta in units of 2**-24.")
+    x_raw = reading(lambda robot: int(lib.mcp_asdf_x(robot.pointer)), "x in units of 2**-23.")
 
     @property
     def counters(self) -> Counters:

@@ -33,6 +33,7 @@ from mcp_asdf.robot import (
     check_identity,
     check_settings,
     check_table,
+    reading,
     shown,
 )
 
@@ -328,35 +329,12 @@ class ReferenceRobot:
     def __repr__(self) -> str:
         return shown(self)
 
-    @property
-    def id(self) -> int:
-        """Own id."""
-        return self._id
-
-    @property
-    def t(self) -> int:
-        """Observations counted."""
-        return self._t
-
-    @property
-    def n(self) -> int:
-        """Black ones among them."""
-        return self._n
-
-    @property
-    def b_hat(self) -> float:
-        """Assumed accuracy."""
-        return self._b_hat
-
-    @property
-    def x_hat(self) -> float:
-        """Local estimate (eq. 3), in [0, 1]."""
-        return self._own.x_hat
-
-    @property
-    def alpha(self) -> float:
-        """Local confidence (eq. 4), >= 0."""
-        return self._own.alpha
+    id = reading(lambda robot: robot._id, "Own id.")
+    t = reading(lambda robot: robot._t, "Observations counted.")
+    n = reading(lambda robot: robot._n, "Black ones among them.")
+    b_hat = reading(lambda robot: robot._b_hat, "Assumed accuracy.")
+    x_hat = reading(lambda robot: robot._own.x_hat, "Local estimate (eq. 3), in [0, 1].")
+    alpha = reading(lambda robot: robot._own.alpha, "Local confidence (eq. 4), >= 0.")
 
     @property
     def x_bar(self) -> float:

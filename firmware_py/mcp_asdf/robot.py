@@ -9,15 +9,18 @@ are the firmware's own integers; the step's exact meaning is in ``docs/design.md
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 from mcp_asdf.table import Table, TableError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+_T = TypeVar("_T")
 
 MAX_ID = 127
 """Largest robot id; a round therefore holds at most 127 messages."""
@@ -262,6 +265,11 @@ class FixedPointRobot(Robot, Protocol):
     @property
     def x_raw(self) -> int:
         """x in units of 2**-23."""
+
+
+def reading(read: Callable[[Any], _T], meaning: str) -> _T:
+    """A property of a robot, which ``read`` gives."""
+    return property(read, doc=meaning)  # type: ignore[return-value]
 
 
 def check_settings(config: Config) -> None:

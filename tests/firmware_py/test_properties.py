@@ -6,8 +6,6 @@ Examples are derandomised: a failure prints the smallest calls that show it, and
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +19,6 @@ from robots import (
     ALPHA_LEAST,
     ALPHA_MOST,
     ALPHA_ONE,
-    FIXED_POINT,
     HALF,
     ONE,
     OWN_ID,
@@ -41,7 +38,6 @@ pytestmark = pytest.mark.random
 Message = tuple[int, int, int]
 """Sender, x_hat and alpha, raw."""
 
-quick = settings(derandomize=True, deadline=None, max_examples=20)
 thorough = settings(derandomize=True, deadline=None, max_examples=draws(150))
 
 ALPHA_ENDS = (
@@ -67,18 +63,6 @@ configs = st.builds(
 )
 
 
-def exchange(swarm: Sequence[FixedPoint], seen: Sequence[Observation | None]) -> None:
-    """A tick of a lossless, fully connected swarm with latency 0; None sees nothing."""
-    for robot, z in zip(swarm, seen, strict=True):
-        if z is not None:
-            robot.observe(z)
-    broadcast = [(i, robot.x_hat_raw, robot.alpha_raw) for i, robot in enumerate(swarm)]
-    for i, robot in enumerate(swarm):
-        receive_all(robot, broadcast[:i] + broadcast[i + 1 :])
-    for robot in swarm:
-        robot.settle()
-
-
 # --- Messages and sums -----------------------------------------------------------------------------------
 
 
@@ -94,24 +78,6 @@ def test_the_order_of_messages_changes_no_bit(kind: FixedPointType, heard: list[
     for each in (robot, other):
         each.step(Observation.BLACK)
     assert (robot.state(), robot.x_raw, robot.x_bar_raw) == (other.state(), other.x_raw, other.x_bar_raw)
-
-
-# --- Swarms ----------------------------------------------------------------------------------------------
-
-
-@of_fixed_point
-@quick
-@given(size=st.integers(2, 12), seed=st.integers(0, 2**32), mode=st.sampled_from(Filter))
-def test_a_fully_connected_swarm_agrees_to_the_bit(
-    kind: FixedPointType, size: int, seed: int, mode: Filter
-) -> None:
-    """I14: every robot divides the same two integers, whatever it assumes of its sensor."""
-    stream = random.Random(seed)
-    config = Config(TABLE, mode, filter_period=3, memory=64)
-    swarm = [kind(config, i, stream.uniform(0.001, 0.999)) for i in range(size)]
-    for _ in range(70):
-        exchange(swarm, [stream.choice((*Observation, None)) for _ in range(size)])
-        assert len({robot.x_raw for robot in swarm}) == 1
 
 
 # --- Symmetries ------------------------------------------------------------------------------------------
@@ -250,15 +216,6 @@ def test_saving_and_restoring_is_not_noticed(
     for call in rest:
         assert perform(copy, call) == perform(robot, call)
     assert (copy.state(), copy.x_raw) == (robot.state(), robot.x_raw)
-
-
-@pytest.mark.parametrize("kind", FIXED_POINT)
-def test_a_flawless_state_is_accepted_whatever_the_counters(kind: FixedPointType) -> None:
-    image = kind(replace(PLAIN, memory=64), OWN_ID, 0.75).save()
-    for name in vars(Counters()):
-        restored = kind.restore(replace(PLAIN, memory=64), rewritten(image, **{name: 65535}))
-        assert getattr(restored.counters, name) == 65535
-    assert kind(PLAIN, OWN_ID, 0.75).holds_invariants()
 
 
 @of_fixed_point

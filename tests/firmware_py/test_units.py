@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
+from random import Random
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mcp_asdf import Config, MirrorRobot, NativeRobot, Observation
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, alpha_units, alpha_word
+from mcp_asdf import Config, MirrorRobot, NativeRobot, Observation, Sums, Table, mirror
+from mcp_asdf.fixed_point import (
+    ALPHA_MAX,
+    B_HAT_MAX,
+    B_HAT_MIN,
+    ONE,
+    alpha_to_word,
+    alpha_units,
+    alpha_word,
+    sums_add,
+)
 from wire import TABLE
 
 LONG = st.one_of(
@@ -52,3 +63,49 @@ def test_readings_are_the_firmwares_integers_in_units_of_1(
     assert robot.beta == 3.5 + 2.0**-20 == robot.beta_raw / 2**24
     assert (robot.x_hat, robot.x) == (robot.x_hat_raw / 2**23, robot.x_raw / 2**23)
     assert Fraction(robot.alpha) == Fraction(alpha_units(robot.alpha_raw), 2**24) > 1
+
+
+class Measured(int):
+    """An integer that remembers the widest of all that were computed from it, one by one."""
+
+    widest = 0
+
+
+def _measured(name: str) -> Callable[[int, int], int]:
+    plain = getattr(int, name)
+
+    def operate(left: int, right: int) -> int:
+        result = Measured(plain(left, right))
+        Measured.widest = max(Measured.widest, result.bit_length())
+        return result
+
+    return operate
+
+
+for _name in ("add", "sub", "mul", "floordiv", "lshift", "rshift", "and", "or"):
+    setattr(Measured, f"__{_name}__", _measured(f"__{_name}__"))
+    setattr(Measured, f"__r{_name}__", _measured(f"__r{_name}__"))
+
+
+def extreme(source: Random, most: int) -> Measured:
+    """A number up to ``most``, often one of the ends."""
+    return Measured(source.choice([0, 1, most >> 1, most - 1, most, most, source.randint(0, most)]))
+
+
+def test_no_intermediate_of_the_mirror_is_wider_than_the_words_of_the_c() -> None:
+    """Three words of 32 bits hold each, and some need them: an instruction takes a bounded time."""
+    source, table = Random(1), Table(1 << 30, (2**32 - 1, 2**32 - 2))
+    Measured.widest = 0
+    for _ in range(300):
+        sums = Sums()
+        for _ in range(source.choice([1, 2, 127])):
+            alpha = source.choice([0x100, ALPHA_MAX, extreme(source, 2**24 - 1) << 8 | 31])
+            sums_add(sums, extreme(source, ONE), alpha)
+        closed = mirror.Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
+        t, x_hat = extreme(source, 2**31 - 2) + 1, extreme(source, ONE)
+        n = extreme(source, t)
+        mirror.estimate(t, n, mirror.accuracy_of(extreme(source, B_HAT_MAX - B_HAT_MIN) + B_HAT_MIN))
+        mirror.informed_estimate(closed, x_hat, ALPHA_MAX)
+        mirror.reestimate(t, n, closed)
+        mirror.rejects(table, sums, x_hat)
+    assert 85 < Measured.widest <= 96
