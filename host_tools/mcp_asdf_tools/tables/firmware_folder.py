@@ -5,7 +5,7 @@ from __future__ import annotations
 from decimal import Decimal
 from pathlib import Path
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf import _native
 from mcp_asdf_tools.common.files import write_files
 from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.tables.table_files import c_text, stem
@@ -29,17 +29,9 @@ def write_firmware(omega: Decimal, q: int, folder: Path) -> list[Path]:
     All files are written, or none; those of an earlier version are replaced. Raises UsageError if one cannot
     be written.
     """
-    contents = {path.name: path.read_text(encoding="utf-8") for path in sorted(_core().iterdir())}
+    core = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
+    contents = {path.name: path.read_text(encoding="utf-8") for path in sorted(core.iterdir())}
     contents[f"{stem(omega, q)}.c"] = c_text(omega, q)
     sources = " ".join(sorted(name for name in contents if name.endswith(".c")))
     contents["CMakeLists.txt"] = _CMAKE.format(version=own_version(), omega=omega, q=q, sources=sources)
     return write_files(folder, contents)
-
-
-def _core() -> Path:
-    """The folder of the C sources, which are installed beside the compiled firmware."""
-    try:
-        from mcp_asdf import _native  # noqa: PLC0415 (compiled: may be missing)
-    except ImportError as error:
-        raise UsageError(f"the package is not built ({error}); install it with 'pip install .'") from error
-    return Path(_native.__file__).parent / "core"

@@ -3,12 +3,10 @@
 import { Arena } from "view/arena";
 import { Charts } from "view/charts";
 import { Film } from "view/film";
-import { showEvents, showFigures, showRobot } from "view/panels";
+import { find, showEvents, showFigures, showRobot } from "view/panels";
 import { Player } from "view/player";
 
 const MILLISECONDS_BETWEEN_CHARTS = 250;
-
-const find = (id) => document.getElementById(id);
 
 class View {
   constructor() {

@@ -3,7 +3,7 @@
 const MOST_EVENTS = 40;
 const WRONG = 0.1;
 
-const find = (id) => document.getElementById(id);
+export const find = (id) => document.getElementById(id);
 
 /** A new element with text and class, if any. */
 function element(name, text = "", className = "") {
