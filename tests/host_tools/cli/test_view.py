@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from urllib.request import urlopen
 
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
@@ -51,18 +54,32 @@ def test_a_log_and_a_trial_are_exported(
     assert f"5 robots, 2 flawed, {title}" in target.read_text()
 
 
-@pytest.mark.parametrize("options", ["run.log", "--interface udp_multicast --channel 239.74.163.77 --json"])
+@pytest.mark.parametrize("line", ["view run.log", "swarm --robots 4 --steps 20 --quiet --view"])
 def test_a_page_is_served_until_it_is_asked_to_end(
-    options: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told: list[str] = []
+
+    def look(should_stop: Callable[[], bool]) -> None:
+        wait(iter([False, should_stop() or True]).__next__)
+        url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
+        assert url is not None
+        told.append(urlopen(f"{url[0]}events").read().decode())
+
+    wait = view.wait
+    monkeypatch.setattr(view, "wait", look)
+    assert main(line.split()) == 0
+    assert told[0].startswith("event: stage\n") and told[0].endswith("event: end\ndata: null\n\n")
+
+
+def test_a_bus_is_watched_until_it_is_asked_to_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answers = iter([False, True])
-    monkeypatch.setattr(view, "_NAP", 0.0)
     monkeypatch.setattr(view, "stopping", lambda: nullcontext(lambda: next(answers)))
-    assert main(["view", *options.split()]) == 0
+    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
     out, err = capsys.readouterr()
-    url = json.loads(out)["url"] if "--json" in options else err.split()[4]
-    assert url.startswith("http://127.0.0.1:")
-    assert ("no robot sent telemetry" in err) == ("--interface" in options)
+    assert json.loads(out)["url"].startswith("http://127.0.0.1:") and "no robot sent telemetry" in err
 
 
 @pytest.mark.parametrize(

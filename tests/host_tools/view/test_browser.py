@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +17,6 @@ from mcp_asdf_tools.view.film import Film, Stage
 from mcp_asdf_tools.view.films import SwarmCamera
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.server import serving
-from support import PATIENCE, interruptible
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -37,12 +33,13 @@ SETTINGS = SwarmSettings(
 STATE = "document.getElementById('state').textContent"
 IS_SHOWN = "window.view && view.arena.places.length > 0 && view.charts.drawn > 0"
 SAMPLES = "[...Array(view.film.length).keys()]"
+ROBOTS = "[...Array(view.film.robots).keys()]"
 ALL_VALUES = f"""{SAMPLES}.map((sample) => view.film.stage.quantities.map((name) =>
-    view.film.stage.robots.map((_, robot) => view.film.value(name, robot, sample))))"""
-ALL_LINKS = f"""{SAMPLES}.map((sample) => view.film.stage.robots.map((_, i) =>
-    view.film.stage.robots.map((_, j) => view.film.hears(i, j, sample))))"""
-ALL_PLACES = f"""{SAMPLES}.map((sample) => view.film.stage.robots.map((_, robot) =>
-    view.film.position(robot, sample)))"""
+    {ROBOTS}.map((robot) => view.film.value(name, robot, sample))))"""
+ALL_LINKS = (
+    f"{SAMPLES}.map((sample) => {ROBOTS}.map((i) => {ROBOTS}.map((j) => view.film.hears(i, j, sample))))"
+)
+ALL_PLACES = f"{SAMPLES}.map((sample) => {ROBOTS}.map((robot) => view.film.position(robot, sample)))"
 INK = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
 COLOURS = f"new Set(new Uint32Array({INK}.buffer)).size"
 
@@ -140,24 +137,3 @@ def test_all_controls_work_on_screens_of_any_size(scheme: str, film: Film, tmp_p
         browser.keyboard.press("Escape")
         assert browser.evaluate("view.chosen") is None
     assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"
-
-
-@pytest.mark.slow
-def test_a_swarm_is_shown_as_it_runs_and_its_page_stays_until_ctrl_c() -> None:
-    options = ["--topology", "dynamic", "--steps", "300", "--robots", "6", "--quiet"]
-    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "swarm", *options, "--view"]
-    with (
-        browser_page() as browser,
-        interruptible(),
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as swarm,
-    ):
-        assert swarm.stderr is not None
-        (url,) = re.findall(r"http://127\.0\.0\.1:\d+/", swarm.stderr.readline())
-        browser.goto(url)
-        until(browser, f"{IS_SHOWN} && {STATE} === 'the run has ended'")
-        assert browser.evaluate("view.film.length") == 300
-        assert swarm.poll() is None
-        swarm.send_signal(signal.SIGINT)
-        out, err = swarm.communicate(timeout=PATIENCE)
-        assert swarm.returncode == 0, err
-        assert out.startswith("seed 1: 6 robots, 300 steps")
