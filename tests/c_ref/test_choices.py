@@ -17,7 +17,6 @@ from support import CORE, ROOT, TABLE, require, run
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
 CHOICES = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
-DIVISIONS = ("BY_HARDWARE", "BY_TABLE", "BY_BITS")
 
 
 def complaint(*flags: str, source: Path = CORE) -> str:
@@ -70,15 +69,6 @@ def test_each_target_chooses_for_itself(command: str, tmp_path: Path) -> None:
     assert "".join(value.strip("()") for value in values) == OWN[command]
 
 
-@pytest.mark.parametrize("name", DIVISIONS)
-def test_divisions_are_chosen_by_name(name: str, tmp_path: Path) -> None:
-    """All of them give the same result."""
-    (tmp_path / "main.c").write_text(CONSUMER)
-    own = ("-std=c99", f"-I{CORE.parent}", f"-DMCP_ASDF_DIVIDE=MCP_ASDF_DIVIDE_{name}")
-    run("gcc", *own, "main.c", CORE, TABLE, "-o", "consumer", cwd=tmp_path)
-    assert run(tmp_path / "consumer") == answer()
-
-
 READERS = (
     "-DMCP_ASDF_ROM=",
     "-DMCP_ASDF_READ_WORD(address)=(*(address))",
@@ -114,10 +104,10 @@ def test_every_word_of_a_table_is_read_as_the_target_says(tmp_path: Path) -> Non
 
 
 VIOLATIONS = {
-    "enough_senders": ("MCP_ASDF_MAX_ID 127", "MCP_ASDF_MAX_ID 128"),
-    "t_is_a_word": ("MCP_ASDF_MEMORY_MAX (UINT32_C(1) << 31)", "MCP_ASDF_MEMORY_MAX UINT32_C(0x80000004)"),
-    "halves_mirror": ("MCP_ASDF_MEMORY_MIN UINT32_C(64)", "MCP_ASDF_MEMORY_MIN UINT32_C(66)"),
-    "b_hat_mirrors": ("MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)", "MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF001)"),
+    "enough_senders": ("MAX_ID 127U", "MAX_ID 128U"),
+    "t_is_a_word": ("MEMORY_MAX (UINT32_C(1) << 31)", "MEMORY_MAX UINT32_C(0x80000004)"),
+    "halves_mirror": ("MEMORY_MIN UINT32_C(64)", "MEMORY_MIN UINT32_C(66)"),
+    "b_hat_mirrors": ("B_HAT_MAX UINT32_C(0xFFFFF000)", "B_HAT_MAX UINT32_C(0xFFFFF001)"),
 }
 """Name of each assertion of the core, and a change in the header that breaks it."""
 

@@ -21,16 +21,6 @@ static const mcp_asdf_config_t configs[] = {{table, 1, MCP_ASDF_MEMORY_MAX, MCP_
                                             {0, 1, 1000, MCP_ASDF_ALWAYS},
                                             {0, UINT32_MAX, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF}};
 
-static void seal_table(void)
-{
-    uint32_t hash = HASH_START;
-    for (size_t i = 0; i < COUNT(table) - 1; ++i) {
-        hash = (uint32_t)((hash ^ table[i]) * UINT64_C(0x01000193) & UINT32_MAX);
-    }
-    table[COUNT(table) - 1] = hash;
-    CHECK(table_valid(table));
-}
-
 static void fill(void *memory, size_t size, uint32_t kind)
 {
     uint8_t *const bytes = memory;
@@ -39,17 +29,22 @@ static void fill(void *memory, size_t size, uint32_t kind)
     }
 }
 
+static mcp_asdf_status_t any_message(mcp_asdf_t *robot)
+{
+    return mcp_asdf_receive(robot, (uint8_t)check_random(), random_below(MCP_ASDF_ONE + 100),
+                            (uint32_t)check_random());
+}
+
 /* A sound robot with a few observations and messages behind it. */
 static mcp_asdf_t sound_robot(const mcp_asdf_config_t *config)
 {
     mcp_asdf_t robot = robot_with(config, (uint8_t)random_below(128), C_MIN + random_below(0 - 2 * C_MIN));
     for (uint32_t i = random_below(20); i > 0; --i) {
-        (void)mcp_asdf_receive(&robot, (uint8_t)(check_random() & 127), random_below(MCP_ASDF_ONE + 1),
-                               (uint32_t)check_random());
+        (void)any_message(&robot);
         (void)mcp_asdf_step(&robot, (mcp_asdf_observation_t)(check_random() & 1));
-        (void)mcp_asdf_receive(&robot, (uint8_t)(check_random() & 127), random_below(MCP_ASDF_ONE + 1),
-                               (uint32_t)check_random());
+        (void)any_message(&robot);
     }
+    CHECK(mcp_asdf_invariants_hold(&robot));
     return robot;
 }
 
@@ -75,67 +70,36 @@ static mcp_asdf_t damaged_robot(const mcp_asdf_config_t *config, uint32_t kind)
     return robot;
 }
 
-static void check_observation(mcp_asdf_t *robot)
-{
-    const uint32_t z = random_below(4);
-    const mcp_asdf_status_t status = check_random() % 2 == 0
-                                         ? mcp_asdf_observe(robot, (mcp_asdf_observation_t)z)
-                                         : mcp_asdf_step(robot, (mcp_asdf_observation_t)z);
-    if (z > MCP_ASDF_BLACK) {
-        CHECK_EQUAL(-status, -MCP_ASDF_ERR_OBSERVATION);
-    } else {
-        CHECK(status == MCP_ASDF_OK || status == MCP_ASDF_UPDATED);
-    }
-}
-
-static void check_message(mcp_asdf_t *robot)
-{
-    const uint8_t sender = (uint8_t)check_random();
-    const uint32_t x_hat = random_below(MCP_ASDF_ONE + 100), alpha = (uint32_t)check_random();
-    const mcp_asdf_status_t status = mcp_asdf_receive(robot, sender, x_hat, alpha);
-    if (status == MCP_ASDF_OK || status == MCP_ASDF_REPEATED) {
-        CHECK(x_hat <= MCP_ASDF_ONE && sender != robot->id);
-        CHECK_EQUAL(mcp_asdf_receive(robot, sender, x_hat, alpha), MCP_ASDF_REPEATED);
-    } else {
-        CHECK(status == MCP_ASDF_ERR_SENDER || status == MCP_ASDF_ERR_X_HAT);
-    }
-}
-
-/* A settled round is forgotten, whatever it was. */
-static void check_settle(mcp_asdf_t *robot)
-{
-    static const mcp_asdf_open_t nothing = {0, 0, 0, 0, 0, 0};
-    const mcp_asdf_status_t status = mcp_asdf_settle(robot);
-    CHECK(status == MCP_ASDF_OK || status == MCP_ASDF_UPDATED);
-    CHECK(memcmp(&robot->open, &nothing, sizeof nothing) == 0);
-    CHECK(robot->heard.all[0] == 0 && robot->heard.all[1] == 0);
-}
-
 /* An image of a damaged robot has a right checksum all the same: it comes back only if the robot is sound. */
 static void check_image(const mcp_asdf_t *robot)
 {
     uint8_t image[MCP_ASDF_IMAGE_SIZE], again[MCP_ASDF_IMAGE_SIZE];
     mcp_asdf_t copy;
     mcp_asdf_save(robot, image);
-    const mcp_asdf_status_t status = mcp_asdf_restore(&copy, robot->config, image);
-    if (status == MCP_ASDF_OK) {
-        CHECK(mcp_asdf_invariants_hold(&copy));
+    if (mcp_asdf_restore(&copy, robot->config, image) == MCP_ASDF_OK) {
         mcp_asdf_save(&copy, again);
-        CHECK(memcmp(image, again, sizeof image) == 0);
+        CHECK(mcp_asdf_invariants_hold(&copy) && memcmp(image, again, sizeof image) == 0);
     } else {
-        CHECK_EQUAL(-status, -MCP_ASDF_ERR_IMAGE);
         CHECK(!mcp_asdf_invariants_hold(robot));
     }
 }
 
 static void check_call(mcp_asdf_t *robot)
 {
+    static const mcp_asdf_open_t nothing = {0, 0, 0, 0, 0, 0};
+    const uint32_t z = random_below(4);
+    mcp_asdf_status_t status;
     switch (check_random() % 6) {
     case 0:
-        check_observation(robot);
+        status = mcp_asdf_step(robot, (mcp_asdf_observation_t)z);
+        CHECK(z > 1 ? status == MCP_ASDF_ERR_OBSERVATION
+                    : status == MCP_ASDF_OK || status == MCP_ASDF_UPDATED);
         break;
     case 1:
-        check_settle(robot);
+        status = mcp_asdf_settle(robot);
+        CHECK(status == MCP_ASDF_OK || status == MCP_ASDF_UPDATED);
+        CHECK(memcmp(&robot->open, &nothing, sizeof nothing) == 0); /* forgotten, whatever it was */
+        CHECK(robot->heard.all[0] == 0 && robot->heard.all[1] == 0);
         break;
     case 2:
         check_image(robot);
@@ -145,13 +109,19 @@ static void check_call(mcp_asdf_t *robot)
         (void)mcp_asdf_x_bar(robot);
         break;
     default:
-        check_message(robot);
+        status = any_message(robot);
+        CHECK(status == MCP_ASDF_OK || status == MCP_ASDF_REPEATED || status == MCP_ASDF_ERR_SENDER ||
+              status == MCP_ASDF_ERR_X_HAT);
     }
 }
 
-static void any_memory_contents(void)
+int main(void)
 {
     guarded_t guarded, filled;
+    table[4] = HASH_START;
+    for (size_t i = 0; i < 4; ++i) {
+        table[4] = (uint32_t)((table[4] ^ table[i]) * UINT64_C(0x01000193) & UINT32_MAX);
+    }
     fill(&filled, sizeof filled, 2);
     memcpy(&guarded, &filled, sizeof guarded);
     for (uint32_t i = 0; i < CASES; ++i) {
@@ -165,28 +135,5 @@ static void any_memory_contents(void)
         CHECK(memcmp(guarded.before, filled.before, sizeof filled.before) == 0);
         CHECK(memcmp(guarded.after, filled.after, sizeof filled.after) == 0);
     }
-}
-
-/* A sound robot with one damaged bit: the invariants miss it, or it is refused. Both happen. */
-static void one_damaged_bit(void)
-{
-    uint32_t missed = 0;
-    for (uint32_t bit = 0; bit < 8 * sizeof(mcp_asdf_t); ++bit) {
-        mcp_asdf_t robot = sound_robot(&configs[0]);
-        CHECK(mcp_asdf_invariants_hold(&robot));
-        ((uint8_t *)&robot)[bit / 8] ^= (uint8_t)(1U << bit % 8);
-        if (robot.config == &configs[0]) {
-            missed += mcp_asdf_invariants_hold(&robot);
-            check_image(&robot);
-        }
-    }
-    CHECK(missed > 80 && missed < 800); /* 80 bits of counters, of which any value is possible */
-}
-
-int main(void)
-{
-    seal_table();
-    any_memory_contents();
-    one_damaged_bit();
     return check_report();
 }

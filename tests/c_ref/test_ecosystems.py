@@ -1,9 +1,7 @@
 """The firmware is a package for Arduino, PlatformIO, ESP-IDF and Zephyr, and each of them gets it whole.
 
 What an ecosystem's own tools can do offline they do here: Arduino's builder makes an image that runs under
-emulation; PlatformIO and ESP-IDF pack the folder, and the consumer is built from what they packed; Kconfig
-reads Zephyr's options. Where a build needs the ecosystem itself (ESP-IDF, Zephyr), the few functions that our
-build file calls are replaced by stubs, as their manuals describe them.
+emulation; PlatformIO and ESP-IDF pack the folder; Kconfig reads Zephyr's options.
 """
 
 from __future__ import annotations
@@ -130,144 +128,50 @@ def unpacked(archive: Path, folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-def test_platformio_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
+def test_platformio_packs_it(tmp_path: Path) -> None:
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     packed = run(sys.executable, "-c", PACK, PACKAGE, tmp_path, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
     *versions, archive = packed.splitlines()
     assert versions == [version_of_header()] * 2
     files = unpacked(Path(archive), tmp_path / "lib")
     assert files - {".piopm"} == SOURCES | {"library.json", "library.properties", "README.md", "LICENSE"}
-    assert set(manifests()["library.json"]["headers"]) == {
+    manifest = manifests()["library.json"]
+    assert set(manifest["headers"]) == {
         Path(name).name for name in SOURCES if name[-1] == "h" and not re.search("arithmetic|target", name)
     }
-    assert consumer_of(tmp_path / "lib", manifests()["library.json"]["build"], tmp_path) == answer()
+    assert manifest["build"] == {"srcDir": "src", "includeDir": "src"}
 
 
-def consumer_of(library: Path, settings: dict[str, str], folder: Path) -> str:
-    """Output of the consumer, built as PlatformIO does: a folder's sources with another's headers."""
-    (folder / "main.c").write_text(CONSUMER)
-    sources = sorted((library / settings["srcDir"]).glob("*.c"))
-    include = f"-I{library / settings['includeDir']}"
-    run("cc", *WARNINGS.split(), include, *sources, "main.c", TABLE, "-o", "consumer", cwd=folder)
-    return run(folder / "consumer")
-
-
-# --- ESP-IDF ---------------------------------------------------------------------------------------------
-
-ESP_PROJECT = """
-cmake_minimum_required(VERSION 3.21)
-project(consumer LANGUAGES C)
-set(ESP_PLATFORM 1)
-function(idf_component_register)
-    cmake_parse_arguments(PARSE_ARGV 0 component "" "" "SRCS;INCLUDE_DIRS")
-    if(component_UNPARSED_ARGUMENTS)
-        message(FATAL_ERROR "unknown: ${component_UNPARSED_ARGUMENTS}")
-    endif()
-    add_library(component STATIC ${component_SRCS})
-    target_include_directories(component PUBLIC ${component_INCLUDE_DIRS})
-endfunction()
-add_subdirectory(component)
-add_executable(consumer main.c t_table_omega05_q30.c)
-target_link_libraries(consumer PRIVATE component)
-"""
-
-
-def build_consumer(folder: Path, project: str) -> Path:
-    (folder / "main.c").write_text(CONSUMER)
-    (folder / "CMakeLists.txt").write_text(project)
-    shutil.copy(TABLE, folder)
-    run(require("cmake"), "-S", folder, "-B", folder / "build", f"-DCMAKE_C_FLAGS={WARNINGS}")
-    run("cmake", "--build", folder / "build")
-    return folder / "build/consumer"
+# --- ESP-IDF and Zephyr ----------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_esp_idf_packs_it_and_a_consumer_builds(tmp_path: Path) -> None:
+def test_esp_idf_packs_it(tmp_path: Path) -> None:
     require("compote")
     run("compote", "manifest", "lint", PACKAGE / "idf_component.yml")
     run("compote", "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path / "dist", cwd=PACKAGE)
-    archive = tmp_path / f"dist/mcp_asdf_{version_of_header()}.tgz"
-    files = unpacked(archive, tmp_path / "component")
+    files = unpacked(tmp_path / f"dist/mcp_asdf_{version_of_header()}.tgz", tmp_path / "component")
     assert files == SOURCES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
-    assert run(build_consumer(tmp_path, ESP_PROJECT)) == answer()
+    component = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
+    (sources,) = re.findall(r"idf_component_register\(SRCS (.*) INCLUDE_DIRS src\)", component)
+    assert set(sources.split()) == {f"src/{name}.c" for name in PARTS}
 
 
-# --- Zephyr ----------------------------------------------------------------------------------------------
-
-ZEPHYR_PROJECT = """
-cmake_minimum_required(VERSION 3.21)
-project(consumer LANGUAGES C)
-add_library(zephyr_interface INTERFACE)
-function(zephyr_include_directories)
-    foreach(folder IN LISTS ARGN)
-        target_include_directories(zephyr_interface INTERFACE ${CMAKE_CURRENT_SOURCE_DIR}/${folder})
-    endforeach()
-endfunction()
-macro(zephyr_library)
-    set(ZEPHYR_CURRENT_LIBRARY module)
-    add_library(module STATIC)
-    target_link_libraries(module PUBLIC zephyr_interface)
-endmacro()
-function(zephyr_library_sources)
-    target_sources(${ZEPHYR_CURRENT_LIBRARY} PRIVATE ${ARGN})
-endfunction()
-function(zephyr_library_sources_ifdef option)
-    if(${option})
-        zephyr_library_sources(${ARGN})
-    endif()
-endfunction()
-"""
-ZEPHYR_CONSUMER = """
-add_subdirectory({} modules/mcp_asdf)
-add_executable(consumer main.c t_table_omega05_q30.c)
-target_link_libraries(consumer PRIVATE module)
-"""
-
-
-OPTIONS = [name.upper() for name in PARTS]
-
-
-def zephyr_build() -> dict[str, str]:
-    """The module's description of its build: a folder with a CMakeLists.txt, and a Kconfig file."""
-    described = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))
-    assert described.keys() == {"name", "build"}
-    build = described["build"]
-    assert build.keys() == {"cmake", "kconfig"}
-    assert (PACKAGE / build["cmake"] / "CMakeLists.txt").is_file()
-    return dict(build)
-
-
-def configured(folder: Path, chosen: str) -> dict[str, str]:
-    """Options as Kconfig resolves them, by name, from a fragment of configuration."""
+@pytest.mark.parametrize(("chosen", "built"), [("", ()), ("", PARTS), ("_IMAGE=n", PARTS[::2])])
+def test_zephyr_builds_what_its_options_say(chosen: str, built: tuple[str, ...], tmp_path: Path) -> None:
+    """The optional parts come with the core, unless they are left out; nothing comes unasked."""
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
-    top = folder / "Kconfig"
-    top.write_text(f'osource "{PACKAGE / zephyr_build()["kconfig"]}"\n')
-    (folder / "prj.conf").write_text(chosen)
-    kconfig = kconfiglib.Kconfig(str(top), warn_to_stderr=False)
-    kconfig.load_config(str(folder / "prj.conf"))
+    module = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))
+    (tmp_path / "Kconfig").write_text(f'osource "{PACKAGE / module["build"]["kconfig"]}"\n')
+    wanted = ["CONFIG_MCP_ASDF=y"] * bool(built) + [f"CONFIG_MCP_ASDF{each}" for each in chosen.split()]
+    (tmp_path / "prj.conf").write_text("\n".join(wanted))
+    kconfig = kconfiglib.Kconfig(str(tmp_path / "Kconfig"), warn_to_stderr=False)
+    kconfig.load_config(str(tmp_path / "prj.conf"))
     assert kconfig.warnings == []
-    return {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
-
-
-def test_zephyr_builds_nothing_unless_told_to(tmp_path: Path) -> None:
-    assert configured(tmp_path, "") == dict.fromkeys(OPTIONS, "n")
-    module = (PACKAGE / zephyr_build()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
-    (tmp_path / "without_zephyr.cmake").write_text(module)  # calls nothing of it, then
+    options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
+    assert options == {name.upper(): "y" if name in built else "n" for name in PARTS}
+    text = (PACKAGE / module["build"]["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+    for name, option in zip(PARTS[1:], ("IMAGE", "FRAME"), strict=True):
+        assert f"zephyr_library_sources_ifdef(CONFIG_MCP_ASDF_{option} ../src/{name}.c)" in text
+    (tmp_path / "without_zephyr.cmake").write_text(text)  # calls nothing of it where the core is off
     run(require("cmake"), "-P", tmp_path / "without_zephyr.cmake")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("left_out", [(), ("mcp_asdf_image",), PARTS[1:]])
-def test_zephyr_builds_what_its_options_say(left_out: tuple[str, ...], tmp_path: Path) -> None:
-    wanted = "".join(f"CONFIG_{name.upper()}={'n' if name in left_out else 'y'}\n" for name in PARTS)
-    options = configured(tmp_path, wanted)
-    settings = "".join(f"set(CONFIG_{name} {value})\n" for name, value in options.items() if value == "y")
-    module = PACKAGE / zephyr_build()["cmake"]
-    consumer = build_consumer(tmp_path, ZEPHYR_PROJECT + settings + ZEPHYR_CONSUMER.format(module))
-    assert run(consumer) == answer()
-    members = set(run("ar", "t", next(consumer.parent.rglob("libmodule.a"))).split())
-    assert members == {f"{name}.c.o" for name in PARTS if name not in left_out}
-
-
-def test_zephyr_s_optional_parts_come_with_the_core(tmp_path: Path) -> None:
-    assert configured(tmp_path, "CONFIG_MCP_ASDF=y\n") == dict.fromkeys(OPTIONS, "y")
