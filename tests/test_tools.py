@@ -114,15 +114,13 @@ ROOMS = (
 )
 SIMULATORS = ("tests/c_ref/avr_robot.c", "tests/benchmarks/cost/avr_machine.c")
 IN_THE_NODE = ("tests/fuzz/fuzz_node.c",)
-SEALED = ("tests/bit_flips/sealed.c",)
 TEST_ROOMS = (
     Room(
         "tests",
         ("tests/**/*.c",),
-        not_files=(*SIMULATORS, *IN_THE_NODE, *SEALED),
+        not_files=(*SIMULATORS, *IN_THE_NODE),
     ),
     Room("node", IN_THE_NODE, ("-D_GNU_SOURCE",)),
-    Room("sealed", SEALED, ("-Itests/benchmarks/cost",)),
     Room(
         "simulators",
         SIMULATORS,

@@ -33,7 +33,7 @@ static const mcp_asdf_config_t config = {mcp_asdf_t_table_omega05_q30, 100, MCP_
 /* The sound run: the robot as each tick begins, and what it saw and heard. */
 static struct {
     mcp_asdf_t start;
-    uint32_t x, x_hat, alpha; /* as the tick ends */
+    uint32_t x; /* as the tick ends */
     uint32_t said[NEIGHBOURS][2];
     uint8_t seen;
 } run[TICKS + 1];
@@ -69,33 +69,13 @@ static const member_t members[] = {MEMBER(heard),
                                    MEMBER(closed.alpha_x_low),
                                    MEMBER(closed.alpha_x_high)};
 
-/* What can come of a flip; the first that holds counts, but for the last four.
+/* What can come of a flip; the first that holds counts, but for the last two.
  *   IN_TIME, LATE    the invariants fail before x is 1 % off; after that
  *   CRASH, HANG      a call traps; it does not return in two seconds
  *   NO_EFFECT, LESS, MORE   nothing sees it: x is what it would have been; always less than 1 % off; not so
- *   TOLD             of MORE or LESS: x_hat or alpha, which neighbours hear, was off by 1 %
  *   STILL            of MORE: x is off by 1 % after the last tick
- *   UNEXPLAINED      of STILL: although t, n and b_hat are what they would have been
- *   AT_REST          of all: the flip struck between two ticks, where a checksum over the robot sees it
- *   AT_REST_UNSEEN, AT_REST_WRONG   of AT_REST: nothing but such a checksum would have seen it; and of these,
- *                    those of MORE */
-enum {
-    FLIPS,
-    IN_TIME,
-    LATE,
-    CRASH,
-    HANG,
-    NO_EFFECT,
-    LESS,
-    MORE,
-    TOLD,
-    STILL,
-    UNEXPLAINED,
-    AT_REST,
-    AT_REST_UNSEEN,
-    AT_REST_WRONG,
-    KINDS
-};
+ *   UNEXPLAINED      of STILL: although t, n and b_hat are what they would have been */
+enum { FLIPS, IN_TIME, LATE, CRASH, HANG, NO_EFFECT, LESS, MORE, STILL, UNEXPLAINED, KINDS };
 static unsigned long counts[KINDS];
 
 static sigjmp_buf trapped;
@@ -153,21 +133,11 @@ static void record(void)
             (void)mcp_asdf_settle(&robots[i]);
         }
         run[tick].x = mcp_asdf_x(&robots[0]);
-        run[tick].x_hat = robots[0].x_hat;
-        run[tick].alpha = robots[0].alpha;
     }
     run[TICKS].start = robots[0];
 }
 
 static bool is_off(uint32_t is, uint32_t was) { return (is > was ? is - was : was - is) > PER_CENT; }
-
-static uint64_t worth(uint32_t alpha) { return (uint64_t)(alpha >> 8) << (alpha & 31); }
-
-static bool is_told_wrong(const mcp_asdf_t *robot, int tick)
-{
-    const uint64_t is = worth(robot->alpha), was = worth(run[tick].alpha);
-    return is_off(robot->x_hat, run[tick].x_hat) || (is > was ? is - was : was - is) > was / 100;
-}
 
 static void strike(mcp_asdf_t *robot, bool now, size_t bit)
 {
@@ -202,7 +172,7 @@ static void watch(int begin, int phase, size_t bit)
 {
     static mcp_asdf_t robot;
     const mcp_asdf_t *const sound = &run[begin + AFTER].start;
-    bool differs = false, told = false, more = false, last = false;
+    bool differs = false, more = false, last = false;
     robot = run[begin].start;
     for (int tick = begin; tick < begin + AFTER; ++tick) {
         if (!relive(&robot, tick, tick == begin ? phase : -1, bit)) {
@@ -213,16 +183,12 @@ static void watch(int begin, int phase, size_t bit)
         last = is_off(x, run[tick].x);
         differs |= x != run[tick].x;
         more |= last;
-        told |= is_told_wrong(&robot, tick);
     }
     const bool is_data =
         robot.t != sound->t || robot.n != sound->n || mcp_asdf_b_hat(&robot) != mcp_asdf_b_hat(sound);
     ++counts[more ? MORE : differs ? LESS : NO_EFFECT];
-    counts[TOLD] += told;
     counts[STILL] += last;
     counts[UNEXPLAINED] += last && !is_data;
-    counts[AT_REST_UNSEEN] += phase == AT_REST_PHASE;
-    counts[AT_REST_WRONG] += more && phase == AT_REST_PHASE;
 }
 
 static void flip(size_t bit)
@@ -231,7 +197,6 @@ static void flip(size_t bit)
     const int begin = 1 + (int)any(TICKS - AFTER - 1);
     const volatile int phase = (int)any(PHASES); /* as it stands where it is jumped over */
     ++counts[FLIPS];
-    counts[AT_REST] += phase == AT_REST_PHASE;
     (void)setitimer(ITIMER_VIRTUAL, &patience, 0);
     if (sigsetjmp(trapped, 1) == 0) {
         watch(begin, phase, bit);

@@ -1,7 +1,6 @@
-"""Fuzzing the firmware: its harnesses, how they are compiled, and the inputs that are kept of them.
+"""Fuzzing what reads untrusted bytes: the harnesses, how they are compiled, and the inputs that are kept.
 
-A harness is a C or C++ file with libFuzzer's entry. Everything happens in one process, without
-input or output.
+A harness is a C file with libFuzzer's entry. Everything happens in one process, without input or output.
 """
 
 from __future__ import annotations
@@ -14,17 +13,12 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from c_ref.third import choices
 from support import CORE, ROOT, TABLE, require
 
 HERE = Path(__file__).parent
 CORPORA = HERE / "corpus"
 BUILD = ROOT / "build/fuzz"
 PORTS = ROOT / "c_ref/ports"
-VARIANTS = ("1001", "2100", "3010", "4000")
-"""Builds of the firmware that run side by side: the digits are those of ``tests/c_ref``. Together they have
-every way to divide, multiply and shift."""
-
 COVERAGE = "-fsanitize-coverage=inline-8bit-counters,pc-table"
 """Options that libFuzzer needs; comparisons are not traced, which would take most of the time."""
 FAST = ("-O2", COVERAGE, "-fsanitize=undefined", "-fsanitize-trap=undefined")
@@ -52,14 +46,22 @@ class Harness:
     def build(self, flags: tuple[str, ...] = CHECKED, compiler: str = "clang") -> Path:
         """The program, compiled if none of its sources, the compiler and the flags is what it was."""
         require(compiler, "clang libclang-rt-dev")
-        own = next(HERE.glob(f"fuzz_{self.name}.c*"))
-        told = hashlib.sha256(
-            repr((flags, compiler, *(each.read_bytes() for each in _everything()))).encode()
-        )
-        program = BUILD / f"{self.name}-{told.hexdigest()[:16]}"
+        known = repr((flags, compiler, *(each.read_bytes() for each in (*_everything(), *self.sources))))
+        program = BUILD / f"{self.name}-{hashlib.sha256(known.encode()).hexdigest()[:16]}"
         if not program.exists():
             BUILD.mkdir(parents=True, exist_ok=True)
-            _link(program, [own, *self.sources], flags, compiler)
+            part = program.with_name(f"{program.name}-{os.getpid()}.part")
+            words = (
+                "-std=c99",
+                "-D_GNU_SOURCE",
+                *flags,
+                f"-I{CORE.parent}",
+                f"-I{PORTS}",
+                "-fsanitize=fuzzer",
+            )
+            sources = (HERE / f"fuzz_{self.name}.c", *self.sources)
+            subprocess.run((compiler, *words, "-fsanitize=fuzzer", *sources, "-lm", "-o", part), check=True)
+            part.replace(program)
         return program
 
     def unpack(self, folder: Path) -> Path:
@@ -84,7 +86,6 @@ _NODE = tuple(sorted((PORTS / "node").glob("*.c")))
 HARNESSES = {
     each.name: each
     for each in (
-        Harness("api", (HERE / "variant.c", TABLE), 64),
         Harness("codec", (_CODEC,), 32),
         Harness("slcan", (PORTS / "slcan" / "slcan.c", *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
         Harness("node", (), 128),
@@ -98,36 +99,6 @@ def _everything() -> list[Path]:
     """Sources of the programs, whether or not one needs all of them."""
     folders = (HERE, CORE.parent, TABLE.parent, *(PORTS / name for name in ("", "node", "slcan", "linux")))
     return sorted(each for folder in folders for each in folder.glob("*.[ch]*") if each.is_file())
-
-
-def _link(program: Path, sources: list[Path], flags: tuple[str, ...], compiler: str) -> None:
-    """Each source by itself, as the variants are one source under many names."""
-    objects = []
-    for source in sources:
-        for variant in VARIANTS if source.name == "variant.c" else ("",):
-            chosen = choices(variant) if variant else []
-            made = program.with_name(f"{program.name}-{source.stem}{variant}-{os.getpid()}.o")
-            words = ("-std=c++17", f"{compiler}++") if source.suffix == ".cpp" else ("-std=c99", compiler)
-            includes = (f"-I{CORE.parent}", f"-I{PORTS}")
-            command = (
-                words[1],
-                words[0],
-                "-D_GNU_SOURCE",
-                *flags,
-                *includes,
-                f"-DVARIANT={variant}",
-                *chosen,
-            )
-            subprocess.run((*command, "-c", source, "-o", made), check=True)
-            objects.append(made)
-    sanitizers = [flag for flag in flags if flag.startswith("-fsanitize=")]
-    part = program.with_name(f"{program.name}-{os.getpid()}.part")
-    subprocess.run(
-        (f"{compiler}++", *sanitizers, "-fsanitize=fuzzer", *objects, "-lm", "-o", part), check=True
-    )
-    part.replace(program)
-    for each in objects:
-        each.unlink()
 
 
 @dataclass(frozen=True)
