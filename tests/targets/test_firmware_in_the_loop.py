@@ -6,12 +6,14 @@ import random
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from socket import create_server
+from threading import Timer
+from typing import Any
 
 import can
 import pytest
@@ -29,7 +31,7 @@ from mcp_asdf_tools.bus.slcan_server import line_of
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
-from support import CORE, ROOT, blocks, made_once, require, run, slow
+from support import CORE, PATIENCE, ROOT, blocks, made_once, require, run, slow
 from targets import matrix
 from targets.c_node import SANITIZERS, WARNINGS
 from targets.slcan_model import OPENING, Model
@@ -159,6 +161,18 @@ class Talk:
         )
 
 
+@contextmanager
+def killed_after(seconds: float, robot: subprocess.Popen[Any]) -> Iterator[None]:
+    """Kills it at the end, or before if it says too little and would be waited for."""
+    timer = Timer(seconds, robot.kill)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        robot.kill()
+
+
 @pytest.mark.parametrize(
     ("target", "number"),
     [("host", 0), ("host", 1), ("cortex-m3", 2), ("rv32imc", 3), *slow([("host", 4), ("cortex-m4", 5)])],
@@ -175,21 +189,17 @@ def test_whatever_comes_in_the_robot_says_what_its_model_says(
     for _ in range(50):
         pieces += [talk.tick(chance.choice((0, 3, 30)), loss=chance.choice((0.0, 0.2)))]
         pieces += [talk.request()] if chance.random() < 0.3 else []
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as robot:
+    pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen(command, **pipes) as robot, killed_after(PATIENCE / 4, robot):
         assert robot.stdin and robot.stdout
-        assert (
-            robot.stdout.read(len(OPENING)) == OPENING
-        )  # before it has started, what it is sent may be lost
+        # Before it has started, what it is sent may be lost.
+        assert robot.stdout.read(len(OPENING)) == OPENING
         for at, piece in enumerate(pieces):
             robot.stdin.write(piece)
             robot.stdin.flush()
             expected = told.take(piece)
             assert robot.stdout.read(len(expected)) == expected, f"Talk({seed}), piece {at}"
-        if target in QEMU:
-            robot.kill()
-        else:
+        if target not in QEMU:
             assert (robot.communicate(), robot.returncode) == ((b"", b""), 0)
     assert told.dropped > 200 and told.node.unsettled > 0
     assert told.is_adapter or number == 0
