@@ -58,14 +58,13 @@
 #endif
 #endif
 
+/* UNUSED: no source needs all of this header. FENCE(): what was written is in memory before anything
+ * further. */
 #ifdef __GNUC__
-#define UNUSED __attribute__((unused)) /* no source needs all of this header */
+#define UNUSED __attribute__((unused))
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
 #define NOINLINE static UNUSED __attribute__((noinline))
-#define FENCE()                                                                                              \
-    __asm__ volatile("" ::                                                                                   \
-                         : "memory") /* what was written is in memory before anything further                \
-                                      */
+#define FENCE() __asm__ volatile("" ::: "memory")
 #else
 #define UNUSED
 #define ALWAYS_INLINE static inline
