@@ -252,63 +252,22 @@ def entries(count: int) -> tuple[int, ...]:
     return tuple(range((9 << 26) + count, 9 << 26, -1))
 
 
-WRONG: dict[Status, list[dict[str, Any]]] = {
-    Status.ERR_CONFIG: [
-        *({"filter_period": period} for period in (0, -1, 2**32, 2**32 + 1)),
-        *(
-            {"memory": m}
-            for m in (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
-        ),
-        *({"filter": mode} for mode in (3, -1, 256)),
-        {
-            "memory": 1,
-            "table": None,
-            "filter": Filter.ADAPTIVE,
-            "robot_id": 200,
-            "b_hat": 0.0,
-        },  # the first is told
-    ],
-    Status.ERR_TABLE: [
-        *({"table": replace(GOOD, omega_word=word)} for word in (0, -1, MAX_OMEGA_WORD + 1, 2**32 + 5)),
-        *({"table": replace(GOOD, entries=entries(q))} for q in (0, 1, 128, 258)),
-        *(
-            {"table": replace(GOOD, entries=rows)}
-            for rows in (
-                *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),
-                *((3 << 26, 1 << 26), (3 << 26, 1), (64 << 26, 2 << 26)),
-                *((2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),
-            )
-        ),
-        {"table": None, "robot_id": 200, "b_hat": 0.0},
-    ],
-    Status.ERR_ID: [*({"robot_id": each} for each in (-1, 128, 255, 256)), {"robot_id": 200, "b_hat": 0.0}],
-    Status.ERR_B_HAT: [
-        *({"b_hat": each} for each in (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-33, 0.0, 1.0, -0.5)),
-        *({"b_hat": each} for each in (1 - EPSILON + 2.0**-53, math.nan, math.inf)),
-    ],
-}
-LEGAL: list[dict[str, Any]] = [
-    {"filter_period": 2**32 - 1, "memory": 2**31, "robot_id": 127, "b_hat": EPSILON},
-    {"filter_period": 1, "memory": 64, "robot_id": 0, "b_hat": 1 - EPSILON},
-    *({"memory": memory} for memory in (68, 2**31 - 4)),
-    *(
-        {"filter": mode, "table": table}
-        for mode in (Filter.ALWAYS, Filter.OFF)
-        for table in (None, WRONG[Status.ERR_TABLE][8]["table"])
-    ),
-    *({"table": replace(GOOD, omega_word=word)} for word in (1, MAX_OMEGA_WORD)),
-    *(
-        {"table": replace(GOOD, entries=rows)}
-        for rows in (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), entries(127))
-    ),
-]
+WRONG_ENTRIES = (
+    *(entries(0), entries(1), entries(128), entries(258)),
+    *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),
+    *((3 << 26, 1 << 26), (3 << 26, 1), (64 << 26, 2 << 26), (2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),
+)
+LEGAL_ENTRIES = (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), entries(127))
+WRONG_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
+WRONG_B_HAT = (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
 
 
-def made(kind: AnyType, given: dict[str, Any]) -> Status:
-    """The status with which a robot of these settings is made."""
-    config = {name: value for name, value in given.items() if name not in ("robot_id", "b_hat")}
+def made(kind: AnyType, **given: Any) -> Status:
+    """The status with which a robot of these settings, and others that are sound, is made."""
+    table = replace(GOOD, **{name: given.pop(name) for name in ("omega_word", "entries") if name in given})
+    robot_id, b_hat = given.pop("robot_id", OWN_ID), given.pop("b_hat", 0.75)
     try:
-        kind(Config(**{"table": GOOD} | config), given.get("robot_id", OWN_ID), given.get("b_hat", 0.75))
+        kind(Config(**{"table": table} | given), robot_id, b_hat)
     except FirmwareError as error:
         assert error.status.name in str(error)
         return error.status
@@ -316,16 +275,34 @@ def made(kind: AnyType, given: dict[str, Any]) -> Status:
 
 
 @of_every_kind
-@pytest.mark.parametrize("status", WRONG)
-def test_settings_out_of_range_are_refused(kind: AnyType, status: Status) -> None:
-    assert {str(given): made(kind, given) for given in WRONG[status]} == {
-        str(given): status for given in WRONG[status]
-    }
+@pytest.mark.parametrize(
+    ("name", "status", "wrong", "legal"),
+    [
+        ("filter_period", Status.ERR_CONFIG, (0, -1, 2**32, 2**32 + 1), (1, 2**32 - 1)),
+        ("memory", Status.ERR_CONFIG, WRONG_MEMORY, (64, 68, 2**31 - 4, 2**31)),
+        ("filter", Status.ERR_CONFIG, (3, -1, 256), tuple(Filter)),
+        ("omega_word", Status.ERR_TABLE, (0, -1, MAX_OMEGA_WORD + 1, 2**32 + 5), (1, MAX_OMEGA_WORD)),
+        ("entries", Status.ERR_TABLE, WRONG_ENTRIES, LEGAL_ENTRIES),
+        ("robot_id", Status.ERR_ID, (-1, 128, 255, 256), (0, 127)),
+        ("b_hat", Status.ERR_B_HAT, WRONG_B_HAT, (EPSILON, 0.5, 1 - EPSILON)),
+    ],
+)
+def test_settings_are_legal_up_to_their_ends(
+    kind: AnyType, name: str, status: Status, wrong: Sequence[Any], legal: Sequence[Any]
+) -> None:
+    assert [value for value in wrong if made(kind, **{name: value}) != status] == []
+    assert [value for value in legal if made(kind, **{name: value}) != Status.OK] == []
 
 
 @of_every_kind
-def test_the_ends_of_the_settings_are_legal(kind: AnyType) -> None:
-    assert [given for given in LEGAL if made(kind, given) != Status.OK] == []
+def test_the_first_error_is_told_and_a_table_is_needed_for_the_test_alone(kind: AnyType) -> None:
+    """Config, table, id, b_hat, in this order."""
+    assert made(kind, memory=1, table=None, robot_id=200, b_hat=0.0) == Status.ERR_CONFIG
+    assert made(kind, table=None, robot_id=200, b_hat=0.0) == Status.ERR_TABLE
+    assert made(kind, robot_id=200, b_hat=0.0) == Status.ERR_ID
+    for mode in (Filter.ALWAYS, Filter.OFF):
+        assert made(kind, filter=mode, table=None) == Status.OK
+        assert made(kind, filter=mode, entries=(3 << 26, 3 << 26)) == Status.OK
 
 
 @pytest.mark.parametrize("kind", FIXED_POINT)
@@ -356,7 +333,7 @@ def test_every_flipped_bit_of_a_table_is_refused(kind: AnyType) -> None:
     for place, bit in itertools.product(range(len(GOOD.words())), range(32)):
         words = list(GOOD.words())
         words[place] ^= 1 << bit
-        assert made(kind, {"table": table_of(words)}) == Status.ERR_TABLE, (place, bit)
+        assert made(kind, table=table_of(words)) == Status.ERR_TABLE, (place, bit)
 
 
 @of_every_kind
@@ -364,7 +341,7 @@ def test_a_table_of_another_make_is_refused(kind: AnyType) -> None:
     """With a right checksum, so word 0 itself must be looked at: other formats, other q."""
     for first in (0x4D435303, 0x4D435503, 3, 0x4D435404, 0x4D435402, 0x4D4354FF, 0x4D435400):
         body = (first, *GOOD.words()[1:-1])
-        assert made(kind, {"table": table_of((*body, checksum(body)))}) == Status.ERR_TABLE, hex(first)
+        assert made(kind, table=table_of((*body, checksum(body)))) == Status.ERR_TABLE, hex(first)
 
 
 edges = st.sampled_from(
@@ -376,7 +353,7 @@ edges = st.sampled_from(
 @given(st.lists(edges | st.integers(0, 2**32 - 1), min_size=2, max_size=6))
 def test_any_words_are_a_table_to_all_or_to_none(words: list[int]) -> None:
     body = (0x4D435400 | len(words) - 1, words[0], *sorted(words[1:], reverse=True))
-    found = {made(kind, {"table": table_of((*body, checksum(body)))}) for kind in (MirrorRobot, *FIXED_POINT)}
+    found = {made(kind, table=table_of((*body, checksum(body)))) for kind in (MirrorRobot, *FIXED_POINT)}
     assert len(found) == 1
 
 
