@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import signal
@@ -286,8 +285,3 @@ def test_a_missing_file_is_named(name: str, tmp_path: Path, capsys: Capture) -> 
     out, err = capsys.readouterr()
     assert str(missing) in err and "o such file" in err.replace(str(missing), "")
     assert (out, err.count("\n")) == ("", 1)
-
-
-def test_json_is_an_option_of_every_command(tmp_path: Path, capsys: Capture) -> None:
-    assert cli.main(["table", "--output", str(tmp_path), "--neighbours", "2", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["q"] == 2
