@@ -239,6 +239,8 @@ def _results(results: dict[str, Any]) -> str:
         f"neighbours  mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}",
     ]
     lines += [f"fault       {each['fault']}: struck {each['injected']} times" for each in results["faults"]]
-    for sender, what in results["id_conflicts"].items():
-        lines.append(f"node-id conflict: {what}: {sender}; choose other ids with --first-id")
+    for sender, count in results["id_conflicts"].items():
+        lines.append(
+            f"node-id conflict: another node sent {count} messages as robot {sender}; see --first-id"
+        )
     return "\n".join(lines) + "\n"

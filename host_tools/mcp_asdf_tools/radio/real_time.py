@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from statistics import fmean
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus.frames import Message, decode
-from mcp_asdf_tools.bus.id_conflicts import IdConflict, IdConflictWatch
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import BusLink, RunOutcome, Stopped
@@ -25,7 +25,7 @@ class RadioRun:
         sent: Frames sent to the controller.
         heard: Estimates heard from it.
         strangers: Legal estimates from nodes that are neither the controller nor emulated.
-        id_conflicts: Detector of nodes that share an id.
+        id_conflicts: Estimates of other nodes under ids of emulated robots, by id.
         watch: Called after each tick.
     """
 
@@ -35,7 +35,7 @@ class RadioRun:
         self.link = link
         self.outcome = RunOutcome("all ticks done")
         self.sent = self.heard = self.strangers = 0
-        self.id_conflicts = IdConflictWatch()
+        self.id_conflicts = Counter[int]()
         self.watch: Callable[[], None] = lambda: None
         self._ticks = ticks
         self._said: list[can.Message] = []
@@ -67,7 +67,7 @@ class RadioRun:
             "frames_sent": self.sent,
             "estimates_heard": self.heard,
             "strangers": self.strangers,
-            "id_conflicts": {str(sender): what.value for sender, what in self.id_conflicts.found.items()},
+            "id_conflicts": {str(sender): count for sender, count in self.id_conflicts.items()},
             "bus_failures": self.link.failures,
             "faults": self.neighbours.faults.figures(),
             "mean_x": fmean(x),
@@ -87,16 +87,12 @@ class RadioRun:
 
     def _take(self, frame: can.Message) -> None:
         estimate = decode(frame, self.neighbours.settings.subjects.estimates)
-        if isinstance(estimate, Message):
-            self._hear(estimate, frame)
-
-    def _hear(self, estimate: Message, frame: can.Message) -> None:
-        if estimate.sender in self.neighbours.nodes:
-            self.id_conflicts.found.setdefault(estimate.sender, IdConflict.OWN_ID)
+        if not isinstance(estimate, Message):
             return
-        self.id_conflicts.hear(estimate)
-        if estimate.sender != self.neighbours.settings.controller.id:
+        if estimate.sender == self.neighbours.settings.controller.id:
+            self.heard += 1
+            self._said.append(frame)
+        elif estimate.sender in self.neighbours.nodes:
+            self.id_conflicts[estimate.sender] += 1
+        else:
             self.strangers += 1
-            return
-        self.heard += 1
-        self._said.append(frame)

@@ -151,7 +151,7 @@ def test_neighbours_in_real_time_hear_and_are_heard(
     assert results["steps"] == 100
     assert results["estimates_heard"] > 0
     assert results["strangers"] == 1
-    assert list(results["id_conflicts"]) == ["1"]
+    assert results["id_conflicts"] == {"1": 1}
     lost = results["faults"][0]["injected"]
     assert results["frames_sent"] + lost == 4 * (100 + 1)  # with a heartbeat each
     heard = [m for f in frames if isinstance(m := decode(f, FrameFormat()), Message)]
