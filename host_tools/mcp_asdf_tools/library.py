@@ -86,8 +86,8 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
 
     Kinds for results: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
     ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each value of a parameter ``hue``;
-    ``series`` a ``trial`` over time, which needs ``record``. Raises UsageError if the results do not have
-    what it shows.
+    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``. Raises
+    UsageError if the results do not have what it shows.
     """
     if isinstance(results, SwarmRun):
         from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415

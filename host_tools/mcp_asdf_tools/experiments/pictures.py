@@ -12,7 +12,7 @@ from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PLOTS = ("boxes", "scatter", "curve", "series")
+PLOTS = ("boxes", "scatter", "curve", "bands", "series")
 """The last is of one experiment."""
 
 
@@ -35,6 +35,7 @@ def draw(  # noqa: PLR0913 (each is given by name, and most pictures need none)
         "boxes": lambda: plots.boxes(experiments, limits),
         "scatter": lambda: plots.scatter(experiments, limits),
         "curve": lambda: plots.curve(experiments, x, hue, y, limits),
+        "bands": lambda: plots.bands(experiments, limits),
         "series": lambda: plots.series_beside(experiments, trial),
     }
     if kind not in pictures:

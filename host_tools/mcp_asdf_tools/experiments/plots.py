@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import (
     COLOURS,
+    FLAWED,
     INK,
     MEDIUM,
+    OTHER,
     SMALL,
     WIDTH,
     WITHOUT,
@@ -347,6 +349,44 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 # --- Over time -------------------------------------------------------------------------------------------
+
+_OFF = 0.05
+"""Error above which b_hat is counted as wrong."""
+_BANDS = "lines are medians over robots and trials, bands the middle 90 %"
+
+
+def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Figure:
+    """b_hat of all robots over all trials: the median and the middle 90 % after each filter step, a panel for
+    each experiment; its title says how many of the robots that began with the right accuracy end far off it.
+
+    Raises UsageError if there are too many, or no filter step.
+    """
+    if any(not trials.b_hat.shape[1] for trials in experiments):
+        raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
+    figure, grid = _panels(-(-len(experiments) // 4), min(len(experiments), 4), 1.8, 1)
+    for axes, trials in zip(grid.flat, experiments, strict=False):
+        _draw_bands(axes, trials)
+    for axes in grid.flat[len(experiments) :]:
+        axes.set_axis_off()
+    handles = [_handle(*look, "", "-") for look in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))]
+    labels = ("step", r"assumed accuracy $\hat{b}$")
+    return _finish(figure, labels, _caption(experiments, _BANDS, limits), handles)
+
+
+def _draw_bands(axes: Axes, trials: Trials) -> None:
+    e, periods = trials.experiment, np.arange(1, trials.b_hat.shape[1] + 1)
+    flawed, healthy = np.split(trials.b_hat, [e.flawed], axis=2)
+    for colour, values in ((FLAWED, flawed), (OTHER, healthy)):
+        if values.size:
+            low, middle, high = np.percentile(values, [5, 50, 95], axis=(0, 2))
+            axes.fill_between(e.filter_period * periods, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.plot(e.filter_period * periods, middle, color=colour)
+    axes.axhline(e.true_accuracy, color=INK, linewidth=1, linestyle="--")
+    words = rf"$f$ = {e.fill_ratio:g}, $b$ = {e.true_accuracy:g}, $\hat{{b}}$ = {e.flawed_accuracy:g}"
+    right = e.unflawed_accuracy or e.true_accuracy
+    off = f"{np.mean(abs(healthy[:, -1] - right) > _OFF):.0%} of healthy robots" if healthy.size else "-"
+    axes.set_title(f"{words}, $P$ = {_share(e):.0%}\nmore than {_OFF} off: {off}", fontsize=SMALL - 1.5)
+    clean(axes)
 
 
 def series_beside(runs: Sequence[Trials], number: int) -> Figure:

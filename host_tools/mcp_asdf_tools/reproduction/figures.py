@@ -44,6 +44,7 @@ def pictures(study: Study, scale: Scale) -> Iterator[Picture]:
         yield _boxes(study, part, MINUS, "3a" * is_dynamic)
         yield _boxes(study, part, PLUS, "3b" * is_dynamic)
         yield _scatter(study, part, "4" * is_dynamic)
+        yield _bands(study, part)
     if len(simulated) == 2:
         yield _topologies(study, MINUS, "5a")
         yield _topologies(study, PLUS, "5b")
@@ -83,6 +84,13 @@ def _scatter(study: Study, part: Part, paper: str) -> Picture:
     shown = _of(study, part, NONE, MINUS, PLUS, shortest=True)
     title = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {Cell.period}"
     return Picture(f"{part.value}_scatter", _titled(title, paper), plots.scatter(shown))
+
+
+def _bands(study: Study, part: Part) -> Picture:
+    shown = _of(study, part, PLUS, shortest=True)
+    shown = [each for each in shown if 0 < each.experiment.flawed < each.experiment.robots]
+    title = f"b_hat of all robots of {PART_NAMES[part]} swarms with ASDF+, tau = {Cell.period}"
+    return Picture(f"{part.value}_bands", title, plots.bands(shown))
 
 
 def _topologies(study: Study, own: str, paper: str) -> Picture:

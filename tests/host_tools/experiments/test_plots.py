@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOURS, WITHOUT
+from mcp_asdf_tools.common.figures import COLOURS, FLAWED, OTHER, WITHOUT
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.plots import (
     LETTERS,
     MEASURES,
+    bands,
     boxes,
     curve,
     median_interval,
@@ -176,6 +177,25 @@ def test_intervals_of_medians_are_those_of_the_tables(trials: int, beyond: int) 
     """Ranks from the binomial distribution, as printed in books on nonparametric statistics."""
     values = np.random.default_rng(trials).permutation(trials).astype(float)
     assert median_interval(values) == (np.median(values), beyond - 1, trials - beyond)
+
+
+def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
+    (trials,) = [each for each in results if each.experiment == replace(GRID[4], fill_ratio=0.55)]
+    figure = bands([trials] * 5)
+    assert [axes.axison for axes in figure.axes] == [True] * 5 + [False] * 3
+    flawed, healthy, truth = figure.axes[0].lines
+    assert (flawed.get_color(), healthy.get_color()) == (FLAWED, OTHER)
+    assert np.array_equal(flawed.get_xdata(), [100, 200, 300])
+    assert np.array_equal(flawed.get_ydata(), np.median(trials.b_hat[..., :2], axis=(0, 2)))
+    assert np.array_equal(healthy.get_ydata(), np.median(trials.b_hat[..., 2:], axis=(0, 2)))
+    assert np.all(np.asarray(truth.get_ydata()) == 0.95)
+    heights = np.asarray(figure.axes[0].collections[0].get_paths()[0].vertices)[:, 1]
+    low, high = np.percentile(trials.b_hat[..., :2], [5, 95], axis=(0, 2))
+    assert (heights.min(), heights.max()) == (low.min(), high.max())
+    off = np.mean(abs(trials.b_hat[:, -1, 2:] - 0.95) > 0.05)
+    assert figure.axes[0].get_title().endswith(f"$P$ = 50%\nmore than 0.05 off: {off:.0%} of healthy robots")
+    with pytest.raises(UsageError, match="these trials have no filter step"):
+        bands([results_of(replace(BASE, filter_period=1000))])
 
 
 def test_series_beside_each_other_show_their_records() -> None:

@@ -136,7 +136,7 @@ def test_the_whole_study_makes_a_report(
     papers = " ".join(sorted(re.findall(r"\(the paper's figure (\w+)\)\.", content)))
     assert papers == "3a 3b 4 5a 5b 6 8a 8b"
     sources = re.findall(r'src="([^"]{30})', page)
-    assert len(sources) == len(drawn) == 11
+    assert len(sources) == len(drawn) == 13
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
 
 
