@@ -91,9 +91,6 @@ NOT_RUN = {
     "mcp-asdf reproduce": TAKES_LONG,
     "mcp-asdf reproduce --paper": TAKES_LONG,
     "mcp-asdf reproduce --part fully_connected --seed 7 --output other": TAKES_LONG,
-    "mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --seeds 1 --output authors": (
-        TAKES_LONG
-    ),
     "mcp-asdf reproduce --scheduler tcp://head:8786": NEEDS_CLUSTER,
     "mcp-asdf sweep study.toml": TAKES_LONG,
     "mcp-asdf sweep advice.toml": SWEPT,

@@ -1,16 +1,10 @@
-"""Compare distributions of scores, configuration by configuration: with the paper's reference study, and our
-firmwares with each other.
+"""Compare distributions of the native firmware's scores, configuration by configuration, with references.
 
     python tests/benchmarks/fidelity.py [PART ...] [--trials N]
 
-Parts, all of them by default:
-
-- ``fully_connected``: the native firmware with an independent float64 program of the paper's conventions, 46
-  configurations;
-- ``dynamic``: the reference firmware with the authors' conventions and messages a step late, in our arena,
-  with the authors' own programs in their physics simulation, 11 configurations;
-- ``native``: the native firmware with the reference firmware, both with the paper's conventions, in all 57,
-  with other draws.
+Parts, both by default: ``fully_connected`` with an independent float64 program of the paper's conventions, 46
+configurations; ``dynamic``, messages a step late, with the authors' own programs in their physics simulation,
+11 configurations.
 
 These are two-sample Kolmogorov-Smirnov tests of h_K, h_e and H by configuration; a part fails at 1 % in all,
 by Holm's correction over its tests. Exit code: 0 all agree, 1 not. The references are in
@@ -21,21 +15,18 @@ from __future__ import annotations
 
 import argparse
 import csv
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # products are small, and processes as many as processors
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import Limits, score
 from mcp_asdf_tools.experiments.sweep import default_workers
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -45,10 +36,9 @@ REFERENCE, PHYSICS = FOLDER / "fully_connected.csv", FOLDER / "dynamic.csv"
 LIMITS = Limits(k_max=40_000, e_max=0.45)
 LEVEL = 0.01
 SCORES = ("h_K", "h_e", "H")
-TRIALS = {"fully_connected": 320, "dynamic": 120, "native": 60}
-"""Of each configuration, unless given; those of the reference are slower."""
+TRIALS = {"fully_connected": 320, "dynamic": 120}
+"""Of each configuration, unless given."""
 
-_OTHER_DRAWS = 1000
 _DIGITS = 7
 """To which the reference's numbers are rounded, so that equal ones are equal here."""
 
@@ -86,11 +76,6 @@ def read_cells(path: Path = REFERENCE) -> list[Cell]:
     return cells
 
 
-def by_reference(experiment: Experiment, conventions: Convention = "paper") -> Experiment:
-    """The same by the reference firmware."""
-    return replace(experiment, firmware="reference", conventions=conventions)
-
-
 def simulate(experiment: Experiment, trials: int) -> Floats:
     """Our scores, shape (trials, 3)."""
     measured = run_trials(experiment, 0, trials)
@@ -118,43 +103,29 @@ def compare(cells: Sequence[Cell], trials: int) -> list[list[float]]:
     return [p_values(simulate(cell.experiment, trials), cell.scores) for cell in cells]
 
 
-# --- The command -----------------------------------------------------------------------------------------
-
-
-def pairs_of(part: str, trials: int) -> list[tuple[Experiment, Floats, Floats]]:
-    """The configurations of a part, with both samples of scores."""
-    cells = [*read_cells() * (part != "dynamic"), *read_cells(PHYSICS) * (part != "fully_connected")]
-    ours = [cell.experiment for cell in cells]
-    if part == "dynamic":
-        ours = [by_reference(each, "authors") for each in ours]
-    with ProcessPoolExecutor(default_workers()) as pool:
-        others = [cell.scores for cell in cells]
-        if part == "native":
-            drawn = [by_reference(replace(each, seed=each.seed + _OTHER_DRAWS)) for each in ours]
-            others = list(pool.map(partial(simulate, trials=trials), drawn))
-        return list(zip(ours, pool.map(partial(simulate, trials=trials), ours), others, strict=True))
-
-
-def agrees(part: str, pairs: Sequence[tuple[Experiment, Floats, Floats]]) -> bool:
+def agrees(part: str, trials: int) -> bool:
     """Print a part as a table; whether all its tests pass."""
+    cells = read_cells(REFERENCE if part == "fully_connected" else PHYSICS)
+    with ProcessPoolExecutor(default_workers()) as pool:
+        samples = list(pool.map(partial(simulate, trials=trials), [cell.experiment for cell in cells]))
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
-    values = [p_values(own, other) for _, own, other in pairs]
-    for (e, own, other), ps in zip(pairs, values, strict=True):
+    values = [p_values(own, cell.scores) for own, cell in zip(samples, cells, strict=True)]
+    for cell, own, ps in zip(cells, samples, values, strict=True):
+        e, medians = cell.experiment, [np.median(sample[:, 2]) for sample in (own, cell.scores)]
         place = (e.robots, e.fill_ratio, e.true_accuracy, e.flawed_accuracy, e.flawed, e.filter_period)
-        medians = [np.median(sample[:, 2]) for sample in (own, other)]
         print(*place, e.filter, *(f"{each:8.3g}" for each in (*medians, *ps)))
     least = min(holm([value for ps in values for value in ps]))
-    print(f"smallest p by Holm's correction over {3 * len(pairs)} tests: {least:.3g}")
+    print(f"smallest p by Holm's correction over {3 * len(cells)} tests: {least:.3g}")
     return least >= LEVEL
 
 
 def main() -> int:
     """Compare and print; returns the exit code."""
-    parser = argparse.ArgumentParser(description="Compare scores with references and with each other.")
-    parser.add_argument("parts", metavar="PART", nargs="*", choices=[*TRIALS, []], help="default: all")
+    parser = argparse.ArgumentParser(description="Compare scores with references.")
+    parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(TRIALS)} (default: all)")
     parser.add_argument("--trials", type=int, help=f"of each configuration (default by part: {TRIALS})")
     args = parser.parse_args()
-    found = [agrees(part, pairs_of(part, args.trials or TRIALS[part])) for part in args.parts or TRIALS]
+    found = [agrees(part, args.trials or TRIALS[part]) for part in args.parts or TRIALS]
     return int(not all(found))
 
 

@@ -7,7 +7,6 @@ import json
 import sys
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import get_args
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
@@ -15,11 +14,9 @@ from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.experiment import Convention
 from mcp_asdf_tools.experiments.sweep import Store, run_missing
 from mcp_asdf_tools.reproduction.runs import StudyFolder
 from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
-from mcp_asdf_tools.robots.firmwares import FIRMWARES
 
 EPILOG = """\
 examples:
@@ -27,7 +24,6 @@ examples:
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --firmware reference --conventions authors --trials 30 --output authors
 The same command resumes a run that was interrupted, and makes the report of a finished one again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
@@ -49,8 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {full.steps})")
     add("--seed", type=int, metavar="N", help=f"the first one (default {full.seed})")
     add("--seeds", type=int, metavar="N", help="how many (default: 2 where robots move, else 3)")
-    add("--firmware", choices=FIRMWARES, help=f"of the robots (default {full.firmware})")
-    add("--conventions", choices=get_args(Convention), help=f"of the reference (default {full.conventions})")
     options.add_workers(parser)
     add_scheduler(parser)
 

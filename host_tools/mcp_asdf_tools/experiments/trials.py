@@ -1,8 +1,8 @@
 """Run trials of an experiment on any firmware and measure them.
 
-Native trials run in the C engine and those of the reference in arrays, where these can; all others run in
-Python, robot by robot and message by message. All see the same draws. The series of informed estimates of a
-trial is dropped once K and e are known.
+Native trials run in the C engine where it can; all others run in Python, robot by robot and message by
+message. All see the same draws. The series of informed estimates of a trial is dropped once K and e are
+known.
 """
 
 from __future__ import annotations
@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
-from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.reference import AUTHORS, PAPER, ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.experiments import reference_arrays
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
@@ -42,8 +41,6 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
             return _run_native(experiment, first, trials, sampling_interval)
         # A trial of robots that move has a series of x for each: one at a time bounds the memory.
         return _joined([_run_native(experiment, number, 1, sampling_interval) for number in numbers])
-    if experiment.firmware == "reference" and sampling_interval == 0 and reference_arrays.can_run(experiment):
-        return _joined([_run_arrays(experiment, number) for number in numbers])
     return _joined([_run_by_message(experiment, number, sampling_interval) for number in numbers])
 
 
@@ -116,17 +113,6 @@ def _records_of(experiment: Experiment, raw: NDArray[Any]) -> dict[str, Floats]:
 def _confidences(words: NDArray[np.uint32]) -> Floats:
     """The values of alpha words, exactly."""
     return np.ldexp((words >> 8) / UNITS_PER_ALPHA, (words & SHIFT_MAX).astype(np.int32))
-
-
-# --- In arrays -------------------------------------------------------------------------------------------
-
-
-def _run_arrays(experiment: Experiment, trial: int) -> Trials:
-    x, b_hat, tests, updates = reference_arrays.run(experiment, trial)
-    measured = _measured(experiment, x[np.newaxis], 1.0)
-    return Trials(
-        experiment, [trial], *measured, b_hat[np.newaxis], tests[np.newaxis], updates[np.newaxis], {}
-    )
 
 
 # --- Message by message ----------------------------------------------------------------------------------
@@ -224,7 +210,7 @@ class MessageSwarm:
 def _make_robots(experiment: Experiment) -> list[Robot]:
     make: RobotMaker = load_firmware(experiment.firmware)
     if experiment.firmware == "reference":
-        conventions = reference_arrays.conventions_of(experiment)
+        conventions = AUTHORS if experiment.conventions == "authors" else PAPER
         make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
         make(experiment.config(robot).in_rounds(), robot, experiment.b_hat(robot))

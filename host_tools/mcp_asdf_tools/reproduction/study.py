@@ -14,7 +14,7 @@ from enum import Enum
 from functools import cache
 from typing import Any, NamedTuple
 
-from mcp_asdf_tools.experiments.experiment import Convention, Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Scores
@@ -128,23 +128,19 @@ ENOUGH = {
 
 @dataclass(frozen=True)
 class Scale:
-    """How much is run of each experiment, and on what.
+    """How much is run of each experiment.
 
     Attributes:
         trials: How many; None for as many as decide.
         steps: Most steps of a trial.
         seed: The first one.
         seeds: How many; None for as many as ``ENOUGH`` has.
-        firmware: Name of the robots' firmware.
-        conventions: Conventions of the reference firmware.
     """
 
     trials: int | None = None
     steps: int = 40_000
     seed: int = 1
     seeds: int | None = None
-    firmware: str = "native"
-    conventions: Convention = "paper"
 
     def effort(self, part: Part) -> Effort:
         """How much is run of a part."""
@@ -176,8 +172,6 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
         "trials": scale.effort(cell.part).trials,
         "steps": min(common.steps, scale.steps),
         "seed": scale.seed,
-        "firmware": scale.firmware,
-        "conventions": scale.conventions,
     }
     return Experiment.from_parameters({**common.parameters(), **varied})
 

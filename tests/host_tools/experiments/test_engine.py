@@ -228,11 +228,23 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
     check_that_the_engine_is_the_mirror(experiment)
 
 
-@BOTH
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        SHORT,
+        LATE,
+        replace(SHORT, true_accuracy=0.55, flawed_accuracy=0.95, steps=2000),
+        replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
+        replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always"),
+        replace(LATE, flawed_accuracy=0.75, observation_period=3, steps=1000),
+    ],
+)
 def test_float64_follows_the_firmware(experiment: Experiment) -> None:
+    """In every step, on the same draws."""
     own = run_trials(experiment, 0, 1, sampling_interval=1)
     other = run_trials(replace(experiment, firmware="reference"), 0, 1, sampling_interval=1)
     assert np.array_equal(own.updates, other.updates)
+    assert np.array_equal(own.tests, other.tests)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
         assert np.abs(own.records[name] - other.records[name]).max() < 1e-5, name
 

@@ -112,6 +112,7 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
     reds, blues = zip(*(np.array(to_rgb(line.get_color()))[[0, 2]] for line in lines), strict=True)
     assert reds[0] > blues[0] and reds[1] > blues[1] and reds[2] < blues[2]
     assert sum(to_rgb(far.get_color())) < sum(to_rgb(near.get_color()))
+    assert axes.get_xlim() == axes.get_ylim() == (-4, 104)
     assert far.get_marker() == near.get_marker() != blue.get_marker()
     assert found["no filter\n$f = 0.55$, $P$ = 0%"].lines[0].get_color() == "#222222"
     assert r"$b$ = 0.55, $\hat{b}$ = 0.95" in legend_of(figure)

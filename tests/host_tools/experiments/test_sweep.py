@@ -76,6 +76,11 @@ def test_identity_is_all_that_a_trial_depends_on() -> None:
     assert len({identity(base, 0), identity(base, 10), *(identity(each, 0) for each in changed)}) == 5
 
 
+def test_a_job_of_another_version_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"a worker has mcp-asdf .*, this is 9\.9\.9; install the same"):
+        Job(GRID[0], 0, 1, version="9.9.9").run()
+
+
 # --- Nothing lost, nothing twice ---------------------------------------------------------------------------
 
 
