@@ -64,7 +64,7 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
         "--clock",
         choices=get_args(ClockKind),
         default=_DEFAULTS.clock,
-        help="a tick is over when all is done, or when its time has come (default %(default)s)",
+        help="a tick ends when all frames have arrived, or with its time slot (default %(default)s)",
     )
 
 
@@ -91,9 +91,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     output.add_argument("--plot", metavar="FILE", type=Path, help="draw the run: .png, .svg or .pdf")
     add_log_option(output, "FILE.events gets what each robot saw and heard")
     output.add_argument(
-        "--compare",
-        action="store_true",
-        help="also run the same swarm without the filter, and compare",
+        "--compare", action="store_true", help="also run the same swarm without the filter, and compare"
     )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
     view.add_server_options(output)
@@ -117,7 +115,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfa
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
     def open_bus(robot: int) -> can.BusABC:
-        return _open_device(*devices[robot]) if robot in devices else choice.of_robot(robot).open()
+        return devices.get(robot, choice.of_robot(robot)).open()
 
     remote = range(settings.robots) if args.processes else devices
     needs_bus = remote or args.slcan is not None or choice.has_channels or not choice.is_private
@@ -127,7 +125,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfa
     return wiring
 
 
-def _device(text: str) -> tuple[int, tuple[str, str]]:
+def _device(text: str) -> tuple[int, interfaces.BusChoice]:
     """The robot and the bus of ``3=slcan:socket://127.0.0.1:20001``."""
     robot, _, place = text.partition("=")
     interface, _, channel = place.partition(":")
@@ -135,16 +133,7 @@ def _device(text: str) -> tuple[int, tuple[str, str]]:
         raise UsageError(
             f"device is {text!r}; write ID=INTERFACE:CHANNEL, such as 3=slcan:socket://127.0.0.1:20001"
         )
-    return int(robot), (interface, channel)
-
-
-def _open_device(interface: str, channel: str) -> can.BusABC:
-    # python-can gives slcan adapters two seconds to start; what answers on a socket has started.
-    extra: dict[str, Any] = {"sleep_after_open": 0} if interface == "slcan" else {}
-    try:
-        bus = can.Bus(interface=interface, channel=channel, ignore_config=True, **extra)
-    except (can.CanError, OSError, ValueError) as error:
-        raise UsageError(
-            f"cannot open the device at {interface}:{channel}: {error}; is it there, and not in use?"
-        ) from error
-    return interfaces.wrapped(interface, bus, channel)
+    settings: dict[str, Any] = {"channel": channel, "ignore_config": True}
+    if interface == "slcan":  # python-can gives adapters two seconds to start; what answers has started
+        settings["sleep_after_open"] = 0
+    return int(robot), interfaces.BusChoice(interface, settings)

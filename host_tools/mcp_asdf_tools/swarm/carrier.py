@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, decode_any
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.swarm.delivery import Arrivals, Content, Delivery, SentFrame, content_of
+from mcp_asdf_tools.swarm.delivery import Content, Delivery, Paths, SentFrame, content_of
 
 TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""
@@ -267,9 +267,10 @@ class Carrier:
             end.drain(_BATCH)
         return [each.frame for each in heard]
 
-    def _hand_over(self, arrivals: Arrivals) -> None:
+    def _hand_over(self, arrivals: Paths) -> None:
         """Let each robot receive all of its estimates at once, decoded once for all, and count the rest."""
-        words, is_estimate = decode_estimates(arrivals.sent, self._frames, arrivals.flips)
+        sent = [each.frame for each in arrivals.sent]
+        words, is_estimate = decode_estimates(sent, self._frames, arrivals.flips)
         reach = arrivals.reach[is_estimate]
         heard = words[is_estimate][reach.T.nonzero()[1]]
         ends = np.count_nonzero(reach, axis=0).cumsum().tolist()
@@ -278,7 +279,7 @@ class Carrier:
         if not is_estimate.all():
             self._count(arrivals, np.flatnonzero(~is_estimate))
 
-    def _count(self, arrivals: Arrivals, others: NDArray[np.intp]) -> None:
+    def _count(self, arrivals: Paths, others: NDArray[np.intp]) -> None:
         """Let each robot count the ``others`` among its frames, those that are no estimates."""
         contents = [decode_any(arrivals.frame(number), self._frames) for number in others.tolist()]
         for robot, is_heard in zip(self._robots, arrivals.reach[others].T, strict=True):

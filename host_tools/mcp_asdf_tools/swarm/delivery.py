@@ -49,50 +49,26 @@ def content_of(frame: can.Message) -> Content:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths of one kind that frames of one tick take to receivers.
+    """Frames of one tick on paths of one kind to robots, in an order that is right for each of them.
 
     Attributes:
-        reach: Whether a frame reaches a receiver on such a path.
-        delay: Ticks that it takes.
+        sent: The frames; one that arrives damaged is here once for each receiver.
+        reach: True for the robots that hear a frame, shape (frames, robots).
+        flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,).
+        delay: Ticks that they take.
         version: Number that tells copies for one receiver apart.
-        flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,
-            receivers); None if none do.
     """
 
+    sent: Sequence[SentFrame]
     reach: Mask
+    flips: NDArray[np.uint64]
     delay: int = 0
     version: int = 0
-    flips: NDArray[np.uint64] | None = None
-
-    def arrivals(self, sent: Sequence[SentFrame]) -> Arrivals:
-        """The arrivals of ``sent`` on these paths, in the order of sending."""
-        frames = [each.frame for each in sent]
-        if self.flips is None:
-            return Arrivals(frames, np.zeros(len(frames), np.uint64), self.reach)
-        numbers, receivers = self.reach.nonzero()
-        own = np.zeros((len(numbers), self.reach.shape[1]), np.bool_)
-        own[np.arange(len(numbers)), receivers] = True
-        return Arrivals([frames[number] for number in numbers.tolist()], self.flips[self.reach], own)
-
-
-@dataclass(frozen=True)
-class Arrivals:
-    """Frames that robots hear in one tick, in an order that is right for each of them.
-
-    Attributes:
-        sent: The frames as they were sent; one that arrives differently is here once for each receiver.
-        flips: Bits of the data that arrive flipped, as in ``Paths``, shape (frames,).
-        reach: True for the robots that hear a frame, shape (frames, robots).
-    """
-
-    sent: Sequence[can.Message]
-    flips: NDArray[np.uint64]
-    reach: Mask
 
     def frame(self, number: int) -> can.Message:
         """A frame as it arrives."""
-        flips = int(self.flips[number])
-        return flipped(self.sent[number], flips) if flips else self.sent[number]
+        frame, flips = self.sent[number].frame, int(self.flips[number])
+        return flipped(frame, flips) if flips else frame
 
     def of(self, robot: int) -> list[can.Message]:
         """The frames that ``robot`` hears, in order."""
@@ -101,9 +77,8 @@ class Arrivals:
 
 def flipped(frame: can.Message, flips: int) -> can.Message:
     """The frame with these bits of its data flipped, the lowest that of the first byte."""
-    damaged, length = copy.copy(frame), len(frame.data)
-    data = int.from_bytes(frame.data, "little") ^ flips
-    damaged.data = bytearray(data.to_bytes(length, "little"))
+    damaged, data = copy.copy(frame), int.from_bytes(frame.data, "little") ^ flips
+    damaged.data = bytearray(data.to_bytes(len(frame.data), "little"))
     return damaged
 
 
@@ -137,9 +112,9 @@ class Delivery:
         self._faults = faults
         self._is_late = latency > 0
         self._held: Sequence[SentFrame] = ()
-        self._due: defaultdict[int, list[Arrivals]] = defaultdict(list)
+        self._due: defaultdict[int, list[Paths]] = defaultdict(list)
 
-    def arrivals(self, tick: int, sent: Sequence[SentFrame]) -> Arrivals:
+    def arrivals(self, tick: int, sent: Sequence[SentFrame]) -> Paths:
         """The frames that robots hear in this tick, of those ``sent`` in it and late ones.
 
         Call once per tick, and pass no frame twice. O(faults frames robots).
@@ -148,16 +123,17 @@ class Delivery:
             sent, self._held = self._held, sent
         in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
         for paths in self._faults.paths(tick, sent, in_range):
-            self._due[tick + paths.delay].append(paths.arrivals(sent))
+            self._due[tick + paths.delay].append(paths)
         due = _joined(self._due.pop(tick, []), in_range.shape[1])
         self.in_range += int(np.count_nonzero(in_range))
         self.arrived += int(np.count_nonzero(due.reach))
         return due
 
 
-def _joined(due: Sequence[Arrivals], robots: int) -> Arrivals:
-    """All of these arrivals, in this order."""
-    sent = [frame for each in due for frame in each.sent]
-    flips = np.concatenate([np.zeros(0, np.uint64), *(each.flips for each in due)])
-    reach = np.concatenate([np.zeros((0, robots), np.bool_), *(each.reach for each in due)])
-    return Arrivals(sent, flips, reach)
+def _joined(due: Sequence[Paths], robots: int) -> Paths:
+    """All of these, in this order."""
+    return Paths(
+        [each for paths in due for each in paths.sent],
+        np.concatenate([np.zeros((0, robots), np.bool_), *(paths.reach for paths in due)]),
+        np.concatenate([np.zeros(0, np.uint64), *(paths.flips for paths in due)]),
+    )

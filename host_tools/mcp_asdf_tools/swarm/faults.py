@@ -216,9 +216,9 @@ class Faults:
         if self._spells:
             hearing = np.flatnonzero(in_range.any(axis=0)).tolist()
             reach[:, [receiver for receiver in hearing if self.is_off(receiver, tick)]] = False
-        paths = [Paths(reach)]
-        for each in self._link_faults:
-            paths = each.act(sent, paths)
+        paths = [Paths(sent, reach, np.zeros(len(sent), np.uint64))]
+        for fault in self._link_faults:
+            paths = [after for each in paths for after in fault.act(each) if after.reach.any()]
         return paths
 
     def figures(self) -> list[dict[str, Any]]:

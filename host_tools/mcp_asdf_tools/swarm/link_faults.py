@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
@@ -97,15 +96,11 @@ class Injector:
 class LinkFault(Injector):
     """Loss, delay, duplicate and corrupt: they act on a frame on its path to each receiver."""
 
-    def act(self, sent: Sequence[SentFrame], paths: Sequence[Paths]) -> list[Paths]:
-        """Paths of the frames ``sent`` that replace those left by earlier faults. O(frames receivers)."""
-        after = [path for each in paths for path in self._act(sent, each)]
-        return [each for each in after if each.reach.any()]
-
-    def _act(self, sent: Sequence[SentFrame], paths: Paths) -> list[Paths]:
-        fault = self.fault
-        is_on = np.array([fault.is_on(each.tick, each.sender) for each in sent], np.bool_)
-        words = self._drawn(sent, is_on, paths)
+    def act(self, paths: Paths) -> list[Paths]:
+        """Paths that replace some that earlier faults have left. O(frames robots)."""
+        fault, version = self.fault, paths.version
+        is_on = np.array([fault.is_on(each.tick, each.sender) for each in paths.sent], np.bool_)
+        words = self._drawn(paths, is_on)
         struck = paths.reach & is_on[:, np.newaxis] & each_below(words[:, :, 0], fault.rate)
         if fault.receivers is not None:
             struck &= np.isin(np.arange(struck.shape[1]), list(fault.receivers))
@@ -118,24 +113,27 @@ class LinkFault(Injector):
             return [spared, later]
         if fault.kind is FaultKind.DUPLICATE:
             # A copy's version has one more bit: that of this fault among those of its kind.
-            return [spared, hit, replace(later, version=paths.version | 1 << self._draws.number)]
-        return [spared, replace(hit, flips=_flips(sent, hit, words[:, :, 1:]))]
+            return [spared, hit, replace(later, version=version | 1 << self._draws.number)]
+        return [spared, _damaged(hit, words[:, :, 1:])]
 
-    def _drawn(self, sent: Sequence[SentFrame], is_on: NDArray[np.bool_], paths: Paths) -> Drawn:
-        """Words for each frame that ``is_on`` and receiver, else 0: whether it is struck, and which bits."""
+    def _drawn(self, paths: Paths, is_on: NDArray[np.bool_]) -> Drawn:
+        """Words for each frame that ``is_on`` and robot, else 0: whether it is struck, and which bits."""
         bits = self.fault.bits if self.fault.kind is FaultKind.CORRUPT else 0
         words = np.zeros((*paths.reach.shape, 1 + bits), np.uint64)
-        for number in is_on.nonzero()[0].tolist():
-            words[number] = self._draws.of_copies(sent[number], paths.version, *words.shape[1:])
+        for number in np.flatnonzero(is_on).tolist():
+            words[number] = self._draws.of_copies(paths.sent[number], paths.version, *words.shape[1:])
         return words
 
 
-def _flips(sent: Sequence[SentFrame], paths: Paths, words: Drawn) -> Drawn:
-    """The bits flipped on ``paths``, if each word flips another bit of a frame's data."""
+def _damaged(paths: Paths, words: Drawn) -> Paths:
+    """A frame for each receiver, of which each word flips another bit of the data."""
+    numbers, receivers = paths.reach.nonzero()
+    reach = np.zeros((len(numbers), paths.reach.shape[1]), np.bool_)
+    reach[np.arange(len(numbers)), receivers] = True
+    sent = [paths.sent[number] for number in numbers.tolist()]
     widths = np.array([8 * min(len(each.frame.data), FRAME_BYTES) for each in sent], np.int64)
-    flips = np.zeros(paths.reach.shape, np.uint64) if paths.flips is None else paths.flips.copy()
-    flips[paths.reach] ^= choices(widths[paths.reach.nonzero()[0]], words[paths.reach])
-    return flips
+    flips = paths.flips[numbers] ^ choices(widths, words[numbers, receivers])
+    return replace(paths, sent=sent, reach=reach, flips=flips)
 
 
 def choices(widths: NDArray[np.int64], words: Drawn) -> NDArray[np.uint64]:

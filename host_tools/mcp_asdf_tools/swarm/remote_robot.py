@@ -11,7 +11,6 @@ from typing import cast
 
 import can
 
-from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Counters, Observation, Robot
 from mcp_asdf_tools.bus.frames import (
     MAX_NODE_ID,
@@ -75,36 +74,22 @@ class RemoteFirmware:
     Attributes:
         id: Robot id.
         t: Observations commanded.
-        n: Black ones among them.
         b_hat: Assumed accuracy.
         x: Informed estimate.
-        x_hat_raw: Local estimate of the last broadcast.
-        alpha_raw: Local confidence of the last broadcast.
+        x_hat: Local estimate of the last broadcast.
         counters: Only that of updates is known.
     """
 
     def __init__(self, record: RobotRecord) -> None:
         self.id = record.id
-        self.t = self.n = 0
+        self.t = 0
         self.b_hat = record.b_hat
-        self.x = 0.5
-        self.x_hat_raw, self.alpha_raw = ONE // 2, 0
+        self.x = self.x_hat = 0.5
         self.counters = Counters()
-
-    @property
-    def x_hat(self) -> float:
-        """Local estimate."""
-        return self.x_hat_raw / ONE
-
-    @property
-    def alpha(self) -> float:
-        """Local confidence."""
-        return word_to_alpha(self.alpha_raw)
 
     def observe(self, z: Observation) -> None:
         """The robot was commanded to observe."""
         self.t += 1
-        self.n += z is Observation.BLACK
 
     def receive_all(self, words: Words) -> int:
         """The robot hears these by itself."""
@@ -115,7 +100,7 @@ class RemoteFirmware:
 
     def take_estimate(self, message: Message) -> None:
         """Note the robot's broadcast."""
-        self.x_hat_raw, self.alpha_raw = message.x_hat, message.alpha
+        self.x_hat = message.x_hat / ONE
 
     def take_telemetry(self, telemetry: Telemetry) -> None:
         """Note the robot's answer to a *settle*."""

@@ -150,11 +150,12 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
 
 
 def test_the_summary_names_what_went_wrong() -> None:
-    run, _ = record(small("corrupt=0.5,bits=5,receivers=3", "collide,robots=4,id=2"))
+    run, _ = record(small("corrupt=0.5,bits=5,receivers=3", "collide,robots=4,id=2", flawed=0))
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     told = dict(summary(run, "virtual", 1.0))
     assert all(f"{count} {reason}" in told["robot 3"] for reason, count in rows[3]["rejected"].items())
+    assert told["b_hat, flawed"] == "no such robots"
     assert told["fault"] == "collide=1.0,robots=4,id=2: 66 injected"
     assert told["node-id conflict"].startswith("another node sent 60 messages as robot 2")
     assert told["arrived"] == f"{SENT * 20} of {SENT * 20} frames, 100.0%; {SENT * 5} on the bus"
