@@ -357,7 +357,7 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
     settings, nodes = swarm.settings, swarm.nodes
     x, x_hat = ([getattr(node.robot, name) for node in nodes] for name in ("x", "x_hat"))
     has_remote = any(isinstance(node.robot, RemoteFirmware) for node in nodes)
-    tick = 1 / settings.steps_per_second
+    traffic, tick = swarm.traffic, 1 / settings.steps_per_second
     return {
         "steps": swarm.ticks,
         "mean_x": fmean(x),
@@ -370,9 +370,15 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
             "flawed": _before_and_after(swarm, range(settings.flawed)),
             "other": _before_and_after(swarm, range(settings.flawed, settings.robots)),
         },
-        "frames": swarm.traffic.figures(),
+        "frames": traffic.figures(),
         "faults": swarm.faults.figures(),
-        "bus_load": loads(swarm.traffic, swarm.ticks * tick, tick),
+        "bus_load": {
+            str(rate): {
+                "mean": bus_load(traffic.bits, swarm.ticks * tick, rate) if swarm.ticks else 0.0,
+                "peak": bus_load(traffic.peak_bits, tick, rate),
+            }
+            for rate in BIT_RATES
+        },
         "clock": None if swarm.clock is None else swarm.clock.figures(),
         "robots": [_robot_figures(node) for node in nodes],
     }
@@ -394,20 +400,6 @@ def _before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, Any] | N
         "after": fmean(after),
         "after_min": min(after),
         "after_max": max(after),
-    }
-
-
-def loads(traffic: Traffic, seconds: float, tick: float) -> dict[str, dict[str, float]]:
-    """Load of a run's traffic on one real bus, by bit rate.
-
-    ``mean`` over the ``seconds`` of the run, and ``peak`` in the busiest tick, of ``tick`` seconds.
-    """
-    return {
-        str(rate): {
-            "mean": bus_load(traffic.bits, seconds, rate) if seconds else 0.0,
-            "peak": bus_load(traffic.peak_bits, tick, rate),
-        }
-        for rate in BIT_RATES
     }
 
 
