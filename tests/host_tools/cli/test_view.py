@@ -88,6 +88,7 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
         ("", "give a recording, or with --interface the bus"),
         ("--export x.html --interface udp_multicast", "--export is for recordings"),
         ("none.log", "there is no log"),
+        ("none.log --export no/such/out.html", "its folder does not exist"),
         ("none.parquet", "cannot read"),
         (f"grid.parquet {HTML}", "match; choose one with --where filter=asdf-plus|none"),
         (f"grid.parquet --where filter=both {HTML}", "no experiment of"),

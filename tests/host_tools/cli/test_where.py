@@ -63,11 +63,3 @@ def test_what_is_not_there_is_named(
     assert REFUSED[options] in err
     assert (out, err.count("\n")) == ("", 1)
     assert not (tmp_path / "no.svg").exists()
-
-
-@pytest.mark.parametrize("interval", ["-1", "41"])
-def test_an_interval_that_no_trial_has_is_refused(
-    interval: str, grid: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["sweep", str(grid.with_suffix(".toml")), "--record", interval]) == 2
-    assert f"--record is {interval}; choose 1 to 40 steps, or 0 for none" in capsys.readouterr().err
