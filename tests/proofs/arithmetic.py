@@ -46,24 +46,21 @@ def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
     return z3.Concat(found["high"], found["low"]) == _wide(value) << _wide(count & 31)
 
 
+def _shift(shifted: Callable[[Any, Any], Any]) -> Contract:
+    """A shift by a count of 0 to 31, and what it gives."""
+    return Contract(
+        lambda found, value, count: found == shifted(value, count), requires=_counts, safe=_counts
+    )
+
+
 SHIFTS = {
-    "shift_left_by": Contract(
-        lambda found, value, count: found == value << _wide(count, 32), requires=_counts, safe=_counts
-    ),
-    "shift_right_by": Contract(
-        lambda found, value, count: found == z3.LShR(value, _wide(count, 32)), requires=_counts, safe=_counts
-    ),
-    "shift_left": Contract(
-        lambda found, value, count: found == value << count, requires=_counts, safe=_counts
-    ),
-    "shift_right": Contract(
-        lambda found, value, count: found == z3.LShR(value, count), requires=_counts, safe=_counts
-    ),
+    "shift_left_by": _shift(lambda value, count: value << _wide(count, 32)),
+    "shift_right_by": _shift(lambda value, count: z3.LShR(value, _wide(count, 32))),
+    "shift_left": _shift(lambda value, count: value << count),
+    "shift_right": _shift(z3.LShR),
     "shift_right_64": Contract(lambda found, value, count: found == z3.LShR(value, _wide(count & 63))),
     "shift_left_wide": Contract(_is_shifted_wide),
-    "upper": Contract(
-        lambda found, value, count: found == _word(63, value << _wide(count)), requires=_counts, safe=_counts
-    ),
+    "upper": _shift(lambda value, count: _word(63, value << _wide(count))),
 }
 
 
@@ -95,18 +92,15 @@ def _halves_fit(*arguments: Any) -> Any:
     return z3.And([z3.ULE(each, (2**16 - 1) ** 2) for each in _products_of_halves(a, b)])
 
 
-PRODUCTS = {
-    "multiply": Contract(lambda found, a, b: found == _wide(a) * _wide(b)),
-    "multiply_high": Contract(lambda found, a, b: found == _word(63, _wide(a) * _wide(b))),
-}
-SPLIT_PRODUCTS = {
-    "multiply": Contract(
-        lambda found, a, b: found == _sum_of_halves(a, b), steps=(_halves_fit,), is_opaque=True
-    ),
-    "multiply_high": Contract(
-        lambda found, a, b: found == _word(63, _sum_of_halves(a, b)), steps=(_halves_fit,), is_opaque=True
-    ),
-}
+def _products(product: Callable[[Any, Any], Any], **how: Any) -> dict[str, Contract]:
+    return {
+        "multiply": Contract(lambda found, a, b: found == product(a, b), **how),
+        "multiply_high": Contract(lambda found, a, b: found == _word(63, product(a, b)), **how),
+    }
+
+
+PRODUCTS = _products(lambda a, b: _wide(a) * _wide(b))
+SPLIT_PRODUCTS = _products(_sum_of_halves, steps=(_halves_fit,), is_opaque=True)
 
 # --- Quotients: in whole numbers ------------------------------------------------------------------------
 
@@ -180,21 +174,19 @@ def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
 
 def _estimate(divide: int) -> Contract:
     """A quotient of upper bits, and that its product is no longer than a word."""
-    if divide == HARDWARE:
-        return Contract(
-            lambda digit, rest, prepared, bits: _is_floor(digit, rest / 2 ** (15 - known(bits)), prepared),
-            Integers,
-            requires=lambda rest, prepared, bits: prepared > 0,
-            safe=lambda rest, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
-            cases=("bits", (7, 12)),
-        )
+
+    def by_hardware(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
+        return _is_floor(digit, rest / 2 ** (15 - known(bits)), prepared)
+
+    def by_reciprocal(digit: Any, rest: Any, prepared: Any, bits: Any) -> Any:
+        return _is_floor(digit, rest / 2**15 * prepared, 2 ** (31 - known(bits)))
+
+    divides = divide == HARDWARE
     return Contract(
-        lambda digit, rest, prepared, bits: _is_floor(
-            digit, rest / 2**15 * prepared, 2 ** (31 - known(bits))
-        ),
+        by_hardware if divides else by_reciprocal,
         Integers,
-        requires=lambda rest, prepared, bits: rest / 2**15 * prepared < 2**32,
-        safe=lambda rest, prepared, bits: z3.ULE(bits, 12),
+        requires=lambda rest, prepared, _: prepared > 0 if divides else rest / 2**15 * prepared < 2**32,
+        safe=lambda _, prepared, bits: z3.And(z3.ULE(bits, 12), *([prepared != 0] if divides else [])),
         cases=("bits", (7, 12)),
     )
 
@@ -235,13 +227,20 @@ def _by_digits(divide: int) -> dict[str, Contract]:
         "prepare": prepare,
         "estimate_digit": _estimate(divide),
         "take_digit": digit,
-        "divide_24": Contract(_quotient_of(24), Integers, _divisible(2**29), uses=uses),
-        "divide_31": Contract(_quotient_of(31), Integers, _divisible(2**30), uses=uses),
+        **_quotients(uses),
     }
 
 
-def _quotient_of(bits: int) -> Callable[..., Any]:
-    return lambda found, a, d: _is_floor(found, 2**bits * a, d)
+def _quotients(uses: dict[str, Summary]) -> dict[str, Contract]:
+    """The callers of digits or bits."""
+
+    def quotient_of(bits: int) -> Callable[..., Any]:
+        return lambda found, a, d: _is_floor(found, 2**bits * a, d)
+
+    return {
+        "divide_24": Contract(quotient_of(24), Integers, _divisible(2**29), uses=uses),
+        "divide_31": Contract(quotient_of(31), Integers, _divisible(2**30), uses=uses),
+    }
 
 
 def _by_bits() -> dict[str, Contract]:
@@ -254,11 +253,7 @@ def _by_bits() -> dict[str, Contract]:
         invariant=Remainder,
     )
     uses = {"divide_by_bits": one_by_one.stands_in("divide_by_bits")}
-    return {
-        "divide_by_bits": one_by_one,
-        "divide_24": Contract(_quotient_of(24), Integers, _divisible(2**29), uses=uses),
-        "divide_31": Contract(_quotient_of(31), Integers, _divisible(2**30), uses=uses),
-    }
+    return {"divide_by_bits": one_by_one, **_quotients(uses)}
 
 
 def normalised(value: Any) -> tuple[Any, Any]:

@@ -14,7 +14,7 @@ from typing import Any
 import z3
 from pycparser import c_ast
 
-from proofs.numbers import Arithmetic, Number, Type, known
+from proofs.numbers import Integers, Number, Type, Words, known
 from proofs.source import Program, nodes, stated_shift, stated_turns
 
 _COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
@@ -75,7 +75,7 @@ class Machine:
     def __init__(
         self,
         program: Program,
-        arithmetic: Callable[..., Arithmetic],
+        arithmetic: type[Words | Integers],
         summaries: Mapping[str, Summary] | None = None,
     ) -> None:
         self.program = program

@@ -7,9 +7,10 @@ state what C leaves undefined as a claim, to be proved where the operator stands
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import z3
 
@@ -41,26 +42,8 @@ class Number:
     type: Type
 
 
-class Arithmetic(Protocol):
-    """One of the two ways to see an integer."""
-
-    def __init__(self, claim: Claim) -> None: ...
-
-    def constant(self, value: int, type_: Type) -> Number: ...
-
-    def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
-        """A number of which nothing is known but this formula."""
-
-    def convert(self, number: Number, type_: Type) -> Number: ...
-
-    def binary(self, operator: str, left: Number, right: Number) -> Number:
-        """An operator on two numbers of one type; for shifts, the types may differ."""
-
-    def compare(self, operator: str, left: Number, right: Number) -> Any: ...
-
-
 class Words:
-    """Integers as words of bits."""
+    """Integers as words of bits. Of two numbers, an operator takes those of one type; a shift may differ."""
 
     def __init__(self, claim: Claim) -> None:
         self.claim = claim
@@ -69,6 +52,7 @@ class Words:
         return Number(z3.BitVecVal(value, type_.bits), type_)
 
     def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
+        """A number of which nothing is known but this formula."""
         return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
 
     def convert(self, number: Number, type_: Type) -> Number:
@@ -80,24 +64,24 @@ class Words:
             return Number(extend(more, number.term), type_)
         return Number(z3.Extract(type_.bits - 1, 0, number.term) if more else number.term, type_)
 
-    def binary(self, operator: str, left: Number, right: Number) -> Number:
-        if operator in ("<<", ">>"):
+    def binary(self, name: str, left: Number, right: Number) -> Number:
+        if name in ("<<", ">>"):
             right = self._count(left, right)
-        elif operator in ("/", "%"):
+        elif name in ("/", "%"):
             self.claim(right.term != 0, "division by 0")
             if left.type.signed:
                 self.claim(z3.And(left.term >= 0, right.term > 0), "division of a negative number")
-        elif left.type.signed and operator in _NO_OVERFLOW:
-            for fits in _NO_OVERFLOW[operator]:
-                self.claim(fits(left.term, right.term), f"overflow of {operator}")
-        return Number(_ON_WORDS[operator, left.type.signed](left.term, right.term), left.type)
+        elif left.type.signed and name in _NO_OVERFLOW:
+            for fits in _NO_OVERFLOW[name]:
+                self.claim(fits(left.term, right.term), f"overflow of {name}")
+        return Number(_ON_WORDS[left.type.signed][name](left.term, right.term), left.type)
 
     def _count(self, left: Number, right: Number) -> Number:
         self.claim(z3.ULT(right.term, left.type.bits), "shift by the width or more")
         return self.convert(right, Type(left.type.bits))
 
-    def compare(self, operator: str, left: Number, right: Number) -> Any:
-        return _WORDS_COMPARED[operator, left.type.signed](left.term, right.term)
+    def compare(self, name: str, left: Number, right: Number) -> Any:
+        return _ON_WORDS[left.type.signed][name](left.term, right.term)
 
 
 _NO_OVERFLOW: dict[str, tuple[Callable[[Any, Any], Any], ...]] = {
@@ -105,33 +89,24 @@ _NO_OVERFLOW: dict[str, tuple[Callable[[Any, Any], Any], ...]] = {
     "-": (z3.BVSubNoOverflow, lambda a, b: z3.BVSubNoUnderflow(a, b, True)),
     "*": (lambda a, b: z3.BVMulNoOverflow(a, b, True), z3.BVMulNoUnderflow),
 }
-_EITHER: dict[str, Callable[[Any, Any], Any]] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "&": lambda a, b: a & b,
-    "|": lambda a, b: a | b,
-    "^": lambda a, b: a ^ b,
-    "<<": lambda a, b: a << b,
+Operator = Callable[[Any, Any], Any]
+_OF_PYTHON: dict[str, Operator] = {
+    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "<<": operator.lshift},
+    **{"&": operator.and_, "|": operator.or_, "^": operator.xor},
 }
-_UNSIGNED: dict[str, Callable[[Any, Any], Any]] = {"/": z3.UDiv, "%": z3.URem, ">>": z3.LShR}
-_ON_WORDS = {(name, signed): act for name, act in _EITHER.items() for signed in (False, True)}
-_ON_WORDS |= {(name, False): act for name, act in _UNSIGNED.items()}
-_ON_WORDS |= {("/", True): z3.UDiv, ("%", True): z3.URem, (">>", True): lambda a, b: a >> b}
-_COMPARED: dict[str, Callable[[Any, Any], Any]] = {
-    "<": lambda a, b: a < b,
-    "<=": lambda a, b: a <= b,
-    ">": lambda a, b: a > b,
-    ">=": lambda a, b: a >= b,
-    "==": lambda a, b: a == b,
-    "!=": lambda a, b: a != b,
+_COMPARED: dict[str, Operator] = {
+    **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
+    **{"==": operator.eq, "!=": operator.ne},
 }
-_WORDS_COMPARED = {(name, signed): act for name, act in _COMPARED.items() for signed in (False, True)}
-_WORDS_COMPARED |= {
-    ("<", False): z3.ULT,
-    ("<=", False): z3.ULE,
-    (">", False): z3.UGT,
-    (">=", False): z3.UGE,
+_ON_UNSIGNED: dict[str, Operator] = {
+    **{"/": z3.UDiv, "%": z3.URem, ">>": z3.LShR},
+    **{"<": z3.ULT, "<=": z3.ULE, ">": z3.UGT, ">=": z3.UGE},
+}
+_ON_SIGNED: dict[str, Operator] = {"/": z3.UDiv, "%": z3.URem, ">>": operator.rshift}
+"""A signed dividend and divisor are claimed to be positive."""
+_ON_WORDS = {
+    signed: {**_OF_PYTHON, **_COMPARED, **(_ON_SIGNED if signed else _ON_UNSIGNED)}
+    for signed in (False, True)
 }
 
 
@@ -154,17 +129,17 @@ class Integers:
         assert not type_.signed, "whole numbers cannot be made signed"
         return Number(number.term % (type_.most + 1), type_)
 
-    def binary(self, operator: str, left: Number, right: Number) -> Number:
-        exact = _ON_INTEGERS[operator](left, right, self.claim)
+    def binary(self, name: str, left: Number, right: Number) -> Number:
+        exact = _ON_INTEGERS[name](left, right, self.claim)
         if left.type.signed:
             fits = z3.And(left.type.least <= exact, exact <= left.type.most)
-            self.claim(fits, f"overflow of {operator}")
+            self.claim(fits, f"overflow of {name}")
             return Number(exact, left.type)
-        grows = operator in ("+", "-", "*", "<<")
+        grows = name in ("+", "-", "*", "<<")
         return Number(exact % (left.type.most + 1) if grows else exact, left.type)
 
-    def compare(self, operator: str, left: Number, right: Number) -> Any:
-        return _COMPARED[operator](left.term, right.term)
+    def compare(self, name: str, left: Number, right: Number) -> Any:
+        return _COMPARED[name](left.term, right.term)
 
 
 def known(term: Any) -> int:

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import mul
-from typing import Any, Protocol
+from typing import Any
 
 import z3
 
 from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Arithmetic, Number, Words
+from proofs.numbers import Integers, Number, Words
 from proofs.source import Program
 
 SECONDS = 120
@@ -99,16 +99,6 @@ def always(*_: Any) -> Any:
     return z3.BoolVal(True)
 
 
-class Invariant(Protocol):
-    """A formula that stays true from turn to turn of a loop."""
-
-    def after_turn(self, machine: Machine) -> None:
-        """Claims it of what a turn left, and then knows nothing else of that."""
-
-    def at_end(self, machine: Machine, found: Any) -> None:
-        """Makes known what follows for the function's result."""
-
-
 @dataclass(frozen=True)
 class Contract:
     """The promises of a function; formulas take the terms of its arguments.
@@ -125,11 +115,12 @@ class Contract:
         uses: What stands for called functions in the proof of ``ensures``.
         steps: What leads to ``ensures``, each proved with what was proved before.
         is_opaque: Whether ``ensures`` follows whatever products are, from what steps said of them.
-        invariant: Makes what follows the turns of its loops, for one run.
+        invariant: Makes what follows the turns of its loops, for one run: ``after_turn(machine)`` claims what
+            a turn left, and knows nothing else of that; ``at_end(machine, result)`` makes known what follows.
     """
 
     ensures: Formula | None
-    arithmetic: Callable[..., Arithmetic] = Words
+    arithmetic: type[Words | Integers] = Words
     requires: Formula = always
     safe: Formula = always
     result_matters: bool = False
@@ -137,7 +128,7 @@ class Contract:
     uses: Mapping[str, Summary] = field(default_factory=dict)
     steps: tuple[Formula, ...] = ()
     is_opaque: bool = False
-    invariant: Callable[[], Invariant] | None = None
+    invariant: Callable[[], Any] | None = None
 
     def stands_in(self, name: str) -> Summary:
         """The function as its callers may see it."""

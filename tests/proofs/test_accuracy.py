@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from pathlib import Path
 
 import pytest
-import z3
 
 from mcp_asdf_tools.crosscheck import exact
 from proofs import accuracy, sums
 from proofs.core import CORE
 from proofs.formulas import Claims
-from proofs.prove import UnprovenError, prove_all
-from proofs.source import VARIANTS, Program, Variant, program
+from proofs.prove import prove_all
+from proofs.source import VARIANTS, Variant, program
 
 OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
 OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS)
@@ -25,46 +23,9 @@ def test_the_code_forms_these_numbers(variant: Variant) -> None:
         prove_all(claims(program(variant, CORE)))
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong"),
-    [
-        ("total - 2U * least", "total - least"),
-        ("- shift + spread_shift", "+ shift + spread_shift"),
-        ("(n - white) ^", "(n + white) ^"),
-        ("exponent -= 32U", "exponent -= 31U"),
-        ("multiply(t - part, accuracy->common)", "multiply(t, accuracy->common)"),
-        ("2U * c_shift", "c_shift"),
-        ("multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
-        ("a = ~a;", "a = 0U - a;"),
-        ("above < span ? above : span", "above"),
-        ("middle << 9 | low >> 23", "middle << 9 | low >> 24"),
-        ("sum - product >= alpha", "sum - product > alpha"),
-        ("b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
-    ],
-)
-def test_other_numbers_are_noticed(right: str, wrong: str, tmp_path: Path) -> None:
-    text = CORE.read_text(encoding="utf-8")
-    assert right in text
-    path = tmp_path / CORE.name
-    path.write_text(text.replace(right, wrong), encoding="utf-8")
-    with pytest.raises(UnprovenError):
-        for claims in OF_THE_CODE:
-            prove_all(claims(Program(path, VARIANTS[0])))
-
-
 @pytest.mark.parametrize("claims", OF_THE_NUMBERS)
 def test_roundings_are_within_their_limits(claims: Claims) -> None:
     prove_all(claims())
-
-
-def test_nothing_is_proved_from_a_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if it takes factorising a prime to see it, and a list of that length was possible before."""
-    monkeypatch.setattr("proofs.prove.WITNESS_SECONDS", 1)
-    p, q = z3.Ints("p q")
-    sound, planted = [p > 1, q > 1, p < q], [p > 1, q > 1, p * q == 16769023]
-    prove_all([("sound", p > 0, sound)])
-    with pytest.raises(UnprovenError, match="nothing is found"):
-        prove_all([("sound", p > 0, sound), ("planted", p > q, planted)])
 
 
 @pytest.mark.parametrize("b", [Fraction(1, 2) + Fraction(1, 2**12), Fraction(3, 5), Fraction(99, 100)])

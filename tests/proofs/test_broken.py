@@ -1,0 +1,76 @@
+"""Broken code has no proof, and nothing is proved from a contradiction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import z3
+
+from proofs import accuracy, arithmetic, core, sums
+from proofs.core import CORE
+from proofs.prove import UnprovenError, prove_all, prove_lemma
+from proofs.source import ARITHMETIC, HEADER, Program, Variant
+
+BROKEN = (
+    ("shift_left_wide", "1000", "((masked) ^ 31U)", "((masked) ^ 15U)"),
+    ("shift_right_64", "1000", "(count & 32U) != 0U", "(count & 16U) != 0U"),
+    ("leading_zeros", "1000", "value >> 28 == 0", "value >> 27 == 0"),
+    ("shift_left_by", "1010", "count >= 8U;", "count >= 9U;"),
+    ("shift_right_by", "1010", "count >= 8U; count = (uint8_t)(count - 8U)", "count >= 8U; count = count"),
+    ("multiply", "1100", "middle2 << 16 |", "middle2 << 15 |"),
+    ("prepare", "1000", "(d >> 15) + 1U", "(d >> 15)"),
+    ("take_digit", "1000", "- digit * d", "- (digit + 1) * d"),
+    ("divide_by_bits", "3000", "if (a >= d)", "if (a > d)"),
+    ("divide_24", "1000", "second + (uint32_t)(a >= d)", "second + (uint32_t)(a > d)"),
+    ("ratio", "1000", "(upper(d, shift) >> 1) + 1U", "(upper(d, shift) >> 1)"),
+    ("quotient", "1000", "divide_31(found.high", "divide_31(found.high / 2"),
+    ("units", "1000", "alpha >> 8, alpha)", "alpha >> 7, alpha)"),
+    ("alpha_word", "1000", "(0U - exponent) & 31U", "(1U - exponent) & 31U"),
+    ("set_b_hat", "1000", "g < INFORMATIVE ? UINT32_MAX", "g < INFORMATIVE / 2 ? UINT32_MAX"),
+    ("reestimate", "1000", "robot->t", "robot->t >> robot->n"),
+    ("", "1000", "total - 2U * least", "total - least"),
+    ("", "1000", "- shift + spread_shift", "+ shift + spread_shift"),
+    ("", "1000", "(n - white) ^", "(n + white) ^"),
+    ("", "1000", "exponent -= 32U", "exponent -= 31U"),
+    ("", "1000", "multiply(t - part, accuracy->common)", "multiply(t, accuracy->common)"),
+    ("", "1000", "2U * c_shift", "c_shift"),
+    ("", "1000", "multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
+    ("", "1000", "a = ~a;", "a = 0U - a;"),
+    ("", "1000", "above < span ? above : span", "above"),
+    ("", "1000", "middle << 9 | low >> 23", "middle << 9 | low >> 24"),
+    ("", "1000", "sum - product >= alpha", "sum - product > alpha"),
+    ("", "1000", "b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
+)
+"""A function that loses its lemma, or none where the numbers change that the code forms; a variant; what is
+replaced, and by what."""
+
+
+@pytest.mark.parametrize(("name", "digits", "right", "wrong"), BROKEN)
+def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str, tmp_path: Path) -> None:
+    variant, found = Variant(digits), 0
+    for path in (*ARITHMETIC, CORE):
+        text = path.read_text(encoding="utf-8")
+        place = text.index(f" {name}(") if path == CORE and f" {name}(" in text else 0
+        found += right in text[place:]
+        text = text[:place] + text[place:].replace(right, wrong)
+        (tmp_path / path.name).write_text(text, encoding="utf-8")
+    assert found
+    contracts = {**arithmetic.contracts(variant), **core.contracts(variant)}
+    is_arithmetic = name in arithmetic.contracts(variant)
+    code = Program(tmp_path / (HEADER if is_arithmetic else CORE).name, variant)
+    with pytest.raises(UnprovenError):
+        if name:
+            prove_lemma(code, name, contracts, set())
+        for claims in () if name else (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE):
+            prove_all(claims(code))
+
+
+def test_nothing_is_proved_from_a_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even if it takes factorising a prime to see it, and a list of that length was possible before."""
+    monkeypatch.setattr("proofs.prove.WITNESS_SECONDS", 1)
+    p, q = z3.Ints("p q")
+    sound, planted = [p > 1, q > 1, p < q], [p > 1, q > 1, p * q == 16769023]
+    prove_all([("sound", p > 0, sound)])
+    with pytest.raises(UnprovenError, match="nothing is found"):
+        prove_all([("sound", p > 0, sound), ("planted", p > q, planted)])
