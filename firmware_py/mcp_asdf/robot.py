@@ -102,11 +102,6 @@ class Config:
     filter_period: int = DEFAULT_FILTER_PERIOD
     memory: int = DEFAULT_MEMORY
 
-    def __post_init__(self) -> None:
-        """Raises FirmwareError for what is no table; robots check the rest, as the C does."""
-        if self.table is not None and not hasattr(self.table, "words"):
-            raise FirmwareError(Status.ERR_TABLE, f"table is {self.table!r}; give a Table or None")
-
 
 @dataclass(frozen=True)
 class Counters:

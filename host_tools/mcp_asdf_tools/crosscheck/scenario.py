@@ -104,14 +104,9 @@ class Setup:
         return ",".join([*table, ":".join(["robot", *map(str, astuple(self)[1:])])])
 
     def config(self) -> Config:
-        """The settings as firmwares take them; unknown filters stay plain integers."""
-        known = self.filter in tuple(Filter)
-        return Config(
-            None if self.table is None else self.table.build(),
-            Filter(self.filter) if known else self.filter,  # type: ignore[arg-type]
-            self.filter_period,
-            self.memory,
-        )
+        """The settings as firmwares take them; a filter may be any number."""
+        table = None if self.table is None else self.table.build()
+        return Config(table, cast(Filter, self.filter), self.filter_period, self.memory)
 
 
 @dataclass(frozen=True)
