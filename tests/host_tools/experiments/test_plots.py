@@ -15,6 +15,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, FLAWED, OTHER, WITHOUT
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.pictures import draw
 from mcp_asdf_tools.experiments.plots import (
     LETTERS,
     MEASURES,
@@ -121,9 +122,9 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
 
 def test_what_does_not_fit_a_picture_is_refused(results: list[Trials]) -> None:
     many = [replace(results[0], experiment=replace(GRID[0], seed=seed)) for seed in range(9)]
-    for draw in (boxes, scatter, lambda each: curve(each, "omega", "seed")):
+    for picture in (boxes, scatter, lambda each: curve(each, "omega", "seed")):
         with pytest.raises(UsageError, match="9 series do not fit"):
-            draw(many)
+            picture(many)
     assert len(boxes(many[:8]).legends[0].get_texts()) == 8
     many = [replace(results[0], experiment=replace(GRID[0], fill_ratio=f / 40)) for f in range(33)]
     assert len(boxes(many[:32]).axes) == 32
@@ -214,6 +215,16 @@ def test_series_beside_each_other_show_their_records() -> None:
             assert np.array_equal(axes.lines[0].get_xdata()[:31], np.arange(0, 301, 10))
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
         series_beside(runs, 1)
+
+
+def test_what_cannot_be_drawn_is_told(results: list[Trials]) -> None:
+    for kind, chosen, words in (
+        ("pie", results, "kind is 'pie'; choose one of boxes, scatter, curve, bands, series"),
+        ("series", results[:2], "there are 2 experiments; series shows one"),
+        ("series", results[:1], "nothing was recorded over time"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            draw(chosen, kind)
 
 
 # --- The command -----------------------------------------------------------------------------------------

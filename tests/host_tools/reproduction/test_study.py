@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,16 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
+from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.sweep import run_missing
 from mcp_asdf_tools.experiments.trials import Job, run_trials
-from mcp_asdf_tools.reproduction import report, resampling, study
+from mcp_asdf_tools.reproduction import report, resampling, runs, study
 from mcp_asdf_tools.reproduction.claims import CLAIMS
 from mcp_asdf_tools.reproduction.decisions import decide
 from mcp_asdf_tools.reproduction.figures import pictures
+from mcp_asdf_tools.reproduction.runs import StudyFolder
 from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, Study, cells_of, experiment_of
 from support import ROOT
 
@@ -114,6 +118,47 @@ def test_the_page_has_the_figures_of_the_study() -> None:
     assert values == pytest.approx([float(each) for each in printed.groups()], abs=4)
 
 
+def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is of the cells that the paper's figure has."""
+
+    class Whole(Study):
+        @property
+        def parts(self) -> set[Part]:
+            return set(Part)
+
+        def of(self, part: Part) -> list[Any]:
+            return [SimpleNamespace(experiment=experiment_of(cell, Scale())) for cell in cells_of(part)]
+
+    def drawn(shown: list[Any], *_: int, name: Any = lambda each: "") -> list[set[Any]]:
+        every = [trials.experiment for trials in shown]
+        shares = {each.flawed / each.robots for each in every}
+        return [{e.filter for e in every}, {e.filter_period for e in every}, shares, set(map(name, every))]
+
+    for kind in ("boxes", "scatter", "bands", "series_beside"):
+        monkeypatch.setattr(plots, kind, drawn)
+    found: dict[str, Any] = {each.name: each for each in pictures(Whole({}), Scale(2, 4000))}
+    numbers = {name: [*re.findall(r"figure (\w+)\)$", each.title), ""] for name, each in found.items()}
+    papers = {"dynamic_asdf-minus": "3a", "dynamic_asdf-plus": "3b", "dynamic_scatter": "4", "series": "6"}
+    papers |= {"topologies_asdf-minus": "5a", "topologies_asdf-plus": "5b"}
+    papers |= {"physical_asdf-plus": "8a", "physical_scatter": "8b"}
+    assert {name: number for name, (number, *_) in numbers.items() if number} == papers
+    assert len(numbers) == 13
+    some, every, shares = {1000}, {1000, 2000, 4000}, {0.1, 0.3, 0.5}
+    for name, filters, periods, flawed in (
+        ("dynamic_asdf-minus", {"none", "asdf-minus"}, every, {0, *shares}),
+        ("dynamic_asdf-plus", {"none", "asdf-plus"}, every, {0, *shares, 1}),
+        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, some, {0, *shares, 1}),
+        ("fully_connected_bands", {"asdf-plus"}, some, shares),
+        ("topologies_asdf-minus", {"none", "asdf-minus"}, some, {0, *shares, 1}),
+        ("series", {"none", "asdf-plus"}, some, {0.5}),
+        ("physical_asdf-plus", {"none", "asdf-plus"}, some, {0, 0.25, 0.5, 1}),
+    ):
+        assert found[name].figure[:3] == [filters, periods, flawed], name
+    names = {f"{where}, {who}" for where in ("dynamic", "fully connected") for who in ("no filter", "ASDF+")}
+    assert found["topologies_asdf-plus"].figure[3] == names
+    assert "with ASDF\N{MINUS SIGN}" in found["dynamic_asdf-minus"].title
+
+
 # --- Runs ------------------------------------------------------------------------------------------------
 
 
@@ -164,24 +209,21 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
     assert files_of(whole) == before
 
 
-@pytest.mark.slow
-def test_trials_are_added_where_comparisons_are_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Up to the most, with every seed, and the finished study is the same when it is taken up again."""
-    monkeypatch.setitem(study.ENOUGH, PHYSICAL, Effort(2, 8, 2))
-    options = ("--part", "physical", "--steps", "4000", "--workers", "1", "--output", str(tmp_path))
-    assert cli.main(["reproduce", *options]) == 0
-    assert "80 trials to run" in capsys.readouterr().err
-    for name, seed in (("physical", 1), ("physical_seed2", 2)):
-        results = experiments_in(read_table(tmp_path / f"{name}.parquet"))
-        counts = {len(each.numbers) for each in results}
-        assert 1 < len(counts) <= len({2, 4, 8} | counts) == 3
-        assert {each.experiment.seed for each in results} == {seed}
-    before = files_of(tmp_path)
-    count_jobs(monkeypatch, 0)
-    assert cli.main(["reproduce", *options]) == 0
-    assert files_of(tmp_path) == before
+def test_trials_are_added_where_comparisons_are_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Doubled up to the most, with every seed."""
+    monkeypatch.setitem(study.ENOUGH, PHYSICAL, Effort(2, 6, 2))
+    unsettled = {cells_of(PHYSICAL)[3]}
+    monkeypatch.setattr(runs, "decide", lambda *_: [SimpleNamespace(unsettled=unsettled)])
+    folder = StudyFolder(tmp_path, [PHYSICAL], Scale(steps=4000))
+    assert [store.left for store in folder.stores] == [40, 40]
+    found = list(folder.runs(lambda store: run_missing(store, 1)))
+    assert [run.seed for run in found] == [1, 2]
+    for run in found:
+        trials = {cell: run.study.trials(cell) for cell in cells_of(PHYSICAL)}
+        assert {cell for cell, each in trials.items() if len(each.numbers) == 6} == unsettled
+        assert sorted(len(each.numbers) for each in trials.values()) == [2] * 19 + [6]
+        assert {each.experiment.seed for each in trials.values()} == {run.seed}
+    assert {path.name for path in tmp_path.iterdir()} == {"physical.parquet", "physical_seed2.parquet"}
 
 
 def test_options_are_the_scale() -> None:
