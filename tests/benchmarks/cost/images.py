@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
 
@@ -109,23 +110,17 @@ class Image:
             for segment in ELFFile(stream).iter_segments("PT_LOAD"):
                 yield segment["p_vaddr"], segment["p_paddr"], segment.data()
 
-    def flash(self) -> int:
-        """Bytes of flash: code, constants and what variables begin with."""
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of flash, code, constants and what variables begin with; and of variables in RAM, to which an
+        AVR copies constants, too."""
         with self.path.open("rb") as stream:
-            return sum(
-                section["sh_size"]
-                for section in ELFFile(stream).iter_sections()
-                if section["sh_flags"] & 2 and section["sh_type"] == "SHT_PROGBITS"
-            )
-
-    def ram(self) -> int:
-        """Bytes of variables. On an AVR constants count, too: it copies them to RAM."""
-        with self.path.open("rb") as stream:
-            return sum(
-                section["sh_size"]
-                for section in ELFFile(stream).iter_sections()
-                if section["sh_flags"] & 2 and section["sh_flags"] & 1
-            )
+            loaded = [
+                each for each in ELFFile(stream).iter_sections() if each["sh_flags"] & SH_FLAGS.SHF_ALLOC
+            ]
+        return (
+            sum(each["sh_size"] for each in loaded if each["sh_type"] == "SHT_PROGBITS"),
+            sum(each["sh_size"] for each in loaded if each["sh_flags"] & SH_FLAGS.SHF_WRITE),
+        )
 
     @cached_property
     def code(self) -> list[Instruction]:

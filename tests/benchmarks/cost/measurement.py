@@ -105,7 +105,8 @@ def code_bytes(target: Target, level: str, folder: Path, *flags: str) -> int:
         build(target, folder / "without", [HERE / "empty.c"], level),
     )
     own, nothing = (
-        image.flash() - sum(int(each["st_size"]) for name, each in image.symbols.items() if _OWN.match(name))
+        image.sizes()[0]
+        - sum(int(each["st_size"]) for name, each in image.symbols.items() if _OWN.match(name))
         for image in images
     )
     return own - nothing
@@ -120,4 +121,5 @@ def kilobot(folder: Path) -> tuple[int, int]:
         for name, symbol in image.symbols.items()
         if re.fullmatch(r"__vector_\d+", name) and symbol["st_info"]["bind"] == "STB_GLOBAL"
     ]
-    return image.flash(), image.ram() + paths.deepest("main") + max(map(paths.deepest, handlers))
+    flash, ram = image.sizes()
+    return flash, ram + paths.deepest("main") + max(map(paths.deepest, handlers))
