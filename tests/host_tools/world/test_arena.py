@@ -151,26 +151,6 @@ def test_a_hard_turn_is_in_place_at_the_wheels_full_speed() -> None:
     assert np.linalg.norm(motion.position[steady + 1] - motion.position[steady], axis=2).max() < 1e-12
 
 
-def lean(spin: float) -> tuple[complex, complex]:
-    """Velocities after a tick of a robot that only spins, and of one that drives against it, to the west."""
-    arena = Arena(world(2, 5, 5), 0)
-    state = arena._arena
-    for robot, (x, cx, speed, turn) in enumerate([(-RADIUS, 1.0, 0.0, spin), (RADIUS, -1.0, 0.1414, 0.0)]):
-        state.x[robot], state.y[robot], state.cx[robot], state.cy[robot] = x, 0.0, cx, 0.0
-        state.wanted_speed[robot], state.wanted_spin[robot], state.may_touch[robot] = speed, turn, 1
-    state.close_count, state.close[0].a, state.close[0].b = 1, 0, 1
-    arena.step()
-    return complex(state.vx[0], state.vy[0]), complex(state.vx[1], state.vy[1])
-
-
-@pytest.mark.parametrize("spin", [2.0, -2.0])
-def test_a_spinning_body_drags_the_one_that_leans_on_it_and_is_pushed_back(spin: float) -> None:
-    still, leaning = lean(spin)
-    assert math.copysign(1, spin) * leaning.imag > 0.002
-    assert math.copysign(1, spin) * still.imag < -0.002
-    assert abs(lean(0.0)[1].imag) < 1e-12
-
-
 # ---------------------------------------------------------------- who hears whom
 
 

@@ -203,15 +203,6 @@ def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
         assert (line == (np.arange(84) % 2 == 0)).all(), "a timing line"
 
 
-def test_what_robots_meet_on_the_code_is_its_share() -> None:
-    """But for 0.01: robots come to the white logo more often than to the border."""
-    physical = WorldSettings(
-        topology="dynamic", robots=8, width=3.0353, height=3.0226, speed=0.1, floor="code", fill_ratio=0.448
-    )
-    shares = [Arena(physical, trial).record(10_000).black.mean() for trial in range(20)]
-    assert abs(np.mean(shares) - 0.448) < 0.01
-
-
 def test_the_code_is_always_the_same() -> None:
     digest = hashlib.sha256(np.packbits(code(0.448)).tobytes()).hexdigest()
     assert digest[:16] == "0f663b83c29ac0ea"

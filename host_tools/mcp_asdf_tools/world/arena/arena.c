@@ -1,30 +1,182 @@
-/* A tick of the arena, and the record of many. arena.h is the manual; docs/arena.md states the model and
- * where its numbers come from.
+/* A world from its settings: its start, its floor, a tick, and the record of many. arena.h is the manual;
+ * docs/arena.md states the model and where its numbers come from.
  *
- * Each file here has one part of the model:
- *   start.c        settings are checked and robots placed
- *   motion.c       bodies move as their motors and contacts drive them
- *   links.c        which pairs are near, and which hear each other
- *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
- *   floor.c        colours of the floor, and the ground sensor
- *   elementary.c   sines, angles and exponentials without a mathematics library
- *   splitmix.h     random numbers
- * They share arena_private.h. Units are metres, seconds and radians throughout.
+ *   arena.c        settings are checked and robots placed, at random; colours of the floor, and the ground
+ * sensor motion.c       bodies move as their motors and contacts drive them links.c        which pairs are
+ * near, and which hear each other steering.c     proximity sensors, and wheels that turn the robot away from
+ * obstacles elementary.c   sines, angles and exponentials without a mathematics library splitmix.h     random
+ * numbers They share arena_private.h. Units are metres, seconds and radians throughout.
  */
 #include "arena_private.h"
 
-void arena_look(mcp_asdf_arena_t *arena)
+/* splitmix64: random numbers from a counter and a mixing function that is also a good hash. G. L. Steele,
+ * D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014. */
+static inline uint64_t splitmix(uint64_t z)
+{
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9U;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBU;
+    return z ^ (z >> 31);
+}
+
+/* The next number, uniform in [0, 1), of 53 bits. */
+static inline double splitmix_uniform(uint64_t *counter)
+{
+    *counter += 0x9E3779B97F4A7C15U;
+    return (double)(splitmix(*counter) >> 11) * 0x1p-53;
+}
+
+/* ---- The floor -------------------------------------------------------------------------------------------
+ *
+ * A tile's colour is a hash of the seed and the tile's column and row, so that no floor is stored however
+ * large it is; a picture is read from the caller's memory. */
+
+/* Of the ground sensor, from the centre. */
+#define SENSOR_FORWARD 0.0614
+#define SENSOR_RIGHT 0.01
+
+/* A point on the edge of the floor, or beyond by rounding, belongs to the nearest pixel. */
+static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, double y)
+{
+    const double across = (x / config->width + 0.5) * config->columns;
+    const double down = (0.5 - y / config->height) * config->rows;
+    const uint32_t column = across > 0 ? (uint32_t)across : 0, row = down > 0 ? (uint32_t)down : 0;
+    const uint32_t last_column = config->columns - 1, last_row = config->rows - 1;
+    const size_t line = row < last_row ? row : last_row;
+    return config->image[line * config->columns + (column < last_column ? column : last_column)] != 0;
+}
+
+static inline bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
+{
+    /* Processors have an instruction for signed numbers. */
+    const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
+    const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
+    return (double)(splitmix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
+}
+
+int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
+{
+    return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
+}
+
+static void see_floor(mcp_asdf_arena_t *arena)
+{
+    for (uint32_t i = 0; i < arena->config.robots; ++i) {
+        const double cx = arena->cx[i], cy = arena->cy[i];
+        const double x = arena->x[i] + SENSOR_FORWARD * cx + SENSOR_RIGHT * cy;
+        const double y = arena->y[i] + SENSOR_FORWARD * cy - SENSOR_RIGHT * cx;
+        arena->black[i] = (uint8_t)mcp_asdf_arena_is_black(arena, x, y);
+    }
+}
+
+/* ---- The start ----------------------------------------------------------------------------------------- */
+
+static void look(mcp_asdf_arena_t *arena)
 {
     arena_find_links(arena);
     arena_set_wheels(arena);
-    arena_see_floor(arena);
+    see_floor(arena);
 }
+
+#define MAX_SIDE 1000.0
+#define MAX_TILES 100000.0 /* along a side, so that the number of a column or row fits 32 bits */
+#define MAX_SPEED 0.814
+#define PLACING_ATTEMPTS 100000
+
+/* Different draws for places and colours from one seed. */
+#define PLACES 0x706C616365U
+#define COLOURS 0x636F6C6F7572U
+
+/* In all these checks a NaN fails. */
+static bool has_side(double side) { return side > DIAMETER && side <= MAX_SIDE; }
+
+static bool has_floor(const mcp_asdf_arena_config_t *config)
+{
+    if (config->image != NULL) {
+        return config->columns > 0 && config->rows > 0;
+    }
+    return config->tile * MAX_TILES >= larger(config->width, config->height) && !isinf(config->tile) &&
+           config->fill_ratio >= 0 && config->fill_ratio <= 1;
+}
+
+static bool is_valid(const mcp_asdf_arena_config_t *config)
+{
+    return config->robots >= 1 && config->robots <= MCP_ASDF_ARENA_MAX_ROBOTS && has_side(config->width) &&
+           has_side(config->height) && config->speed > 0 && config->speed <= MAX_SPEED && config->range > 0 &&
+           config->range <= MAX_SIDE && config->tick > 0 &&
+           2 * config->speed / WHEEL_DISTANCE * config->tick <= LARGEST_TURN && has_floor(config);
+}
+
+/* Whether body i overlaps one that was placed before. */
+static bool overlaps(const mcp_asdf_arena_t *arena, uint32_t i)
+{
+    for (uint32_t j = 0; j < i; ++j) {
+        if (squared_distance(arena, i, j) < DIAMETER * DIAMETER) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static mcp_asdf_arena_status_t place(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
+{
+    for (int attempt = 0; attempt < PLACING_ATTEMPTS; ++attempt) {
+        arena->x[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.width - DIAMETER);
+        arena->y[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.height - DIAMETER);
+        if (!overlaps(arena, i)) {
+            return MCP_ASDF_ARENA_OK;
+        }
+    }
+    return MCP_ASDF_ARENA_ERR_CROWDED;
+}
+
+/* The direction of a point that is uniform in a disc is uniform as well, and needs no sine. */
+static void face_anywhere(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
+{
+    double x, y, squared;
+    do {
+        x = 2 * splitmix_uniform(counter) - 1;
+        y = 2 * splitmix_uniform(counter) - 1;
+        squared = x * x + y * y;
+    } while (squared > 1 || squared < 0.01); /* too close to the middle, rounding would show */
+    arena->cx[i] = x / sqrt(squared);
+    arena->cy[i] = y / sqrt(squared);
+}
+
+/* Everything that follows from the settings alone. */
+static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
+{
+    memset(arena, 0, sizeof *arena);
+    arena->config = *config;
+    arena->colours = splitmix(config->seed ^ COLOURS);
+    arena->colour_limit = config->fill_ratio * 0x1p53;
+    arena->tiles_per_metre = 1 / config->tile;
+    arena->part = config->tick / PARTS;
+    arena->motor = ACCELERATION * arena->part;
+}
+
+mcp_asdf_arena_status_t mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
+{
+    uint64_t counter = splitmix(config->seed ^ PLACES);
+    mcp_asdf_arena_status_t status = is_valid(config) ? MCP_ASDF_ARENA_OK : MCP_ASDF_ARENA_ERR_CONFIG;
+    prepare(arena, config);
+    for (uint32_t i = 0; i < config->robots && status == MCP_ASDF_ARENA_OK; ++i) {
+        status = place(arena, i, &counter);
+        face_anywhere(arena, i, &counter);
+        mcp_asdf_arena_steer(arena, i, 0, 0);
+    }
+    if (status == MCP_ASDF_ARENA_OK) {
+        look(arena);
+    }
+    return status;
+}
+
+/* ---- Ticks --------------------------------------------------------------------------------------------- */
 
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arena)
 {
     ++arena->ticks;
     arena_move(arena);
-    arena_look(arena);
+    look(arena);
 }
 
 static void write_links(const mcp_asdf_arena_t *arena, uint64_t *linked)

@@ -77,32 +77,9 @@ double arena_bearing(double x, double y);
 /* exp(-x) for x in [0, 4]. Relative error below 1e-12. */
 double arena_fading(double x);
 
-/* Move body i for `time` at its present velocity. */
-static inline void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
-{
-    arena->x[i] += arena->vx[i] * time;
-    arena->y[i] += arena->vy[i] * time;
-}
-
-/* Turn body i through a whole tick: one part of it with the spin it had, the rest with the wanted one,
- * because the motors are strong enough to reach any spin within a part. */
-static inline void turn(mcp_asdf_arena_t *arena, uint32_t i)
-{
-    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
-    arena->spin[i] = arena->wanted_spin[i];
-    if (angle != 0) {
-        arena_rotate(&arena->cx[i], &arena->cy[i], angle);
-    }
-}
-
-/* The steps of a tick: move all bodies; find who is near and who hears
- * whom; set wheels from proximity sensors; read the ground sensors. */
+/* The steps of a tick: move all bodies; find who is near and who hears whom; set wheels from the sensors. */
 void arena_move(mcp_asdf_arena_t *arena);
 void arena_find_links(mcp_asdf_arena_t *arena);
 void arena_set_wheels(mcp_asdf_arena_t *arena);
-void arena_see_floor(mcp_asdf_arena_t *arena);
-
-/* All of a tick but the motion. */
-void arena_look(mcp_asdf_arena_t *arena);
 
 #endif

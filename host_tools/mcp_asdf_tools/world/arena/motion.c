@@ -43,6 +43,24 @@ typedef struct {
     contact_t contacts[MAX_CONTACTS];
 } crowd_t;
 
+/* Move body i for `time` at its present velocity. */
+static void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
+{
+    arena->x[i] += arena->vx[i] * time;
+    arena->y[i] += arena->vy[i] * time;
+}
+
+/* Turn body i through a whole tick: one part of it with the spin it had, the rest with the wanted one,
+ * because the motors are strong enough to reach any spin within a part. */
+static void turn(mcp_asdf_arena_t *arena, uint32_t i)
+{
+    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
+    arena->spin[i] = arena->wanted_spin[i];
+    if (angle != 0) {
+        arena_rotate(&arena->cx[i], &arena->cy[i], angle);
+    }
+}
+
 static void gather(const mcp_asdf_arena_t *arena, crowd_t *crowd)
 {
     crowd->count = 0;
