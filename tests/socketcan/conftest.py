@@ -1,7 +1,4 @@
-"""Tests marked ``socketcan`` run on a kernel with CAN: this machine's, or else one guest's for all of them.
-
-In the second case each test's report is that of the same test in the guest.
-"""
+"""Tests marked ``socketcan`` run where the kernel has CAN; elsewhere test_guest.py runs them in a guest."""
 
 from __future__ import annotations
 
@@ -13,37 +10,19 @@ import pytest
 from mcp_asdf_tools.cli import swarm as swarm_command
 from mcp_asdf_tools.swarm import carrier, remote_robot
 from socketcan.guest import why_not_native
-from socketcan.relay import REPORTS, Reporter, reports_of
-from socketcan.vcan import Vcan, interfaces
+from socketcan.vcan import interfaces
 from support import PATIENCE
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "socketcan: needs a kernel with CAN, and gets one")
-    if REPORTS in os.environ:
-        config.pluginmanager.register(Reporter(config, os.environ[REPORTS]))
+    config.addinivalue_line("markers", "socketcan: needs a kernel with CAN")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Before ``-m`` chooses among them: a guest takes minutes, this machine's kernel seconds."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     ours = [item for item in items if item.get_closest_marker("socketcan")]
-    if ours and REPORTS not in os.environ and why_not_native():
-        for item in ours:
-            item.add_marker(pytest.mark.slow)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if item.get_closest_marker("socketcan") is None or REPORTS in os.environ or not why_not_native():
-        return None
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in reports_of(item):
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    # The test before left standing what it shares with this one, which the next may not need.
-    item.session._setupstate.teardown_exact(nextitem)
-    return True
+    if ours and why_not_native():
+        items[:] = [item for item in items if item not in ours]
+        config.hook.pytest_deselected(items=ours)
 
 
 @pytest.fixture(autouse=True)
@@ -71,8 +50,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def vcan() -> Iterator[Vcan]:
-    """A virtual CAN interface of the test's own, up."""
-    interface = Vcan()
-    with interfaces(interface.name):
-        yield interface
+def vcan() -> Iterator[str]:
+    """A virtual CAN interface, up."""
+    with interfaces(name := f"vcan{os.getpid() % 10000}"):
+        yield name

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +22,11 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
+from mcp_asdf_tools.robots.node import BusLink, run_node
+from node_thread import meanwhile
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
-from socketcan.robots import PythonNode
-from socketcan.vcan import Vcan
+from socketcan.vcan import connect, ip, making
 from support import PATIENCE
 from targets.c_node import (
     CORTEX_A8,
@@ -40,7 +43,7 @@ from targets.c_node import (
 
 pytestmark = pytest.mark.socketcan
 
-NODE_BITS, EXTENDED = 0x7F, 0x8000_0000
+NODE_BITS = 0x7F
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +52,12 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Kind], list[str
 
 
 @pytest.fixture
-def start(build: Callable[[Kind], list[str]], vcan: Vcan) -> Iterator[Start]:
+def start(build: Callable[[Kind], list[str]], vcan: str) -> Iterator[Start]:
     """Starts C nodes on the interface, and stops those that are left."""
     started: list[CNode] = []
 
     def start_node(robot_id: int, *options: object, kind: Kind = PLAIN, **streams: Any) -> CNode:
-        started.append(CNode(build(kind), vcan.name, robot_id, *options, **streams))
+        started.append(CNode(build(kind), vcan, robot_id, *options, **streams))
         return started[-1]
 
     yield start_node
@@ -65,13 +68,26 @@ def start(build: Callable[[Kind], list[str]], vcan: Vcan) -> Iterator[Start]:
 # ---- Robots together ----
 
 
+@contextmanager
+def python_node(vcan: str, robot_id: int, b_hat: float) -> Iterator[None]:
+    """A Python node on integers, with a thread and a socket of its own."""
+    is_over = threading.Event()
+    with connect(vcan) as bus:
+        link = BusLink(bus, is_over.is_set)
+        with meanwhile(lambda: run_node(twin(robot_id, b_hat, filter_period=5), link)):
+            try:
+                yield
+            finally:
+                is_over.set()
+
+
 @pytest.mark.parametrize("kind", [PLAIN, CORTEX_A8], ids=lambda kind: kind.name)
 def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
-    kind: Kind, start: Start, vcan: Vcan, tmp_path: Path
+    kind: Kind, start: Start, vcan: str, tmp_path: Path
 ) -> None:
     ticks = 25
-    others = (PythonNode(vcan, 1, 0.95, filter_period=5), PythonNode(vcan, 2, 0.75, filter_period=5))
-    with Candump(vcan, tmp_path) as candump, vcan.bus() as bus, others[0], others[1]:
+    others = python_node(vcan, 1, 0.95), python_node(vcan, 2, 0.75)
+    with Candump(vcan, tmp_path) as candump, connect(vcan) as bus, others[0], others[1]:
         node = start(0, "--lockstep", "--b-hat", 0.55, "--filter-period", 5, "--steps", ticks, kind=kind)
         seen = drive(bus, range(3), ticks, seed=5)
         figures = node.summary()
@@ -94,14 +110,14 @@ def test_a_c_node_has_the_bits_of_a_python_node_that_hears_the_same(
         assert figures["received"] - figures["others"] == len(needed)
 
 
-def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: Vcan, tmp_path: Path) -> None:
+def test_the_verdict_on_the_c_node_is_good(start: Start, vcan: str, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
-    with vcan.bus() as bus:
+    with connect(vcan) as bus:
         start(3, "--lockstep", "--b-hat", 0.75, "--filter-period", 4)
         Lockstep(bus).wait_until_up([3], PATIENCE)
     robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4")
     run = ("--robots", "3", "--steps", "20", "--timeout", str(PATIENCE), "--report", str(report))
-    assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan.name]) == 0
+    assert main(["radio", "--verify", *robot, *run, "--interface", "socketcan", "--channel", vcan]) == 0
     assert report.exists()
 
 
@@ -119,21 +135,26 @@ def is_command_to(robot: int, frame: can.Message) -> bool:
 # ---- What the kernel is asked for ----
 
 
-def test_frames_that_overflow_the_receive_buffer_are_counted(
-    start: Start, vcan: Vcan, tmp_path: Path
-) -> None:
-    sensor = tmp_path / "value"
-    sensor.write_text("1", encoding="ascii")
+ESTIMATE = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat())
+
+
+@pytest.fixture
+def sensor(tmp_path: Path) -> Path:
+    """A sensor that sees black."""
+    (tmp_path / "value").write_text("1", encoding="ascii")
+    return tmp_path / "value"
+
+
+def test_frames_that_overflow_the_receive_buffer_are_counted(start: Start, sensor: Path, vcan: str) -> None:
     node = start(0, "--sensor", sensor, "--receive-buffer", 4096)
-    estimate = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat())
-    with vcan.bus() as bus:
+    with connect(vcan) as bus:
         assert bus.recv(PATIENCE) is not None
         node.process.send_signal(signal.SIGSTOP)
         for _ in range(500):
-            bus.send(estimate, timeout=PATIENCE)
+            bus.send(ESTIMATE, timeout=PATIENCE)
         node.process.send_signal(signal.SIGCONT)
         wait_for(bus, 3)
-        bus.send(estimate, timeout=PATIENCE)  # the kernel reports lost frames with the next one
+        bus.send(ESTIMATE, timeout=PATIENCE)  # the kernel reports lost frames with the next one
         wait_for(bus, 3)
     figures = node.stop()
     assert figures["overflowed"] > 400
@@ -149,33 +170,22 @@ def wait_for(bus: can.BusABC, frames: int) -> None:
 # ---- Faults ----
 
 
-def test_an_interface_may_go_down_and_up(start: Start, vcan: Vcan, tmp_path: Path) -> None:
-    check_interruption(start, vcan, tmp_path, lambda: vcan.set("down"), lambda: vcan.set("up"))
-
-
-def test_an_interface_may_vanish_and_come_back(start: Start, vcan: Vcan, tmp_path: Path) -> None:
-    check_interruption(start, vcan, tmp_path, vcan.delete, vcan.add)
-
-
 _ABSENCE = 3.0
 """Seconds: 150 ticks of the node, of which an emulated guest on a busy machine leaves some."""
 
 
-def check_interruption(
-    start: Start, vcan: Vcan, folder: Path, begin: Callable[[], None], end: Callable[[], None]
-) -> None:
+@pytest.mark.parametrize("does_vanish", [False, True])
+def test_an_interface_may_go_and_come_back(does_vanish: bool, start: Start, sensor: Path, vcan: str) -> None:
     """The node ticks on meanwhile, and afterwards sends and hears again."""
-    sensor = folder / "value"
-    sensor.write_text("1", encoding="ascii")
     node = start(0, "--sensor", sensor, "--steps-per-second", 50)
-    with vcan.bus() as bus:
+    with connect(vcan) as bus:
         wait_for(bus, 5)
-    begin()
+    ip(f"link del dev {vcan}" if does_vanish else f"link set {vcan} down")
     time.sleep(_ABSENCE)
-    end()
-    with vcan.bus() as bus:
+    ip(*(making(vcan) if does_vanish else [f"link set {vcan} up"]))
+    with connect(vcan) as bus:
         wait_for(bus, 5)
-        bus.send(encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat()), timeout=PATIENCE)
+        bus.send(ESTIMATE, timeout=PATIENCE)
         wait_for(bus, 5)
     figures = node.stop()
     assert figures["downs"] == 1

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import can
 import pytest
 
 from mcp_asdf_tools.cli.main import main
-from socketcan.candump import Candump, listeners
-from socketcan.vcan import Vcan, interfaces
-from support import PATIENCE
-from targets.c_node import PLAIN, CNode, built
+from mcp_asdf_tools.recording.frame_logs import read_log
+from socketcan.candump import Candump, listeners, wait_until
+from socketcan.vcan import interfaces
+from targets.c_node import PLAIN, CNode, built, content
 
 pytestmark = pytest.mark.socketcan
 
@@ -33,23 +31,23 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 def logged(folder: Path, *bus: str) -> list[str]:
     """The swarm's log on a bus."""
     assert main([*SWARM, *bus, "--log", str(folder / "run.log")]) == 0
-    return lines(folder / "run.log")
+    return content(read_log(folder / "run.log"))
 
 
 def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_have(
-    vcan: Vcan, tmp_path: Path, simulated: list[str]
+    vcan: str, tmp_path: Path, simulated: list[str]
 ) -> None:
     with Candump(vcan, tmp_path) as candump:
-        real = logged(tmp_path, "--interface", "socketcan", "--channel", vcan.name)
-        told = candump.lines()
+        real = logged(tmp_path, "--interface", "socketcan", "--channel", vcan)
+        told = content(candump.frames())
     assert told == real == simulated
     assert len(told) == 20 * (5 + 1 + 2)
 
 
-def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: Vcan, tmp_path: Path) -> None:
+def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: str, tmp_path: Path) -> None:
     settings = ("swarm", "--robots", "2", "--steps", "10", "--filter-period", "4", "--quiet", "--log")
     many, one = tmp_path / "many.log", tmp_path / "one.log"
-    bus = ("--interface", "socketcan", "--channel", vcan.name)
+    bus = ("--interface", "socketcan", "--channel", vcan)
     assert main([*settings, str(many), *bus, "--processes"]) == 0
     assert main([*settings, str(one), "--interface", "virtual"]) == 0
     assert estimates(many) == estimates(one)
@@ -76,18 +74,10 @@ def test_the_c_node_is_a_robot_of_an_emulated_swarm(
 
 def start_when_heard(command: list[str], interface: str, *options: object) -> CNode:
     """Start robot 0 when somebody waits for its first heartbeat."""
-    deadline = time.monotonic() + PATIENCE
-    while listeners(interface) == 0 and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: listeners(interface) > 0)
     return CNode(command, interface, 0, *options)
 
 
 def estimates(log: Path) -> list[str]:
     """The broadcasts of a log, sorted."""
-    return sorted(line for line in lines(log) if line.startswith("106BB8"))
-
-
-def lines(log: Path) -> list[str]:
-    """Frames of a log as candump writes them, without time and interface."""
-    with can.LogReader(log) as reader:
-        return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in reader]
+    return sorted(line for line in content(read_log(log)) if line.startswith("106BB8"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from decimal import Decimal
 from typing import Any
 
 import can
@@ -28,9 +29,12 @@ from mcp_asdf_tools.bus.frames import (
     encode_telemetry,
 )
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.population import Activation, Filtering, Population
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.tables.thresholds import generate
 from robots import ALPHA_ONE
 from wire import record
 
@@ -163,6 +167,66 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
         RobotRecord.from_plain(record(5).plain() | changes)
 
 
+@pytest.mark.parametrize(
+    ("given", "count"),
+    [
+        *((6, 6), ("6", 6), (0, 0), (10, 10), ("30%", 3), (0.25, 3), ("0.5", 5), (1.0, 10), ("100%", 10)),
+        *((each, None) for each in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None)),
+    ],
+)
+def test_flawed_robots_are_a_count_or_a_share(given: object, count: int | None) -> None:
+    if count is None:
+        with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
+            Population(robots=10, flawed=given)
+    else:
+        assert Population(robots=10, flawed=given).flawed == count
+
+
+@pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus"])
+@pytest.mark.parametrize("activation", ["adaptive", "always"])
+def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
+    given: dict[str, Any] = {
+        "flawed_accuracy": 0.3,
+        "true_accuracy": 1.0,
+        "comms_period": 2,
+        "filter_period": 4,
+    }
+    given |= {
+        "robots": 4,
+        "flawed": 2,
+        "filter": filters,
+        "activation": activation,
+        "omega": "0.1",
+        "memory": 64,
+    }
+    some = Population(**given)
+    off, on = TickConfig(None, Filter.OFF, 2, 4, 64), TickConfig(None, Filter.ALWAYS, 2, 4, 64)
+    if activation == "adaptive":
+        on = TickConfig(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 4, 64)
+    configs = [on if filters != "none" else off] * 2 + [on if filters == "asdf-plus" else off] * 2
+    b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
+    expected = [RobotRecord(i, "native", b_hat[i], configs[i]) for i in range(4)]
+    assert [some.record(robot) for robot in range(4)] == expected
+    assert Population.from_parameters(some.parameters()) == some
+    unused = {"none": {"omega", "activation"}}.get(filters, {"omega"} if activation == "always" else set())
+    assert set(some.unused_parameters()) == unused
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"omega": "0.95"}, "omega is 0.95"),
+        ({"memory": 66}, "memory is 66; it must be a multiple of 4"),
+        ({"comms_period": 3}, "filter_period is 1000; it must be a multiple of comms_period, 3"),
+        ({"activity": 1}, "unknown key 'activity'; known are robots, "),
+    ],
+)
+def test_a_wrong_parameter_is_named(wrong: dict[str, Any], told: str) -> None:
+    with pytest.raises(ParameterError, match=told) as error:
+        Population.from_parameters(wrong)
+    assert error.value.key in ("filter_period", *wrong)
+
+
 # On a bus
 
 
@@ -201,8 +265,9 @@ def frames_of_all_kinds() -> list[can.Message]:
     return [other, own, cut, heartbeat, telemetry, can.Message(arbitration_id=8, is_error_frame=True)]
 
 
-def test_every_frame_is_counted_once_by_what_it_is() -> None:
-    source, one = random.Random(2), BusRobot(record(5), ESTIMATES)
+@pytest.mark.parametrize("firmware", ["native", "reference"])
+def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
+    source, one = random.Random(2), BusRobot(record(5, firmware), ESTIMATES)
     for _ in range(50):
         one.broadcast(None, 0)
         frames = frames_of_all_kinds()

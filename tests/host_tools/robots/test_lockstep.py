@@ -31,6 +31,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import RobotNode, Subjects, state_of
 from mcp_asdf_tools.robots.processes import NodeProcesses
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
 from support import PATIENCE
 from wire import EndlessWire, Wire, node, record, still
@@ -317,7 +318,11 @@ def test_ids_and_subjects_that_clash_are_refused() -> None:
 
 def test_processes_do_what_robots_in_this_process_do() -> None:
     choice = multicast(1)
-    records = [record(0, "native", b_hat=0.55), record(7, "mirror", filter=Filter.ALWAYS, comms_period=2)]
+    wide = generate(parse_omega("0.3"), 3)  # a test that rejects most of the time
+    records = [
+        record(0, "native", b_hat=0.55, table=wide),
+        record(7, "mirror", filter=Filter.ALWAYS, comms_period=2),
+    ]
     twins = Wire(*(RobotNode(each) for each in records))
     draw, ids = random.Random(3), (0, 7)
     with choice.open() as bus, NodeProcesses(records, lambda robot: choice, Subjects(), 10) as nodes:

@@ -1,0 +1,60 @@
+"""The tests of this folder in a guest, where this machine's kernel has no CAN."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from socketcan.guest import run_in_guest, why_not_native
+from support import ROOT
+from targets.c_node import CORTEX_A8, NODES, PLAIN
+
+SECONDS = 1100.0
+"""Time limit for a guest's whole life, in which it starts and runs one test after the other."""
+
+WORK = ROOT / "build/socketcan"
+
+
+def script() -> str:
+    """The guest's script; it leaves the exit code of the tests in a file."""
+    settings = {
+        "PATH": os.environ["PATH"],
+        "HOME": "/tmp",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",
+        NODES: WORK,
+    }
+    tests = [path for path in sorted(Path(__file__).parent.glob("test_*.py")) if path != Path(__file__)]
+    pytest_words = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-v", "-rs", "--tb=short")
+    lines = [
+        shlex.join(("cd", str(ROOT))),
+        shlex.join(("export", *(f"{name}={value}" for name, value in settings.items()))),
+        shlex.join(map(str, (*pytest_words, *tests))),
+        f"echo $? >{shlex.quote(str(WORK))}/shared/status",
+    ]
+    return "\n".join([*lines, ""])
+
+
+@pytest.mark.slow
+def test_the_tests_of_this_folder_pass_in_a_guest() -> None:
+    """Nodes are built here, which is much faster than there; the log of the tests is what this one prints."""
+    if not why_not_native():
+        pytest.skip("this machine's kernel has CAN, and the tests run on it")
+    for kind in (PLAIN, CORTEX_A8):
+        with suppress(pytest.skip.Exception):  # the guest's test skips, too, and says why
+            kind.build(WORK / kind.name)
+    shared = WORK / "shared"
+    shutil.rmtree(shared, ignore_errors=True)
+    shared.mkdir(parents=True)
+    run_in_guest(script(), shared, SECONDS)
+    for name in ("console", "log"):
+        print((shared / name).read_text(errors="replace") if (shared / name).exists() else f"no {name}")
+    status = shared / "status"
+    assert status.exists(), f"the guest did not start, or broke off within {SECONDS:g} s"
+    assert status.read_text() == "0\n"
