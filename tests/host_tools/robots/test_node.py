@@ -91,6 +91,7 @@ def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
         assert [link.send(FRAME) for _ in range(5)] == [True, True, False, False, True]
         assert [link.receive(0), link.receive(0)] == [None, None]
         assert (len(log), link.failures) == (3, 3)
+        assert abs(log[0].timestamp - time.time()) < PATIENCE
     with Bus([0, DOWN]) as bus:
         outcome = run_node(node(5), BusLink(bus))
         assert outcome.has_failed and not outcome.is_interrupted
