@@ -28,25 +28,6 @@ def pair(strangers: list[can.Message]) -> tuple[can.BusABC, Connection]:
     return virtual.VirtualBus("pair"), Connection(virtual.VirtualBus("pair"), "robot 7", strangers.append)
 
 
-def test_expected_frames_are_told_from_strangers(strangers: list[can.Message]) -> None:
-    other, own = pair(strangers)
-    with other, own.bus:
-        expected = [estimate(1, 0), estimate(2, 0), estimate(2, 0)]
-        for frame in (estimate(3, 0).frame, *(each.frame for each in expected[::-1])):
-            other.send(frame, timeout=1)
-        assert own.take(expected, None) == expected
-        assert [frame.arbitration_id & 127 for frame in strangers] == [3]
-
-
-def test_what_never_comes_is_named(strangers: list[can.Message], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "TIMEOUT", 0.02)
-    other, own = pair(strangers)
-    with other, own.bus:
-        other.send(estimate(1, 0).frame, timeout=1)
-        with pytest.raises(SwarmError, match="robot 7 did not hear frame 106BB802, frame 106BB804 within"):
-            own.take([estimate(1, 0), estimate(2, 0), estimate(4, 0)], None)
-
-
 @pytest.mark.parametrize("patience", [None, 0.02])
 def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(
     patience: float | None, strangers: list[can.Message], monkeypatch: pytest.MonkeyPatch

@@ -61,27 +61,19 @@ BAD = {
     "": "no kind is called ''; choose one of loss, delay, duplicate",
     "lose=0.2": "no kind is called 'lose'; choose",
     "loss=2": "rate is '2'; it must be a number, 0 to 1",
-    "loss=": "rate is ''; it must be a number",
     "loss=nan": "rate is 'nan'; it must be a number",
     "loss,ticks=3": "loss has no option 'ticks'; its options are from, to, robots, receivers",
-    "liar,receivers=3": "liar has no option 'receivers'",
     "loss,from=1,from=2": "from is given twice; give it once",
     "loss,from=5,to=5": "to is 5; it must be above from, 5",
     "loss,from=-1": "from is '-1'; it must be a whole number, 0 to",
     "delay,ticks=1.5": "ticks is '1.5'; it must be a whole number",
     "delay,ticks=0": "ticks is 0; it must be at least 1",
     "loss,robots=5-3": "robots is '5-3'; it must be ids 0 to 127 such as 0+3-5",
-    "loss,robots=5-": "robots is '5-'",
     "loss,robots=128": "robots is '128'",
-    "loss,receivers=-1": "receivers is '-1'",
     "corrupt,bits=65": "bits is '65'; it must be a whole number, 1 to 64",
-    "corrupt,bits=0": "bits is '0'; it must be",
     "crash,rejoin=maybe": "rejoin is 'maybe'; it must be new or restored",
     "collide": "collide needs the id to send under, such as id=3",
-    "collide,id=128": "id is '128'; it must be a whole number, 0 to 127",
-    "liar,x=1.1": "x is '1.1'; it must be a number, 0 to 1",
     "liar,alpha=-1": "alpha is '-1'; it must be a number, 0 to 3.40282e",
-    "babble,frames=10001": "frames is '10001'; it must be a whole number, 0 to 10000",
 }
 
 
@@ -91,10 +83,15 @@ def test_bad_texts_get_a_clear_error(text: str) -> None:
         parse_fault(text)
 
 
-def test_a_seed_out_of_range_is_refused() -> None:
+def test_seeds_have_128_bits_and_time_does_not_run_backwards() -> None:
     for seed in (-1, 2**128):
         with pytest.raises(UsageError, match=f"seed is {seed}"):
             Faults([], seed)
+    faults = Faults([parse_fault("crash=0.1")], 2**128 - 1)
+    faults.crash(0, 10)
+    faults.crash(1, 5)
+    with pytest.raises(ValueError, match="tick 9 comes after tick 10"):
+        faults.crash(0, 9)
 
 
 def ids(most: int) -> st.SearchStrategy[frozenset[int]]:
@@ -327,11 +324,3 @@ def test_all_choices_of_bits_are_equally_likely(width: int, count: int) -> None:
     subsets = itertools.combinations(range(width), min(count, width))
     expected = [sum(1 << bit for bit in subset) for subset in subsets]
     assert found == dict.fromkeys(expected, len(words) // len(expected))
-
-
-def test_time_must_not_run_backwards() -> None:
-    faults = Faults([parse_fault("crash=0.1")], 5)
-    faults.crash(0, 10)
-    faults.crash(1, 5)
-    with pytest.raises(ValueError, match="tick 9 comes after tick 10"):
-        faults.crash(0, 9)

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-from itertools import count
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 
+from host_tools.swarm.swarms import record
+from host_tools.swarm.test_swarm_faults import MIX
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
 from trials import images_by_message
 
-CHANNELS = (f"one world {number}" for number in count())
 COMMON: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
 CASES: dict[str, dict[str, Any]] = {
     "fully connected": {},
@@ -34,34 +31,20 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-def images_of_swarm(settings: SwarmSettings) -> list[bytes]:
-    channel = next(CHANNELS)
-    with Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual"))) as swarm:
-        for _ in range(settings.steps):
-            swarm.tick()
-        images = []
-        for node in swarm.nodes:
-            assert isinstance(node.robot, FixedPointRobot)
-            images.append(node.robot.save())
-    return images
-
-
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
 def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> None:
     """Through frames on a bus, by the engine in C where it can, and message by message in Python."""
     parameters = COMMON | CASES[case] | {"firmware": firmware}
     experiment = Experiment(**parameters, trials=1)
-    images = images_of_swarm(SwarmSettings(**parameters))
+    run, _ = record(SwarmSettings(**parameters))
+    images = [node.robot.save() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
     assert images == images_by_message(experiment, 0)
     if native.can_run(experiment):
         assert images == native.run(experiment, 0, 1).images()
 
 
-LOSS = "--fault loss=0.2,receivers=0-2 --fault corrupt=0.1,bits=2"
-LATE = "--fault delay=0.2,ticks=2 --fault duplicate=0.2"
-AT_SENDERS = "--fault liar=0.1 --fault freeze=0.1 --fault collide=0.2,id=3"
-OFF = "--fault crash=0.02,ticks=5 --fault crash=0.01,rejoin=restored --fault busoff=0.02,ticks=4"
+FAULTS = " ".join(f"--fault {fault}" for fault in MIX)
 
 
 @pytest.mark.parametrize(
@@ -69,12 +52,9 @@ OFF = "--fault crash=0.02,ticks=5 --fault crash=0.01,rejoin=restored --fault bus
     [
         "",
         "--topology dynamic",
-        "--set latency=1",
-        LOSS,
-        f"--set latency=1 {OFF}",
-        f"--set comms-period=3 {LATE} --fault babble=0.1,frames=3",
-        f"{LATE} {AT_SENDERS}",
-        f"--topology dynamic --firmware mirror {LATE} {AT_SENDERS} {OFF} {LOSS}",
+        f"--set latency=1 {FAULTS}",
+        f"--set comms-period=3 {FAULTS}",
+        f"--topology dynamic --firmware mirror {FAULTS}",
     ],
 )
 def test_a_run_without_a_bus_has_the_files_of_a_run_over_one(options: str, tmp_path: Path) -> None:
