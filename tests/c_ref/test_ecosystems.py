@@ -1,15 +1,13 @@
 """The firmware is a package for Arduino, PlatformIO, ESP-IDF and Zephyr, and each of them gets it whole.
 
-What an ecosystem's own tools can do offline they do here: Arduino's builder makes an image that runs under
-emulation; PlatformIO and ESP-IDF pack the folder; Kconfig reads Zephyr's options.
+What an ecosystem's own tools can do offline they do here: PlatformIO reads its manifest and Arduino's, and
+packs the folder, as ESP-IDF does; Kconfig reads Zephyr's options.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 import sys
 import tarfile
 from pathlib import Path
@@ -18,8 +16,8 @@ from typing import Any
 import pytest
 import yaml
 
-from c_ref.consumer import CONSUMER, answer, version_of_header
-from support import PATIENCE, ROOT, TABLE, require, run
+from c_ref.consumer import version_of_header
+from support import ROOT, require, run
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
@@ -56,56 +54,7 @@ def test_all_manifests_agree(key: str) -> None:
     )
 
 
-# --- Arduino ---------------------------------------------------------------------------------------------
-
-SKETCH = (
-    (
-        CONSUMER.replace("extern const", 'extern "C" const')
-        .replace("#include <stdio.h>", "#include <avr/sleep.h>")
-        .replace("int main(void)", "static int run()")
-        .replace('printf("%lu %lu\\n", (unsigned long)', "Serial.print(")
-        .replace(
-            ", (unsigned long)mcp_asdf_b_hat(&robot));",
-            '); Serial.print(" "); Serial.println(mcp_asdf_b_hat(&robot));',
-        )
-    )
-    + """
-void setup() { Serial.begin(115200); run(); Serial.flush(); cli(); sleep_mode(); }
-void loop() {}
-"""
-)
-BUILDER = ("arduino-builder", "-compile", "-quiet", "-warnings", "all", "-fqbn", "arduino:avr:uno")
-HARDWARE = ("-hardware", "/usr/share/arduino-builder", "-hardware", "/usr/share/arduino/hardware")
-TOOLS = ("-tools", "/usr/bin")
-# Arduino's core asks for a constant that Debian's avr-gcc 5 does not give to C++.
-SETTINGS = ("-prefs", "compiler.cpp.extra_flags=-DDECIMAL_DIG=17")
-
-
-def arduino_image(folder: Path) -> Path:
-    """The sketch's image for the Arduino Uno, with the package among its libraries."""
-    shutil.copytree(PACKAGE, folder / "libraries/mcp_asdf")
-    (folder / "robot").mkdir()
-    (folder / "built").mkdir()
-    (folder / "robot/robot.ino").write_text(SKETCH)
-    shutil.copy(TABLE, folder / "robot")
-    places = ("-libraries", folder / "libraries", "-build-path", folder / "built")
-    run(*BUILDER, *HARDWARE, *TOOLS, *SETTINGS, *places, folder / "robot/robot.ino")
-    return folder / "built/robot.ino.elf"
-
-
-@pytest.mark.slow
-def test_an_arduino_uno_runs_it(tmp_path: Path) -> None:
-    require("arduino-builder", "arduino-builder arduino-core-avr")
-    require("simavr", "simavr")
-    image = arduino_image(tmp_path)
-    built = {path.name for path in (tmp_path / "built/libraries/mcp_asdf").glob("*.o")}
-    assert built == {f"{name}.c.o" for name in PARTS}
-    simulator = ("simavr", "-m", "atmega328p", "-f", "16000000", image)
-    shown = subprocess.run(simulator, capture_output=True, text=True, check=False, timeout=PATIENCE).stderr
-    assert re.findall(r"(\d+ \d+)\.", shown) == [answer().strip()]
-
-
-# --- PlatformIO ------------------------------------------------------------------------------------------
+# --- PlatformIO, Arduino -----------------------------------------------------------------------------------
 
 # PlatformIO's own reader, schema and packer; the schema would fetch the list of licences.
 PACK = """
