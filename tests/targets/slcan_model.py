@@ -13,9 +13,9 @@ from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
 from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
 from mcp_asdf_tools.robots.node import RobotNode
 
-OPENING = b"\r\rC\rS8\rO\r"
+GREETING = b"\r"
 _LONGEST = 26
-_COMMAND = re.compile(rb"|[OCVNFzZ]|S.|s....", re.DOTALL)
+_COMMAND = re.compile(rb"|[OCVNF]|S.|s....", re.DOTALL)
 
 
 class Model:
@@ -24,16 +24,14 @@ class Model:
     Attributes:
         node: The robot.
         dropped: Lines that were neither a frame nor a command.
-        refused: Lines that an adapter refused.
-        is_adapter: Whether a host has spoken.
         is_open: Whether the bus is.
     """
 
     def __init__(self, make_node: Callable[[], RobotNode]) -> None:
         """``make_node`` makes the robot as it is when it is switched on."""
         self.node = make_node()
-        self.dropped = self.refused = 0
-        self.is_adapter = self.is_open = False
+        self.dropped = 0
+        self.is_open = False
         self._make_node = make_node
         self._line = b""
 
@@ -44,14 +42,8 @@ class Model:
             self._line += piece
             if piece[-1:] in (b"\r", b"\a"):
                 line, end, self._line = self._line[:-1], self._line[-1:], b""
-                sent += self._line_ended(line) if end == b"\r" else self._bell(line)
+                sent += self._line_ended(line) if end == b"\r" else self._drop()
         return sent
-
-    def _bell(self, line: bytes) -> bytes:
-        if line or self.is_adapter:
-            return self._drop()
-        self.refused += 1
-        return b""
 
     def _line_ended(self, line: bytes) -> bytes:
         is_frame = line[:1] in (b"t", b"T", b"r", b"R") and frame_of(line) is not None
@@ -61,31 +53,23 @@ class Model:
 
     def _frame(self, line: bytes) -> bytes:
         if not self.is_open:
-            return self._answer(b"\a")
-        is_unwell = self.dropped > 0 or self.refused > 0 or self.node.unsettled > 0
+            return b"\a"
+        is_unwell = self.dropped > 0 or self.node.unsettled > 0
         frame = frame_of(line)
         assert frame is not None
         answers = self.node.hear(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
                 answer.data[4] = is_unwell  # health: advisory
-        return self._answer(b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(line_of, answers))
+        return (b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(line_of, answers))
 
     def _command(self, command: bytes) -> bytes:
-        if command and command in b"OSsVN":
-            self.is_open &= self.is_adapter
-            self.is_adapter = True
-        answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": self._flags()}.get(command, b"\r")
-        if command in (b"z", b"Z"):
-            return b""
-        if command == b"C":
-            self.is_open &= not self.is_adapter
-        if command == b"O" or (command == b"" and not self.is_adapter and not self.is_open):
-            return self._answer(answer) + self._start()
-        return self._answer(answer)
-
-    def _flags(self) -> bytes:
-        return b"F%02X\r" % (8 * (self.dropped > 0) + 2 * (self.refused > 0))
+        flags = b"F%02X\r" % (8 * (self.dropped > 0))
+        answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": flags}.get(command, b"\r")
+        if command == b"O":
+            return answer + self._start()
+        self.is_open &= command != b"C"
+        return answer
 
     def _start(self) -> bytes:
         self.is_open = True
@@ -94,7 +78,4 @@ class Model:
 
     def _drop(self) -> bytes:
         self.dropped += 1
-        return self._answer(b"\a")
-
-    def _answer(self, text: bytes) -> bytes:
-        return text if self.is_adapter else b""
+        return b"\a"

@@ -10,9 +10,6 @@
 #define DATA_MAX 8U
 #define NO_DIGIT 16U
 
-/* Ends what a program before us left of a line; closes, sets 1 Mbit/s, opens. */
-#define OPENING "\r\rC\rS8\rO\r"
-
 /* ---- Lines of frames -------------------------------------------------------------------------------- */
 
 static char *put_hex(char *to, uint32_t value, uint8_t digits)
@@ -109,7 +106,7 @@ static bool put(slcan_link_t *link, const char *text, uint8_t length)
 void slcan_start(slcan_link_t *link)
 {
     *link = (slcan_link_t){.is_open = false};
-    (void)put(link, OPENING, sizeof OPENING - 1);
+    (void)put(link, "\r", 1);
 }
 
 bool slcan_send(slcan_link_t *link, const mcp_asdf_frame_t *frame)
@@ -120,32 +117,22 @@ bool slcan_send(slcan_link_t *link, const mcp_asdf_frame_t *frame)
     return link->is_open && length > 0 && put(link, line, length + 1);
 }
 
-/* ---- Commands that hosts send to an adapter --------------------------------------------------------- */
+/* ---- Commands ---------------------------------------------------------------------------------------- */
 
-/* Only an adapter answers: two programs that answer each other's answers would never end. */
 static void answer(slcan_link_t *link, const char *text)
 {
     uint8_t length = 0;
     while (text[length] != '\0') {
         ++length;
     }
-    if (link->is_adapter) {
-        (void)put(link, text, length);
-    }
+    (void)put(link, text, length);
 }
 
-/* Count the line that has come as dropped, and tell a host. */
+/* Count the line that has come as dropped, and tell the host. */
 static void drop(slcan_link_t *link)
 {
     count(&link->dropped);
     answer(link, "\a");
-}
-
-static void answer_host(slcan_link_t *link, const char *text)
-{
-    link->is_open &= link->is_adapter; /* what was open is the bus of an adapter that is not there */
-    link->is_adapter = true;
-    answer(link, text);
 }
 
 /* Bit 1: lines unsent; bit 3: lines dropped. */
@@ -154,13 +141,6 @@ static void answer_flags(slcan_link_t *link)
     const char *const unsent = link->dropped > 0 ? "F0A\r" : "F02\r";
     const char *const sent = link->dropped > 0 ? "F08\r" : "F00\r";
     answer(link, link->unsent > 0 ? unsent : sent);
-}
-
-static slcan_event_t open(slcan_link_t *link)
-{
-    const slcan_event_t event = link->is_open ? SLCAN_NOTHING : SLCAN_OPENED;
-    link->is_open = true;
-    return event;
 }
 
 /* The line's first character if its length is right: noise turns a T into a V by one bit. */
@@ -180,36 +160,30 @@ static char command_on(const slcan_link_t *link)
     return '?';
 }
 
-/* C and F may also be the end of a frame that noise has cut in two: they do not show that there is a host. */
 static slcan_event_t obey(slcan_link_t *link)
 {
     switch (command_on(link)) {
     case 'O':
-        answer_host(link, "\r");
+        answer(link, "\r");
+        link->is_open = true;
+        return SLCAN_OPENED;
+    case 'C':
         link->is_open = false;
-        return open(link);
+        answer(link, "\r");
+        break;
     case 'S': /* bit rates are granted: there is no wire that they would matter to */
     case 's':
-        answer_host(link, "\r");
+    case '\r': /* an empty line, with which hosts end what stood there before */
+        answer(link, "\r");
         break;
     case 'V':
-        answer_host(link, "V1001\r");
+        answer(link, "V1001\r");
         break;
     case 'N':
-        answer_host(link, "NASDF\r");
-        break;
-    case 'C':
-        link->is_open &= !link->is_adapter;
-        answer(link, "\r");
+        answer(link, "NASDF\r");
         break;
     case 'F':
         answer_flags(link);
-        break;
-    case '\r': /* an empty line: a host clears it, or an adapter agrees to the opening */
-        answer(link, "\r");
-        return link->is_adapter ? SLCAN_NOTHING : open(link);
-    case 'z': /* an adapter has sent what we gave it */
-    case 'Z':
         break;
     default:
         drop(link);
@@ -236,16 +210,6 @@ static slcan_event_t take_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
     return SLCAN_FRAME;
 }
 
-/* An adapter says so that it refuses a line; from hosts it does not come. */
-static void take_bell(slcan_link_t *link)
-{
-    if (link->is_adapter || link->is_spoilt || link->length > 0) {
-        drop(link);
-    } else {
-        count(&link->unsent);
-    }
-}
-
 slcan_event_t slcan_take(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
 {
     slcan_event_t event = SLCAN_NOTHING;
@@ -261,8 +225,8 @@ slcan_event_t slcan_take(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
     }
     if (byte == '\r') {
         event = take_line(link, frame);
-    } else {
-        take_bell(link);
+    } else { /* a bell, which no host sends */
+        drop(link);
     }
     link->length = 0;
     link->is_spoilt = false;

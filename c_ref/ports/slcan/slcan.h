@@ -7,11 +7,8 @@
  *     T106BB82A 1 0A        data frame with a 29-bit identifier
  *     r123 2, R106BB82A 2   remote frames
  *
- * slcan_link_t is one end of a serial line that carries them, whichever end it is:
- *
- *   with an adapter   At start it tells the adapter to open its bus. Lines are frames on that bus.
- *   as an adapter     The first command that only hosts send makes it one, which grants and answers what
- *                     hosts ask for. Lines are frames on a bus whose only nodes are the host and this one.
+ * slcan_link_t is an adapter: it grants and answers what a host asks for. The lines that it takes and sends
+ * are frames on a bus whose only nodes are the host and this one.
  *
  * Time and memory are bounded whatever comes in: a line that is malformed, too long or has lost bytes is
  * dropped, a line that finds no room to leave is dropped whole, and both are counted. Nothing waits, and
@@ -65,17 +62,16 @@ static inline char outbox_take(outbox_t *box)
     return box->bytes[box->first++];
 }
 
-/* ---- One end of a line ------------------------------------------------------------------------------ */
+/* ---- The adapter ------------------------------------------------------------------------------------ */
 
 /* The counters stop at 65535.
  *   outbox    what is to be handed to port_put()
  *   dropped   lines that came in and were neither a frame nor a command
- *   unsent    lines that found no room, and those that an adapter refused */
+ *   unsent    lines that found no room */
 typedef struct {
     outbox_t outbox;
     uint16_t dropped;
     uint16_t unsent;
-    bool is_adapter;
     bool is_open;
     bool is_spoilt; /* the line that is coming in has lost bytes */
     uint8_t length; /* of the line so far */
@@ -85,10 +81,10 @@ typedef struct {
 typedef enum {
     SLCAN_NOTHING,
     SLCAN_FRAME, /* a frame has come from the bus */
-    SLCAN_OPENED /* a host has opened the bus, or an adapter was found: from now on somebody listens */
+    SLCAN_OPENED /* a host has opened the bus: from now on somebody listens */
 } slcan_event_t;
 
-/* Begin: ask for an adapter. Writes every member. */
+/* Begin, with an empty line that shows that somebody is there. Writes every member. */
 void slcan_start(slcan_link_t *link);
 
 /* Take what port_get() returned. Writes *frame if that completes one. */
