@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,10 @@ FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}
 BLACK_BOX = ("api", "frame", "node")
 FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
-Span = tuple[int, int, int, int]
+Span = tuple[int, ...]
 """First line and column, last line and column."""
+Place = tuple[str, str, Span]
+"""Function, file and place."""
 
 
 @dataclass
@@ -36,50 +37,42 @@ class Decisions:
         effects: Whether each condition of a decision changed its result by itself, in its order, likewise.
     """
 
-    outcomes: dict[tuple[str, str, Span], list[int]] = field(
-        default_factory=lambda: defaultdict(lambda: [0, 0])
-    )
-    effects: dict[tuple[str, str, Span], list[bool]] = field(default_factory=dict)
+    outcomes: dict[Place, list[int]] = field(default_factory=lambda: defaultdict(lambda: [0, 0]))
+    effects: dict[Place, list[bool]] = field(default_factory=dict)
 
     def add(self, function: dict[str, Any]) -> None:
         """Adds what one program saw of a function; what any of them saw counts."""
         name = function["name"].replace(";", ":").rpartition(":")[2]
         path = function["filenames"][0]
         for *span, true, false, _, _, _ in function["branches"]:
-            seen = self.outcomes[name, path, _span(span)]
-            seen[0] += true
-            seen[1] += false
+            seen = self.outcomes[name, path, tuple(span)]
+            seen[:] = seen[0] + true, seen[1] + false
         for record in function["mcdc_records"]:
-            key, effects = (name, path, _span(record[:4])), record[-1]
+            key, effects = (name, path, tuple(record[:4])), record[-1]
             before = self.effects.get(key, [False] * len(effects))
             self.effects[key] = [a or b for a, b in zip(before, effects, strict=True)]
 
-    def missing(self) -> Iterator[tuple[str, str, str]]:
+    def missing(self) -> list[tuple[str, str, str]]:
         """Function, text, and what was not seen: ``true``, ``false``, or ``effect of condition i``."""
-        for (name, path, span), (true, false) in sorted(self.outcomes.items()):
-            for outcome, count in (("true", true), ("false", false)):
-                if count == 0:
-                    yield name, text_at(path, span), outcome
-        for (name, path, span), effects in sorted(self.effects.items()):
-            for number, seen in enumerate(effects, 1):
-                if not seen:
-                    yield name, text_at(path, span), f"effect of condition {number}"
-
-
-def _span(numbers: Iterable[int]) -> Span:
-    first_line, first_column, last_line, last_column = numbers
-    return first_line, first_column, last_line, last_column
-
-
-@cache
-def _lines(path: str) -> list[str]:
-    return Path(path).read_text(encoding="utf-8").splitlines()
+        found = [
+            (place, outcome)
+            for place, counts in self.outcomes.items()
+            for outcome, count in zip(("true", "false"), counts, strict=True)
+            if count == 0
+        ]
+        found += [
+            (place, f"effect of condition {number}")
+            for place, effects in self.effects.items()
+            for number, seen in enumerate(effects, 1)
+            if not seen
+        ]
+        return sorted((name, text_at(path, span), what) for (name, path, span), what in found)
 
 
 def text_at(path: str, span: Span) -> str:
     """A part of a source file on one line."""
     first_line, first_column, last_line, last_column = span
-    lines = _lines(path)[first_line - 1 : last_line]
+    lines = Path(path).read_text(encoding="utf-8").splitlines()[first_line - 1 : last_line]
     lines[-1] = lines[-1][: last_column - 1]
     lines[0] = lines[0][first_column - 1 :]
     return " ".join(" ".join(lines).split())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 from itertools import product
@@ -11,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from c_ref.consumer import CONSUMER, answer
-from support import CORE, ROOT, TABLE, require, run
+from support import CORE, ROOT, require, run
 
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
@@ -81,26 +79,6 @@ def test_half_a_way_to_read_tables_is_refused(left_out: int) -> None:
     defined = [reader for i, reader in enumerate(READERS) if i != left_out]
     assert "define all of MCP_ASDF_ROM" in complaint(*defined)
     assert "define all of MCP_ASDF_ROM" in complaint(READERS[left_out])
-
-
-WORD_READER = """
-#include <stdint.h>
-static inline uint32_t read_word(const uint32_t *address) { return *address ^ 0xA5A5A5A5; }
-static inline uint8_t read_byte(const uint8_t *address) { return *address; }
-"""
-
-
-def test_every_word_of_a_table_is_read_as_the_target_says(tmp_path: Path) -> None:
-    """A target that keeps its t-table's words changed, and changes them back in its way of reading."""
-    (tmp_path / "reader.h").write_text(WORD_READER)
-    (tmp_path / "main.c").write_text(CONSUMER)
-    text = TABLE.read_text(encoding="utf-8")
-    changed = re.sub(r"0x([0-9A-F]{8})U", lambda word: f"0x{int(word[1], 16) ^ 0xA5A5A5A5:08X}U", text)
-    (tmp_path / "table.c").write_text(changed)
-    own = ("-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_WORD=read_word", "-DMCP_ASDF_READ_BYTE=read_byte")
-    flags = ("-std=c99", f"-I{CORE.parent}", "-include", "reader.h", *own)
-    run("gcc", *flags, "main.c", CORE, "table.c", "-o", "consumer", cwd=tmp_path)
-    assert run(tmp_path / "consumer") == answer()
 
 
 VIOLATIONS = {
