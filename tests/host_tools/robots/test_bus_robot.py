@@ -170,7 +170,18 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
 @pytest.mark.parametrize(
     ("given", "count"),
     [
-        *((6, 6), ("6", 6), (0, 0), (10, 10), ("30%", 3), (0.25, 3), ("0.5", 5), (1.0, 10), ("100%", 10)),
+        *(
+            (6, 6),
+            ("6", 6),
+            (np.int64(4), 4),
+            (0, 0),
+            (10, 10),
+            ("30%", 3),
+            (0.25, 3),
+            ("0.5", 5),
+            (1.0, 10),
+            ("12.5%", 1),
+        ),
         *((each, None) for each in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None)),
     ],
 )
