@@ -1,11 +1,13 @@
-/* A world from its settings: its start, its floor, a tick, and the record of many. arena.h is the manual;
+/* A world from its settings: its floor, its start, a tick, and the record of many. arena.h is the manual;
  * docs/arena.md states the model and where its numbers come from.
  *
- *   arena.c        settings are checked and robots placed, at random; colours of the floor, and the ground
- * sensor motion.c       bodies move as their motors and contacts drive them links.c        which pairs are
- * near, and which hear each other steering.c     proximity sensors, and wheels that turn the robot away from
- * obstacles elementary.c   sines, angles and exponentials without a mathematics library splitmix.h     random
- * numbers They share arena_private.h. Units are metres, seconds and radians throughout.
+ *   arena.c        settings are checked, robots placed and the floor coloured; a tick
+ *   motion.c       bodies move as their motors and contacts drive them
+ *   links.c        which pairs are near, and which hear each other
+ *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
+ *   elementary.c   sines, angles and exponentials without a mathematics library
+ *
+ * They share arena_private.h. Units are metres, seconds and radians throughout.
  */
 #include "arena_private.h"
 
@@ -30,7 +32,7 @@ static inline double splitmix_uniform(uint64_t *counter)
  * A tile's colour is a hash of the seed and the tile's column and row, so that no floor is stored however
  * large it is; a picture is read from the caller's memory. */
 
-/* Of the ground sensor, from the centre. */
+/* Place of the ground sensor, from the centre. */
 #define SENSOR_FORWARD 0.0614
 #define SENSOR_RIGHT 0.01
 
