@@ -35,7 +35,6 @@ __all__ = ["NativeRobot", "ffi", "lib"]
 
 _STATUS = {int(status): status for status in Status}
 _MAX_BYTE = 2**8 - 1
-_COUNTER_MASK = 2**16 - 1
 _REASONS = {
     Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
     Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
