@@ -20,6 +20,12 @@ static uint32_t table[130];
 static mcp_asdf_config_t config;
 static mcp_asdf_t robot;
 static uint8_t image[MCP_ASDF_IMAGE_SIZE];
+static mcp_asdf_frame_t frame;
+static mcp_asdf_frame_format_t format;
+static mcp_asdf_estimate_t estimate_message;
+static mcp_asdf_heartbeat_t heartbeat;
+static mcp_asdf_telemetry_t telemetry;
+static mcp_asdf_command_t command;
 
 static uint32_t word(void) { return (uint32_t)Frama_C_unsigned_long_interval(0, UINT32_MAX); }
 static uint8_t byte(void) { return Frama_C_unsigned_char_interval(0, 255); }
@@ -29,6 +35,12 @@ static void forget_all(void)
     UNKNOWN(table);
     UNKNOWN(image);
     UNKNOWN(robot);
+    UNKNOWN(frame);
+    UNKNOWN(format);
+    UNKNOWN(estimate_message);
+    UNKNOWN(heartbeat);
+    UNKNOWN(telemetry);
+    UNKNOWN(command);
     robot.config = &config;
     config.table = table;
     config.filter_period = word();
@@ -39,21 +51,35 @@ static void forget_all(void)
 /* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
  * it would not remember that the second one is refused before it serves as an index. */
 
-/* Those that accept a table, of any contents, or none. */
-static void accept_any(void)
+/* Those that accept a table, of any contents, or none; and those of the frame codec. */
+static void call_any(void)
 {
+    const uint16_t subject = (uint16_t)word();
     config.table = Frama_C_interval(0, 1) != 0 ? table : 0;
-    if (Frama_C_interval(0, 1) != 0) {
+    switch (Frama_C_interval(0, 3)) {
+    case 0:
         (void)mcp_asdf_init(&robot, &config, byte(), word());
-    } else if (image[ID_IN_IMAGE] <= MCP_ASDF_MAX_ID) {
-        (void)mcp_asdf_restore(&robot, &config, image);
-    } else {
-        (void)mcp_asdf_restore(&robot, &config, image);
+        break;
+    case 1:
+        if (image[ID_IN_IMAGE] <= MCP_ASDF_MAX_ID) {
+            (void)mcp_asdf_restore(&robot, &config, image);
+        } else {
+            (void)mcp_asdf_restore(&robot, &config, image);
+        }
+        break;
+    case 2:
+        (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
+        (void)mcp_asdf_encode_heartbeat(&frame, byte(), &heartbeat);
+        (void)mcp_asdf_encode_telemetry(&frame, &format, &telemetry);
+        break;
+    default:
+        (void)mcp_asdf_decode_estimate(&estimate_message, subject, &frame);
+        (void)mcp_asdf_decode_command(&command, subject, &frame);
     }
 }
 
-/* Those that rely on an accepted one: its first word is right. */
-static void call_any(void)
+/* Those that rely on an accepted table: its first word is right. */
+static void call_robot(void)
 {
     table[0] = TABLE_MAGIC + (uint32_t)Frama_C_interval(2, MCP_ASDF_MAX_ID);
     switch (Frama_C_interval(0, 5)) {
@@ -81,53 +107,13 @@ static void call_any(void)
     }
 }
 
-static mcp_asdf_frame_t frame;
-static mcp_asdf_frame_format_t format;
-static mcp_asdf_estimate_t estimate_message;
-static mcp_asdf_heartbeat_t heartbeat;
-static mcp_asdf_telemetry_t telemetry;
-static mcp_asdf_command_t command;
-
-static void forget_messages(void)
-{
-    UNKNOWN(frame);
-    UNKNOWN(format);
-    UNKNOWN(estimate_message);
-    UNKNOWN(heartbeat);
-    UNKNOWN(telemetry);
-    UNKNOWN(command);
-}
-
-static void encode_any(void)
-{
-    (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
-    (void)mcp_asdf_encode_heartbeat(&frame, byte(), &heartbeat);
-    (void)mcp_asdf_encode_telemetry(&frame, &format, &telemetry);
-}
-
-static void decode_any(void)
-{
-    const uint16_t subject = (uint16_t)word();
-    (void)mcp_asdf_decode_estimate(&estimate_message, subject, &frame);
-    (void)mcp_asdf_decode_command(&command, subject, &frame);
-}
-
 int main(void)
 {
     forget_all();
-    forget_messages();
-    switch (Frama_C_interval(0, 3)) {
-    case 0:
-        accept_any();
-        break;
-    case 1:
-        encode_any();
-        break;
-    case 2:
-        decode_any();
-        break;
-    default:
+    if (Frama_C_interval(0, 1) != 0) {
         call_any();
+    } else {
+        call_robot();
     }
     return 0;
 }
