@@ -74,12 +74,7 @@ def run(args: argparse.Namespace) -> int:
     with recording as (log, events):
         node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
         outcome = _go(args, node, choice, log)
-    results = {
-        "steps": node.ticks,
-        **vars(outcome),
-        "robot": state_of(node),
-        "frames": node.figures(),
-    }
+    results = {"steps": node.ticks, **vars(outcome), "robot": state_of(node), "frames": node.figures()}
     if args.json:
         report = {
             "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},

@@ -9,8 +9,6 @@ from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.recording.recording import NoRecording, Recording
 
-_FAILED, _NOT_WRITTEN = 1, 2
-
 
 def recording_for(
     command: str, path: Path | None, header: InputLogHeader | None, choice: BusChoice
@@ -27,4 +25,4 @@ def recording_for(
 
 def exit_code(recording: Recording | NoRecording, code: int) -> int:
     """The exit code of a command that would end with ``code`` if its recording were complete."""
-    return code if recording.failure is None or code == _FAILED else _NOT_WRITTEN
+    return code if recording.failure is None or code == 1 else 2

@@ -19,7 +19,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
-from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
+from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from robots import ALPHA_ONE
@@ -141,6 +141,12 @@ def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
     events[1] = 1 - events[1]
     input_log_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
     assert f": robot {events[0]} broadcast " in (check(list(read_log(recorded)), log).difference or "")
+
+
+def test_every_settle_shows_its_robot(recorded: Path) -> None:
+    with InputLogReader(input_log_path(recorded)) as input_log:
+        shown = [(robot, state.t) for robot, state in rerun(input_log)]
+    assert shown == [(robot, tick) for tick in range(1, 41) for robot in range(4)]
 
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
