@@ -5,7 +5,6 @@ A short version of tests/benchmarks/fidelity.py.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -16,7 +15,6 @@ from benchmarks import fidelity
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import score
 from mcp_asdf_tools.robots.population import Filtering
-from mcp_asdf_tools.world.arena import Arena
 
 CONNECTED, PHYSICS = fidelity.read_cells(), fidelity.read_cells(fidelity.PHYSICS)
 
@@ -80,19 +78,3 @@ def test_holm_is_the_procedure() -> None:
         while rejected < 12 and ordered[rejected] <= 0.05 / (12 - rejected):
             rejected += 1
         assert sum(value <= 0.05 for value in fidelity.holm(values.tolist())) == rejected
-
-
-def test_degrees_of_trials_are_those_of_the_simulation() -> None:
-    """The mean degree of each trial is in the reference, too."""
-    with fidelity.PHYSICS.open(encoding="utf-8", newline="") as file:
-        theirs = [float(degree) for row in csv.DictReader(file) for degree in row["mean_degree"].split()]
-    ours = [mean_degree(PHYSICS[0].experiment, trial) for trial in range(8)]
-    error = np.hypot(np.std(ours) / len(ours) ** 0.5, np.std(theirs) / len(theirs) ** 0.5)
-    assert abs(np.mean(ours) - np.mean(theirs)) < 4 * error
-
-
-def mean_degree(experiment: Experiment, trial: int) -> float:
-    arena, links = Arena(experiment, trial), 0
-    for _ in range(400):
-        links += arena.record(100).adjacency[-1].sum()
-    return links / (400 * experiment.robots)
