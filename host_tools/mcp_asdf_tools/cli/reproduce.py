@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
 
     report.write_report(folder, runs, scale)
-    claims = report.as_values(runs, scale)
+    claims = report.as_values(runs[0], scale)
     if args.json:
         print(json.dumps({"report": str(folder / "report.html"), "claims": claims}, indent=2))
         return 0

@@ -40,13 +40,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     write_atomically(check_plot_path(path), image_of(figure, path))
 
 
-def image_of(figure: Figure, path: Path, has_text: bool = False) -> bytes:
-    """Content of the file ``path`` for a figure, an .svg with letters as shapes unless it ``has_text``.
-
-    Raises UsageError if its name is not that of a picture.
-    """
+def image_of(figure: Figure, path: Path) -> bytes:
+    """Content of the file ``path`` for a figure. Raises UsageError if its name is not that of a picture."""
     image, suffix = io.BytesIO(), _format_of(path)
-    with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "none" if has_text else "path"}):
+    with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
     return image.getvalue()
 
@@ -58,18 +55,16 @@ WIDTH = 9.0
 SMALL, MEDIUM = 8, 10
 """Sizes of letters: of ticks, legends and captions; of titles and labels."""
 
-GREY = "#999999"
-
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222"),
-    *(GREY, "#f0e442", "#6a3d9a", "#7a5230"),
+    *("#999999", "#f0e442", "#6a3d9a", "#7a5230"),
 )
 """For what has no colour of its own; the first eight stay apart for the colour-blind."""
 
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
 """Flawed robots, healthy ones, the truth."""
 
-WITHOUT = GREY
+WITHOUT = COLOURS[8]
 """Swarms without a filter."""
 
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])

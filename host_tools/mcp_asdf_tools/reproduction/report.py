@@ -208,20 +208,14 @@ def comparisons(runs: Sequence[Run], scale: Scale) -> str:
     return content.getvalue()
 
 
-def as_values(runs: Sequence[Run], scale: Scale) -> list[dict[str, object]]:
-    """Claims and verdicts as plain values; verdicts are null where none may be given."""
-    verdicts = _verdicts_of(runs)
-    shown = scale.allows_verdicts
+def as_values(run: Run, scale: Scale) -> list[dict[str, object]]:
+    """Claims and verdicts with a seed as plain values; verdicts are null where none may be given."""
     return [
         {
             "claim": each.claim.name,
-            "where": each.claim.where,
-            "words": each.claim.words,
             "part": each.part.value if each.part else None,
-            "verdict": each.finding.verdict.value if shown else None,
-            "verdicts": verdicts[each.anchor] if shown else [],
-            "readings": {words: verdict.value for words, verdict in each.readings.items()} if shown else {},
+            "verdict": each.finding.verdict.value if scale.allows_verdicts else None,
             "numbers": numbers(each.finding),
         }
-        for each in runs[0].decided
+        for each in run.decided
     ]

@@ -129,7 +129,8 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
         def of(self, part: Part) -> list[Any]:
             return [SimpleNamespace(experiment=experiment_of(cell, Scale())) for cell in cells_of(part)]
 
-    def drawn(shown: list[Any], *_: int, name: Any = lambda each: "") -> list[set[Any]]:
+    def drawn(shown: list[Any], number: int = 0, name: Any = lambda each: "") -> list[set[Any]]:
+        assert number == 0
         every = [trials.experiment for trials in shown]
         shares = {each.flawed / each.robots for each in every}
         return [{e.filter for e in every}, {e.filter_period for e in every}, shares, set(map(name, every))]

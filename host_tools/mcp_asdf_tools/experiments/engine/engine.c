@@ -244,7 +244,7 @@ static mcp_asdf_status_t start(block_t *block, const mcp_asdf_outcome_t *outcome
         block->limit[c] = 0;
     }
     for (uint32_t l = 0; l < block->used; ++l) {
-        block->trials[l] = trial_of(e, outcome, block->index + l);
+        block->trials[l] = trial_part(e, outcome, block->index + l);
         const mcp_asdf_status_t status = trial_start(e, &block->trials[l]);
         if (status != MCP_ASDF_OK) {
             return status;

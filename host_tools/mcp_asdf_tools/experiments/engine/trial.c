@@ -7,7 +7,7 @@ static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
     return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
 }
 
-trial_t trial_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index)
+trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
     const size_t records =

@@ -27,7 +27,8 @@ static inline uint32_t trial_columns(const mcp_asdf_experiment_t *experiment)
 }
 
 /* The part of the index-th of these trials. */
-trial_t trial_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index);
+trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
+                   uint32_t index);
 
 /* Initialise a trial's robots and write down step 0. Fails as mcp_asdf_init(). */
 mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial);
