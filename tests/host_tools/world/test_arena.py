@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, Motion, config_values
+from mcp_asdf_tools.world.arena import Arena, Motion
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
 
@@ -42,26 +42,6 @@ def distances(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return apart
 
 
-# ---------------------------------------------------------------- settings
-
-
-@pytest.mark.parametrize(
-    ("member", "value"),
-    [
-        ("robots", 0), ("robots", 129), ("width", 0.1408), ("height", math.nan), ("width", 1001.0),
-        ("speed", 0.0), ("speed", 0.82), ("range", 0.0), ("range", math.inf), ("tick", 0.0), ("tick", 0.6),
-        ("tile", 5e-5), ("tile", math.inf), ("fill_ratio", 1.1), ("fill_ratio", math.nan),
-    ],
-)  # fmt: skip
-def test_the_c_refuses_what_settings_should_have_refused(member: str, value: float) -> None:
-    ffi, lib = _arena.ffi, _arena.lib
-    config = ffi.new("mcp_asdf_arena_config_t *", config_values(PAPER, 0, ffi)[0])
-    arena = ffi.new("mcp_asdf_arena_t *")
-    assert lib.mcp_asdf_arena_init(arena, config) == lib.MCP_ASDF_ARENA_OK
-    setattr(config, member, value)
-    assert lib.mcp_asdf_arena_init(arena, config) == lib.MCP_ASDF_ARENA_ERR_CONFIG
-
-
 def test_impossible_requests_are_named() -> None:
     for ticks in (-1, 2**32):
         with pytest.raises(UsageError, match=f"ticks is {ticks}; choose 0"):
@@ -69,6 +49,11 @@ def test_impossible_requests_are_named() -> None:
     for place in ((2.8, 0), (0, -2.8)):
         with pytest.raises(UsageError, match="outside the arena"):
             Arena(PAPER).is_black(*place)
+    crowded = world(60, 3, 3)
+    for side in ("width", "height"):
+        object.__setattr__(crowded, side, 0.6)  # which settings would have refused
+    with pytest.raises(UsageError, match=r"60 robots found no room in 0\.6 x 0\.6 m; take fewer or a larger"):
+        Arena(crowded)
 
 
 # ---------------------------------------------------------------- determinism

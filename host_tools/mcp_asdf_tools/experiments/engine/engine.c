@@ -250,9 +250,8 @@ static mcp_asdf_status_t start(block_t *block, const mcp_asdf_outcome_t *outcome
             return status;
         }
     }
-    if (e->arenas != NULL &&
-        (e->arenas[block->index].robots != e->robots ||
-         mcp_asdf_arena_init(&block->arena, &e->arenas[block->index]) != MCP_ASDF_ARENA_OK)) {
+    if (e->arenas != NULL && (e->arenas[block->index].robots != e->robots ||
+                              !mcp_asdf_arena_init(&block->arena, &e->arenas[block->index]))) {
         return MCP_ASDF_ERR_CONFIG;
     }
     look(block, 0);

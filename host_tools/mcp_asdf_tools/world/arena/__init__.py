@@ -60,7 +60,7 @@ class Arena:
         self._arena = _arena.ffi.new("mcp_asdf_arena_t *")
         values, self._image = config_values(settings, trial, _arena.ffi)
         config = _arena.ffi.new("mcp_asdf_arena_config_t *", values)
-        if _arena.lib.mcp_asdf_arena_init(self._arena, config) != _arena.lib.MCP_ASDF_ARENA_OK:
+        if not _arena.lib.mcp_asdf_arena_init(self._arena, config):
             width, height = settings.sides  # all else has been checked
             where = f"{settings.robots} robots found no room in {width} x {height} m"
             raise UsageError(f"{where}; take fewer or a larger arena")

@@ -1,7 +1,7 @@
 /* A world from its settings: its floor, its start, a tick, and the record of many. arena.h is the manual;
  * docs/arena.md states the model and where its numbers come from.
  *
- *   arena.c        settings are checked, robots placed and the floor coloured; a tick
+ *   arena.c        robots are placed and the floor coloured; a tick
  *   motion.c       bodies move as their motors and contacts drive them
  *   links.c        which pairs are near, and which hear each other
  *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
@@ -79,34 +79,11 @@ static void look(mcp_asdf_arena_t *arena)
     see_floor(arena);
 }
 
-#define MAX_SIDE 1000.0
-#define MAX_TILES 100000.0 /* along a side, so that the number of a column or row fits 32 bits */
-#define MAX_SPEED 0.814
 #define PLACING_ATTEMPTS 100000
 
 /* Different draws for places and colours from one seed. */
 #define PLACES 0x706C616365U
 #define COLOURS 0x636F6C6F7572U
-
-/* In all these checks a NaN fails. */
-static bool has_side(double side) { return side > DIAMETER && side <= MAX_SIDE; }
-
-static bool has_floor(const mcp_asdf_arena_config_t *config)
-{
-    if (config->image != NULL) {
-        return config->columns > 0 && config->rows > 0;
-    }
-    return config->tile * MAX_TILES >= larger(config->width, config->height) && !isinf(config->tile) &&
-           config->fill_ratio >= 0 && config->fill_ratio <= 1;
-}
-
-static bool is_valid(const mcp_asdf_arena_config_t *config)
-{
-    return config->robots >= 1 && config->robots <= MCP_ASDF_ARENA_MAX_ROBOTS && has_side(config->width) &&
-           has_side(config->height) && config->speed > 0 && config->speed <= MAX_SPEED && config->range > 0 &&
-           config->range <= MAX_SIDE && config->tick > 0 &&
-           2 * config->speed / WHEEL_DISTANCE * config->tick <= LARGEST_TURN && has_floor(config);
-}
 
 /* Whether body i overlaps one that was placed before. */
 static bool overlaps(const mcp_asdf_arena_t *arena, uint32_t i)
@@ -119,16 +96,16 @@ static bool overlaps(const mcp_asdf_arena_t *arena, uint32_t i)
     return false;
 }
 
-static mcp_asdf_arena_status_t place(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
+static bool place(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     for (int attempt = 0; attempt < PLACING_ATTEMPTS; ++attempt) {
         arena->x[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.width - DIAMETER);
         arena->y[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.height - DIAMETER);
         if (!overlaps(arena, i)) {
-            return MCP_ASDF_ARENA_OK;
+            return true;
         }
     }
-    return MCP_ASDF_ARENA_ERR_CROWDED;
+    return false;
 }
 
 /* The direction of a point that is uniform in a disc is uniform as well, and needs no sine. */
@@ -156,20 +133,19 @@ static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *conf
     arena->motor = ACCELERATION * arena->part;
 }
 
-mcp_asdf_arena_status_t mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
+int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
 {
     uint64_t counter = splitmix(config->seed ^ PLACES);
-    mcp_asdf_arena_status_t status = is_valid(config) ? MCP_ASDF_ARENA_OK : MCP_ASDF_ARENA_ERR_CONFIG;
     prepare(arena, config);
-    for (uint32_t i = 0; i < config->robots && status == MCP_ASDF_ARENA_OK; ++i) {
-        status = place(arena, i, &counter);
+    for (uint32_t i = 0; i < config->robots; ++i) {
+        if (!place(arena, i, &counter)) {
+            return 0;
+        }
         face_anywhere(arena, i, &counter);
         mcp_asdf_arena_steer(arena, i, 0, 0);
     }
-    if (status == MCP_ASDF_ARENA_OK) {
-        look(arena);
-    }
-    return status;
+    look(arena);
+    return 1;
 }
 
 /* ---- Ticks --------------------------------------------------------------------------------------------- */

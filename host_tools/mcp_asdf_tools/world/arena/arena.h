@@ -22,17 +22,10 @@
 #define MCP_ASDF_ARENA_MAX_ROBOTS 128
 #define MCP_ASDF_ARENA_MAX_PAIRS 8128 /* 128 * 127 / 2 */
 
-/* Result of mcp_asdf_arena_init(). */
-typedef enum {
-    MCP_ASDF_ARENA_OK = 0,
-    MCP_ASDF_ARENA_ERR_CONFIG = -1, /* a setting is out of range */
-    MCP_ASDF_ARENA_ERR_CROWDED = -2 /* found no room for all robots */
-} mcp_asdf_arena_status_t;
-
 /* Modes of the wheels: both at full speed, the inner one slower, or turning on the spot. */
 typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN = 2 } mcp_asdf_wheels_t;
 
-/* Settings of a world.
+/* Settings of a world, which must be in these ranges: the tools check them (settings.py).
  *   seed         for the robots' places and the colours of the tiles
  *   robots       1 .. MCP_ASDF_ARENA_MAX_ROBOTS
  *   width        inner side along x: above 0.1408, the diameter of a body, up to 1000
@@ -134,10 +127,10 @@ typedef struct {
     uint64_t *linked;
 } mcp_asdf_arena_record_t;
 
-/* Check the settings, place the robots at random without overlap, with headings uniform too, and let them
- * look around: tick 0, everybody at rest. After an error the arena must not be used. O(robots^2) where there
- * is room to spare, otherwise up to 10^5 attempts per robot. */
-mcp_asdf_arena_status_t mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config);
+/* Place the robots at random without overlap, with headings uniform too, and let them look around: tick 0,
+ * everybody at rest. Returns 1, or 0 if they find no room: the arena must then not be used. O(robots^2) where
+ * there is room to spare, otherwise up to 10^5 attempts per robot. */
+int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config);
 
 /* One tick: bodies move as their wheels were set; then, from their new places, robots find their neighbours,
  * sense obstacles and floor, and set their wheels. O(robots + pairs in range), and O(robots^2) every few
