@@ -95,7 +95,7 @@ class WorldSettings:
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        _set(self, "graph", _graph(self.graph))
+        object.__setattr__(self, "graph", _graph(self.graph))
         self._check_topology()
         self._check_sensor()
         if self.is_dynamic:
@@ -153,10 +153,6 @@ _OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "til
 def default_of(settings: Any, name: str) -> Any:
     """The default of a parameter."""
     return parameters_of(type(settings))[name].default
-
-
-def _set(settings: WorldSettings, name: str, value: Any) -> None:
-    object.__setattr__(settings, name, value)
 
 
 def _graph(value: Any) -> Graph | str:

@@ -15,6 +15,7 @@ from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.common.errors import UsageError
 
 _EDGES = re.compile(r"[0-9>;\s]*")
+_EDGE = re.compile(r"\s*([0-9]{1,3})(?:\s*(>)\s*|\s+)([0-9]{1,3})\s*")
 
 
 class Topology(Protocol):
@@ -129,20 +130,12 @@ def _graph(lines: Iterable[str], unit: str, source: str) -> Graph:
 
 def _links_of(text: str, place: str) -> list[tuple[int, int]]:
     """The links of a line. Raises UsageError, naming the ``place``, if it is no edge."""
-    words = text.replace(">", " > ").split()
-    if not words:
+    if not text.strip():
         return []
-    is_one_way = words[1:2] == [">"]
-    ends = words[::2] if is_one_way else words
-    if len(words) != (3 if is_one_way else 2):
-        raise UsageError(f"{place}: {text.strip()!r} is not an edge; write two ids, such as '3 5' or '3 > 5'")
-    first, second = (_id_of(word, place) for word in ends)
+    edge = _EDGE.fullmatch(text)
+    if edge is None or max(first := int(edge[1]), second := int(edge[3])) > MAX_ID:
+        fix = f"write two ids, 0 to {MAX_ID}, such as '3 5' or '3 > 5'"
+        raise UsageError(f"{place}: {text.strip()!r} is not an edge; {fix}")
     if first == second:
         raise UsageError(f"{place}: robot {first} cannot be its own neighbour; remove the edge")
-    return [(first, second)] if is_one_way else [(first, second), (second, first)]
-
-
-def _id_of(word: str, place: str) -> int:
-    if not (word.isascii() and word.isdigit() and len(word) <= 3 and int(word) <= MAX_ID):
-        raise UsageError(f"{place}: {word!r} is not a robot; ids are 0 to {MAX_ID}")
-    return int(word)
+    return [(first, second)] if edge[2] else [(first, second), (second, first)]
