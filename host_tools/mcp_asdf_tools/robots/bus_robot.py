@@ -127,19 +127,6 @@ class Reception:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
-    def count(self, contents: Sequence[Content]) -> None:
-        """Count frames that are no estimates."""
-        for each in contents:
-            if isinstance(each, Heartbeat):
-                self.heartbeats += 1
-            elif isinstance(each, Telemetry):
-                self.telemetry += 1
-                self.last_telemetry[each.sender] = each
-            elif each is Rejection.ERROR_FRAME:
-                self.errors += 1
-            elif isinstance(each, Rejection):
-                self.rejected[each] += 1
-
 
 @dataclass
 class FramesSent:
@@ -309,8 +296,17 @@ class BusRobot:
 
     def count(self, contents: Sequence[Content]) -> None:
         """Count frames that are no estimates."""
-        if self.is_alive and contents:
-            self.reception.count(contents)
+        heard = self.reception
+        for each in contents if self.is_alive else ():
+            if isinstance(each, Heartbeat):
+                heard.heartbeats += 1
+            elif isinstance(each, Telemetry):
+                heard.telemetry += 1
+                heard.last_telemetry[each.sender] = each
+            elif each is Rejection.ERROR_FRAME:
+                heard.errors += 1
+            elif isinstance(each, Rejection):
+                heard.rejected[each] += 1
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""

@@ -122,8 +122,15 @@ class Lockstep:
         self._orders = dict.fromkeys(robots, Action.SETTLE)
         self._send(self._orders)
         answers = self._answers(robots, self._telemetry, "settle")
-        for answer in answers.values():
-            self._check_turn(answer)
+        for robot, answer in answers.items():
+            # It counts settles, so it reveals stray answers and restarts.
+            number, expected = answer.transfer_id, self._turns.get(robot, answer.transfer_id)
+            if number != expected:
+                raise LockstepError(
+                    f"robot {robot} answered in tick {self.tick} with transfer_id {number}, not {expected} "
+                    f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
+                )
+            self._turns[robot] = (number + 1) % TRANSFER_IDS
         self.tick += 1
         return answers
 
@@ -133,17 +140,6 @@ class Lockstep:
         The number of the next tick is ``distance``, at least 1, higher.
         """
         self.tick += distance
-
-    def _check_turn(self, answer: Telemetry) -> None:
-        """Check the answer's transfer_id, which counts settles: it reveals stray answers and restarts."""
-        robot, number = answer.sender, answer.transfer_id
-        expected = self._turns.get(robot, number)
-        if number != expected:
-            raise LockstepError(
-                f"robot {robot} answered in tick {self.tick} with transfer_id {number}, not {expected} "
-                f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
-            )
-        self._turns[robot] = (number + 1) % TRANSFER_IDS
 
     def _send(self, orders: Mapping[int, Action]) -> None:
         frames = []

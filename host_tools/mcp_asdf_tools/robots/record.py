@@ -80,25 +80,14 @@ class RobotRecord:
 
         Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
         """
-        config = self.config
-        plain: dict[str, Any] = {
-            "id": self.id,
-            "firmware": self.firmware,
-            "b_hat": self.b_hat,
-            "filter": config.filter.name.lower(),
-            "comms_period": config.comms_period,
-            "filter_period": config.filter_period,
-            "memory": config.memory,
-        }
-        if config.table is not None:
-            omega = omega_from_word(config.table.omega_word)
+        plain = {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat, **vars(self.config)}
+        plain["filter"] = self.config.filter.name.lower()
+        table = plain.pop("table")
+        if table is not None:
+            omega = omega_from_word(table.omega_word)
             if omega is None:
-                raise UsageError(f"the t-table's omega is {config.table.omega}; make one with mcp-asdf table")
-            plain["table"] = {
-                "omega": str(omega),
-                "q": config.table.q,
-                "checksum": config.table.words()[-1],
-            }
+                raise UsageError(f"the t-table's omega is {table.omega}; make one with mcp-asdf table")
+            plain["table"] = {"omega": str(omega), "q": table.q, "checksum": table.words()[-1]}
         return plain
 
     @classmethod

@@ -56,20 +56,13 @@ def test_ticks_begin_at_multiples_of_the_period_or_when_the_last_is_over(
     }
 
 
-def test_sleeps_that_end_early_are_gone_on_with() -> None:
+def test_sleeps_that_end_early_are_gone_on_with_and_patience_ends_in_the_middle_of_the_period() -> None:
     watch = Watch(lambda seconds: max(seconds, 0.0625) - 0.03125)
     clock = watch.clock()
     clock.begin(0)
     clock.begin(1)
     assert watch.now >= 1000 + PERIOD
     assert len(watch.slept) > 1
-
-
-def test_patience_ends_in_the_middle_of_the_period() -> None:
-    watch = Watch()
-    clock = watch.clock()
-    clock.begin(0)
-    clock.begin(1)
-    for passed, left in ((0, 0.0625), (0.03125, 0.03125), (5, 0)):
-        watch.now += passed
+    for now, left in ((0.125, 0.0625), (0.15625, 0.03125), (9, 0)):
+        watch.now = 1000 + now
         assert clock.patience(1) == left

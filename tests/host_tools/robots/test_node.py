@@ -191,6 +191,8 @@ BAD = {
     "--id 128": "robot id is 128; choose 0 .. 127",
     "--id 1 --b-hat 1.5": "b_hat is 1.5",
     "--id 1 --comms-period 3": "--filter-period is 1000; it must be a multiple of comms_period, 3",
+    "--id 1 --memory 66": "--memory is 66; it must be a multiple of 4",
+    "--id 1 --omega 0.95": "--omega is 0.95",
     "--id 1 --neighbours 128": "--neighbours is 128; it must be 2 to 127",
     "--id 1 --neighbours 1": "--neighbours is 1; it must be 2 to 127",
     "--id 1 --filter none --omega 0.1": "--omega would do nothing: filter is none; leave it out",
