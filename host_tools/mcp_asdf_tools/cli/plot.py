@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_where(parser)
     parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
     group = parser.add_argument_group("curves")
-    group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis, or its letter: tau")
+    group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis")
     group.add_argument("--hue", metavar="NAME", default="", help="parameter with a curve for each value")
     group.add_argument("--y", metavar="NAME", default="H", help="H, h_K, h_e, K or e (default %(default)s)")
     options.add_limits(parser)

@@ -36,17 +36,6 @@ from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 
-LETTERS = {
-    "f": "fill_ratio",
-    "b": "true_accuracy",
-    "b_hat": "flawed_accuracy",
-    "P": "flawed",
-    "N": "robots",
-    "D": "density",
-    "tau": "filter_period",
-}
-"""The paper's letters of parameters."""
-
 _BOXES = (
     "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
     "1.5 of their length"
@@ -283,10 +272,9 @@ def curve(
     """The median of ``y`` over the parameter ``x`` with its 95 % interval: a curve for each value of the
     parameter ``hue``.
 
-    Parameters have their names or the paper's letters; P is a share. Raises UsageError for unknown ones, and
-    if the experiments differ in any other.
+    Flawed robots are a share. Raises UsageError for unknown parameters, and if the experiments differ in any
+    other.
     """
-    x, hue = (LETTERS.get(name, name) for name in (x, hue))
     _check_axes(experiments, x, hue, y)
     hues = sorted({_value(trials.experiment, hue) for trials in experiments}) if hue else [None]
     figure, ((axes,),) = _panels(1, 1, 3.8, len(hues))
@@ -323,9 +311,7 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None
     known = experiments[0].experiment.parameters()
     for option, name in (("--x", x), ("--hue", hue)):
         if name not in known and (option, name) != ("--hue", ""):
-            raise UsageError(
-                f"{option} is {name!r}; choose a parameter, or one of the letters {', '.join(LETTERS)}"
-            )
+            raise UsageError(f"{option} is {name!r}; choose a parameter: {', '.join(known)}")
     if y not in MEASURES:
         raise UsageError(f"--y is {y!r}; choose one of {', '.join(MEASURES)}")
     others = _varying(experiments, x, hue, "trials", "flawed")

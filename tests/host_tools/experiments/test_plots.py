@@ -17,7 +17,6 @@ from mcp_asdf_tools.common.figures import COLOURS, FLAWED, OTHER, WITHOUT
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.pictures import draw
 from mcp_asdf_tools.experiments.plots import (
-    LETTERS,
     MEASURES,
     bands,
     boxes,
@@ -148,7 +147,7 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
             omega=omegas,
         )
     ]
-    figure = curve(swept, "omega", "D", y)
+    figure = curve(swept, "omega", "density", y)
     (axes,) = figure.axes
     for line, band, density in zip(axes.lines, axes.collections, sorted(densities), strict=True):
         assert np.array_equal(line.get_xdata(), sorted(omegas))
@@ -163,13 +162,13 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
 @pytest.mark.parametrize(
     ("x", "values", "expected"),
     [
-        ("tau", [50, 100, 150], [50, 100, 150]),
-        ("P", ["0%", "50%", "100%"], [0, 0.5, 1]),
+        ("filter_period", [50, 100, 150], [50, 100, 150]),
+        ("flawed", ["0%", "50%", "100%"], [0, 0.5, 1]),
         ("filter", ["none", "asdf-plus"], ["asdf-plus", "none"]),
     ],
 )
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
-    many = grid(**{"robots": 6, "steps": 200, "trials": 3, "filter_period": 50, LETTERS.get(x, x): values})
+    many = grid(**{"robots": 6, "steps": 200, "trials": 3, "filter_period": 50, x: values})
     (axes,) = curve([results_of(each) for each in many], x).axes
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == expected
 
@@ -248,9 +247,9 @@ def test_the_command_draws(suffix: str, start: bytes, tmp_path: Path) -> None:
     [
         ("two.parquet --kind curve --x omega", "the results differ in seed too"),
         ("p.parquet --kind curve --x omega", "the results differ in flawed too"),
-        ("r.parquet --kind curve", "--x is ''; choose a parameter, or one of the"),
-        ("r.parquet --kind curve --x tau --hue tao", "--hue is 'tao'; choose"),
-        ("r.parquet --kind curve --x tau --y h", "--y is 'h'; choose one of H,"),
+        ("r.parquet --kind curve", "--x is ''; choose a parameter: robots, topology"),
+        ("r.parquet --kind curve --x omega --hue tao", "--hue is 'tao'; choose"),
+        ("r.parquet --kind curve --x omega --y h", "--y is 'h'; choose one of H,"),
     ],
 )
 def test_bad_usage_is_told(
