@@ -126,12 +126,10 @@ class Connection:
                 return
             self._sort(frame, left)
 
-    def drain(self, frames: int) -> None:
-        """Read up to ``frames`` frames while none is expected."""
-        for _ in range(frames):
-            frame = self.bus.recv(0)
-            if frame is None:
-                return
+    def drain(self) -> None:
+        """Read a frame that nothing waits for, if one has come, and the echoes of sent ones before it."""
+        frame = self.bus.recv(0)
+        if frame is not None:
             self._sort(frame, Counter())
 
     def _sort(self, frame: can.Message, left: Counter[Content]) -> None:
@@ -221,7 +219,7 @@ class Carrier:
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
             if radio is not None:
-                radio.drain(_BATCH)
+                radio.drain()
 
     def _read(self, tick: int) -> None:
         """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
@@ -244,7 +242,7 @@ class Carrier:
         """
         self._read(tick)
         if self._radios and not self._has_own_buses:
-            self._radios[0].drain(_BATCH)
+            self._radios[0].drain()
         come, self._come = self._come, []
         arrivals = self._delivery.arrivals(tick, come)
         if not self._has_own_buses:
@@ -264,7 +262,7 @@ class Carrier:
             return frames
         heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._patience(tick))
         if len(frames) == _BATCH:
-            end.drain(_BATCH)
+            end.drain()
         return [each.frame for each in heard]
 
     def _hand_over(self, arrivals: Paths) -> None:

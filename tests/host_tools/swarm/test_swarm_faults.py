@@ -251,9 +251,9 @@ def test_the_load_of_a_real_bus() -> None:
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
 def test_a_flood_is_read_while_it_comes(medium: str) -> None:
     """More frames than a socket keeps."""
-    flood = "babble,frames=300,robots=0+1,from=1,to=2"
+    flood = "babble,frames=900,robots=0,from=1,to=2"
     run, frames = record(small(flood, steps=3), MEDIA[medium])
-    assert figures(run)["arrived"] == len(frames) * 4 == (3 + 1) * 5 * 4 + 600 * 4
+    assert figures(run)["arrived"] == len(frames) * 4 == (3 + 1) * 5 * 4 + 900 * 4
 
 
 # The input log
