@@ -163,6 +163,7 @@ def speak_as(*senders: int) -> None:
     with join() as bus:
         while (frame := bus.recv(PATIENCE)) is not None and frame.arbitration_id & 0x7F != 4:
             pass
+        bus.send(can.Message(arbitration_id=FrameFormat().identifier(9), data=bytes(8)))  # no estimate
         for sender in senders:
             bus.send(encode(Message(sender, 7, 0, 0), FrameFormat()), timeout=1)
 
