@@ -2,8 +2,7 @@
 
 [--robots 20] [--seconds 3]: each swarm runs in lockstep in one process for so long after one tick to warm up.
 Seconds are of processor time, that of the kernel included. The baseline is python-can's virtual bus in the
-same run; *python-can alone* sends as many frames over one connection, reads them from another, as a swarm on
-one bus does, and does nothing else.
+same run.
 """
 
 from __future__ import annotations
@@ -15,14 +14,13 @@ from collections.abc import Callable
 
 import can
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
 from mcp_asdf_tools.swarm.carrier import OpenBus, Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 
 PORT = 30_000 + os.getpid() % 100 * 130
-"""And 128 more: of this process."""
+"""And 127 more: of this process."""
 BASELINE = "virtual"
 
 
@@ -62,20 +60,6 @@ def of_swarm(settings: SwarmSettings, open_bus: OpenBus | None, is_shared: bool,
         return rate(swarm.tick, seconds)
 
 
-def of_python_can(robots: int, seconds: float) -> float:
-    """Ticks per second in which one connection sends a frame of each robot, and another reads them."""
-    frames = [encode(Message(robot, 0, 0, 0), FrameFormat()) for robot in range(robots)]
-    with udp(PORT + 129) as sender, udp(PORT + 129) as listener:
-
-        def tick() -> None:
-            for frame in frames:
-                sender.send(frame)
-            for _ in frames:
-                listener.recv(1.0)
-
-        return rate(tick, seconds)
-
-
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description="How fast a swarm's robots talk over each interface.")
@@ -84,7 +68,6 @@ def main() -> None:
     args = parser.parse_args()
     settings = SwarmSettings(robots=args.robots)
     rates = {name: of_swarm(settings, *wiring, args.seconds) for name, wiring in SWARMS.items()}
-    rates["udp_multicast, python-can alone"] = of_python_can(args.robots, args.seconds)
     print(f"{'interface':34}{'ticks/s':>10}{f'x {BASELINE}':>12}")
     for name, each in rates.items():
         print(f"{name:34}{each:10.0f}{each / rates[BASELINE]:12.2f}")
