@@ -204,6 +204,16 @@ def disk_with_room_for(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+def test_what_goes_wrong_is_told_once(tmp_path: Path) -> None:
+    log, said = tmp_path / "run.log", list[str]()
+    recording = Recording(log, None, said.append)
+    with disk_with_room_for(0), pytest.raises(ZeroDivisionError), recording as (write, _):
+        assert write is not None
+        write(frame(1))
+        raise ZeroDivisionError
+    assert said == [f"the log {log} is not complete: File too large; partial data is in {log}.part"]
+
+
 def test_a_full_disk_ends_the_log_but_not_the_swarm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
