@@ -38,7 +38,7 @@ _X_BAR_INFORMATIVE = 1 << 10
 
 # Words of an image (``mcp_asdf_image.c``).
 _B_HAT, _T, _N, _X_HAT, _ALPHA, _FILTER_LEFT, _CLOSED = 1, 2, 3, 4, 5, 6, 7
-_OPEN, _COUNTERS, _LAST = 13, 27, 29
+_OPEN, _HEARD, _COUNTERS, _LAST = 13, 23, 27, 29
 _UPDATED = 1 << 16
 """In the last word: b_hat has changed, and x_hat and alpha need not be those of t, n and b_hat."""
 
@@ -137,7 +137,11 @@ class _Author:
             (_COUNTERS, _BITS_16 - edge << 16 | edge, _COUNTERS + 1, edge),
             (_ALPHA, alpha, _X_HAT, self._x_hat(), _LAST, own << 24 | source.choice([0, _UPDATED, _UPDATED])),
             (_CLOSED, beta & _BITS_32, _CLOSED + 1, beta >> 32, _CLOSED + 3, low),
+            (_HEARD + (own >> 5), 1 << (own & 31)),
             (_LAST, own << 24 | source.choice([0, 1, 2, 3, 128, 255]) << 16),
+            (_LAST, source.choice([own ^ 1, 127, 128, 255]) << 24),
+            (_B_HAT, source.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, _b_hat(source)])),
+            (_T, setup.memory - source.randrange(2), _LAST, own << 24 | _UPDATED),
             (source.randint(_B_HAT, _LAST), source.choice([0, 1, 1 << source.randrange(32), _BITS_32])),
         )
         if source.random() < 0.1:
