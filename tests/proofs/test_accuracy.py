@@ -9,18 +9,32 @@ import pytest
 from mcp_asdf_tools.crosscheck import exact
 from proofs import accuracy, sums
 from proofs.core import CORE
-from proofs.formulas import Claims
+from proofs.formulas import BY_LEMMA, RESULTS, Claims
 from proofs.prove import prove_all
-from proofs.source import VARIANTS, Variant, program
+from proofs.source import VARIANTS, program
 
 OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
 OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS)
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=str)
-def test_the_code_forms_these_numbers(variant: Variant) -> None:
-    for claims in OF_THE_CODE:
-        prove_all(claims(program(variant, CORE)))
+FORMED = {
+    **dict.fromkeys(("estimate", "reestimate", "set_b_hat", "square_of_ratio"), tuple(RESULTS)),
+    "mean": ("quotient",),
+    "informed_estimate": ("mean", "multiply"),
+}
+"""Functions that claims are about, and those that they call, of which nothing is known."""
+
+
+def test_the_code_forms_these_numbers() -> None:
+    """In every variant; equal texts need one proof."""
+    done = set[str]()
+    for variant in VARIANTS:
+        code = program(variant, CORE)
+        text = "\n".join(code.text(name, {*opaque, *BY_LEMMA}) for name, opaque in FORMED.items())
+        for claims in OF_THE_CODE if text not in done else ():
+            prove_all(claims(code))
+        done.add(text)
+    assert len(done) > 1
 
 
 @pytest.mark.parametrize("claims", OF_THE_NUMBERS)
