@@ -57,21 +57,14 @@ def knobs(rows: list[Row]) -> list[str]:
     return lines
 
 
-def swept(text: str, tmp_path: Path) -> list[Row]:
-    """Results of a sweep that the page shows."""
-    file = tmp_path / "advice.toml"
-    file.write_text(text)
-    rows: list[Row] = m.simulate(m.read_experiments(file)).to_pylist()
-    return rows
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "lines"), [(0, cases), (1, knobs)])
 def test_the_figures_are_those_of_the_sweep(
     number: int, lines: Callable[[list[Row]], list[str]], tmp_path: Path
 ) -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    for line in lines(swept(blocks(PAGE, "toml")[number], tmp_path)):
+    page, file = PAGE.read_text(encoding="utf-8"), tmp_path / "advice.toml"
+    file.write_text(blocks(PAGE, "toml")[number])
+    for line in lines(m.simulate(m.read_experiments(file)).to_pylist()):
         assert line in page, line
 
 
