@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli.parsing import offer
@@ -25,27 +24,32 @@ def add_where(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def chosen(found: list[Trials], conditions: Sequence[str], path: Path) -> list[Trials]:
-    """The experiments that meet all conditions.
+def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
+    """The experiments of the file ``args.file`` that meet all conditions.
 
-    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets.
+    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets, and if
+    there are several where ``only_one`` can be shown.
     """
-    for condition in conditions:
+    from mcp_asdf_tools.experiments.results import experiments_in, read_table  # noqa: PLC0415
+
+    found = experiments_in(read_table(args.file))
+    for condition in args.where:
         name, equals, value = condition.partition("=")
         known = found[0].experiment.parameters()
         if not equals or name not in known:
-            varying = differing(found) or "nothing, there is one experiment"
+            varying = _differing(found) or "nothing, there is one experiment"
             raise UsageError(
                 f"--where {condition}: write NAME=VALUE with a parameter's name{offer(name, known)}; "
-                f"in {path} differ {varying}"
+                f"in {args.file} differ {varying}"
             )
         values = {str(each.experiment.parameters()[name]) for each in found}
         found = [each for each in found if _is(each.experiment.parameters()[name], value)]
         if not found:
-            raise UsageError(
-                f"--where {condition}: no experiment of {path} has it; {name} is "
-                f"{' or '.join(sorted(values))}"
-            )
+            there = " or ".join(sorted(values))
+            raise UsageError(f"--where {condition}: no experiment of {args.file} has it; {name} is {there}")
+    if only_one and len(found) > 1:
+        fix = f"choose one with --where {_differing(found)}"
+        raise UsageError(f"{len(found)} experiments of {args.file} match; {fix}")
     return found
 
 
@@ -59,7 +63,7 @@ def _is(held: object, value: str) -> bool:
         return False
 
 
-def differing(found: Sequence[Trials]) -> str:
+def _differing(found: Sequence[Trials]) -> str:
     """The parameters in which experiments differ, with their values."""
     parameters = [each.experiment.parameters() for each in found]
     values = {name: sorted({str(each[name]) for each in parameters}) for name in parameters[0]}

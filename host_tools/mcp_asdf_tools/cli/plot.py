@@ -7,10 +7,8 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.cli.choosing import add_where, chosen
 from mcp_asdf_tools.experiments.pictures import PLOTS, draw
-from mcp_asdf_tools.experiments.results import experiments_in, read_table
 
 EPILOG = """\
 examples:
@@ -42,12 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
-    found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
-    if len(found) > 1 and args.kind == "series":
-        raise UsageError(
-            f"a picture of kind {args.kind} shows one experiment, and {len(found)} match; choose one with "
-            f"--where {differing(found)}"
-        )
+    found = chosen(args, only_one=args.kind == "series")
     given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y")}
     save_figure(draw(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
     if args.json:

@@ -14,13 +14,12 @@ import can
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.cli.choosing import add_where, chosen, differing
+from mcp_asdf_tools.cli.choosing import add_where, chosen
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.view.film import Film
 
 EPILOG = """\
@@ -81,23 +80,12 @@ def _film_of(args: argparse.Namespace) -> Film:
     from mcp_asdf_tools.view.films import film_of_log, film_of_trial  # noqa: PLC0415
 
     if args.file.suffix.lower() in _RESULTS:
-        return film_of_trial(_chosen(args), args.trial)
+        return film_of_trial(chosen(args, only_one=True)[0], args.trial)
     if args.trial or args.where:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
     return film_of_log(args.file)
-
-
-def _chosen(args: argparse.Namespace) -> Trials:
-    """The experiment that the options choose. Raises UsageError unless it is one."""
-    from mcp_asdf_tools.experiments.results import experiments_in, read_table  # noqa: PLC0415
-
-    found = chosen(experiments_in(read_table(args.file)), args.where, args.file)
-    if len(found) == 1:
-        return found[0]
-    choices = differing(found)
-    raise UsageError(f"{len(found)} experiments of {args.file} match; choose one with --where {choices}")
 
 
 def _export(args: argparse.Namespace, film: Film) -> int:

@@ -47,8 +47,8 @@ REFUSED = {
     "--where filter": "differ fill_ratio=0.55|0.95, filter=asdf-plus|none",
     "--where filter=both": "has it; filter is asdf-plus or none",
     "--where filter=none --where filter=asdf-plus": "has it; filter is none",
-    "--kind series": "shows one experiment, and 4 match; choose one with --where fill_ratio=0.55|",
-    "--kind series --where filter=none": "and 2 match; choose one with --where fill_ratio=0.55|0.95",
+    "--kind series": "match; choose one with --where fill_ratio=0.55|",
+    "--kind series --where filter=none": "match; choose one with --where fill_ratio=0.55|0.95",
 }
 
 
