@@ -143,8 +143,9 @@ def test_another_server_is_told(
             run_sweep(store, 1, scheduler=address)
 
 
-@pytest.mark.slow
 def test_no_workers_are_told(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
-    with cluster_of(0, tmp_path) as (address, _), pytest.raises(UsageError, match="has no workers"):
-        run_sweep(store, 1, scheduler=address)
+    with cluster_of(0, tmp_path) as (address, _):
+        words = f"at {address} has no workers; start some: dask worker {address}"
+        with pytest.raises(UsageError, match=words):
+            run_sweep(store, 1, scheduler=address)
