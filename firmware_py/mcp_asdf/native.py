@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import fields
 from operator import index
 from typing import TYPE_CHECKING, Any
-from weakref import WeakValueDictionary
 
 from mcp_asdf._native import ffi, lib
 from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
@@ -48,7 +47,7 @@ class NativeRobot(FixedPointView):
     """MCP-ASDF in C. Implements ``FixedPointRobot``.
 
     Args:
-        config: Shared settings. Robots of equal configs share one copy in C.
+        config: Shared settings.
         robot_id: Own id, 0..127.
         b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
 
@@ -63,13 +62,13 @@ class NativeRobot(FixedPointView):
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         self._attach(config)
         raw = b_hat_to_raw(b_hat) if B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN else 0
-        status = lib.mcp_asdf_init(self.pointer, self._shared.pointer, _fit(robot_id, _MAX_BYTE), raw)
+        status = lib.mcp_asdf_init(self.pointer, self._settings.pointer, _fit(robot_id, _MAX_BYTE), raw)
         _check(status, config=config, robot_id=robot_id, b_hat=b_hat)
 
     def _attach(self, config: Config) -> None:
         self.config = config
         self.pointer = ffi.new("mcp_asdf_t *")
-        self._shared = _share(config)
+        self._settings = _ConfigInC(config)
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> NativeRobot:
@@ -78,7 +77,7 @@ class NativeRobot(FixedPointView):
         robot._attach(config)
         plain = bytes(memoryview(image))
         whole = plain if len(plain) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
-        status = lib.mcp_asdf_restore(robot.pointer, robot._shared.pointer, whole)
+        status = lib.mcp_asdf_restore(robot.pointer, robot._settings.pointer, whole)
         _check(status, config=config)
         return robot
 
@@ -136,8 +135,8 @@ class NativeRobot(FixedPointView):
         return bool(lib.mcp_asdf_invariants_hold(self.pointer))
 
 
-class _SharedConfig:
-    """A config and its table in C memory, which lives for as long as a robot refers to this object."""
+class _ConfigInC:
+    """A config and its table in C memory, which lives for as long as this object."""
 
     def __init__(self, config: Config) -> None:
         self._table = ffi.NULL
@@ -157,16 +156,6 @@ def _table_in_c(table: Table) -> Any:
         return ffi.new("uint32_t[]", [*words, *[0] * (EXTRA_WORDS + MAX_Q - len(words))])
     except OverflowError:  # a word of more than 32 bits: no table
         return ffi.NULL
-
-
-_shared_configs: WeakValueDictionary[Config, _SharedConfig] = WeakValueDictionary()
-
-
-def _share(config: Config) -> _SharedConfig:
-    shared = _shared_configs.get(config)
-    if shared is None:
-        shared = _shared_configs[config] = _SharedConfig(config)
-    return shared
 
 
 def _fit(value: int, most: int, refused: int | None = None) -> int:

@@ -14,7 +14,7 @@ import pytest
 
 from mcp_asdf import fixed_point, robot
 from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS, MirrorRobot
-from mcp_asdf.native import NativeRobot, _SharedConfig, ffi, lib
+from mcp_asdf.native import NativeRobot, _ConfigInC, ffi, lib
 from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAGIC, MAX_Q, Table, checksum
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -95,7 +95,7 @@ def test_c_reads_no_word_that_is_not_there(claimed: int) -> None:
     """Words that claim another q than they are for: C has that many before it refuses them."""
     table = Claiming(TABLE.omega_word, TABLE.entries, claimed)
     config = replace(CONFIG, table=table)
-    shared = _SharedConfig(config)
+    shared = _ConfigInC(config)
     assert len(shared._table) >= EXTRA_WORDS + min(claimed, MAX_Q)  # a larger one is refused unread
     assert tuple(shared._table)[: len(table.words())] == table.words()
     for make in (NativeRobot, MirrorRobot):
@@ -138,20 +138,11 @@ def test_calls_survive_any_contents_of_a_robot(filter_mode: Filter, fill: str) -
         assert native.holds_invariants()
 
 
-def test_robots_of_equal_configs_share_one_in_c() -> None:
-    one, two = NativeRobot(CONFIG, 1, 0.8), NativeRobot(replace(CONFIG), 2, 0.6)
-    other = NativeRobot(replace(CONFIG, filter_period=20), 3, 0.8)
-    restored = NativeRobot.restore(CONFIG, one.save())
-    assert one.pointer.config == two.pointer.config == restored.pointer.config != other.pointer.config
-    assert other.pointer.config.filter_period == 20
-
-
-def test_a_config_lives_as_long_as_its_robots() -> None:
+def test_a_config_lives_as_long_as_its_robot() -> None:
     config = replace(CONFIG, filter_period=7)
     native, mirror = NativeRobot(config, 3, 0.8), MirrorRobot(config, 3, 0.8)
-    shared = weakref.ref(native._shared)
-    twin = NativeRobot(config, 4, 0.8)
-    del twin, config
+    kept = weakref.ref(native._settings)
+    del config
     gc.collect()
     _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]  # takes what was freed
     assert native.pointer.config.filter_period == 7
@@ -167,4 +158,4 @@ def test_a_config_lives_as_long_as_its_robots() -> None:
     assert native.state() == mirror.state()
     del native
     gc.collect()
-    assert shared() is None
+    assert kept() is None
