@@ -3,7 +3,7 @@
 ``Faults`` stands between nodes and the carrier of their frames, be it that of an emulated swarm or a
 bus with a real controller. It is used in every tick as follows:
 
-    faults = Faults([parse_fault("loss=0.2,robots=3-5"), parse_fault("babble=0.1,frames=20")], seed=1)
+    faults = Faults([parse_fault("loss=0.2,robots=3-5"), parse_fault("babble=0.1")], 1, FrameFormat())
 
     if not faults.survives(robot, tick):                       # dead: it neither observes nor settles
         ...
@@ -39,7 +39,6 @@ from mcp_asdf_tools.bus.frames import (
     decode,
     encode,
 )
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.delivery import Mask, Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
@@ -134,15 +133,10 @@ class Faults:
         faults: The faults, in the order in which they act.
     """
 
-    def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat | None = None) -> None:
-        """Prepare. ``frames`` is the format of estimates, which freeze and liar change.
-
-        Raises UsageError if ``seed`` is not in 0 .. 2**128 - 1.
-        """
-        if not 0 <= seed < 1 << 128:
-            raise UsageError(f"seed is {seed}; choose 0 .. 2**128 - 1")
+    def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat) -> None:
+        """Prepare. ``seed`` is 0 .. 2**128 - 1, ``frames`` the format of estimates, for freeze and liar."""
         self.faults = tuple(faults)
-        self._frames = FrameFormat() if frames is None else frames
+        self._frames = frames
         kinds = [fault.kind for fault in faults]
         draws = [Draws(seed, kind, kinds[:place].count(kind)) for place, kind in enumerate(kinds)]
         self._all = [self._injector(*each) for each in zip(self.faults, draws, strict=True)]
@@ -159,19 +153,12 @@ class Faults:
 
     def survives(self, robot: BusRobot, tick: int) -> bool:
         """Let ``robot`` crash or wake as this tick wants it; returns whether it lives."""
-        if not self._spells:
-            return robot.is_alive
         fault = self.crash(robot.id, tick)
         if fault is None and not robot.is_alive:
             robot.wake()
         elif fault is not None and robot.is_alive:
             robot.die(loses_state=fault.rejoin == "new")
         return robot.is_alive
-
-    @property
-    def babbles(self) -> bool:
-        """True if ``babble`` may return frames in any tick."""
-        return bool(self._babblers)
 
     def is_off(self, robot: int, tick: int) -> bool:
         """True if the node is off the bus, crashed or bus-off. ``leave``, ``babble``, ``paths`` obey it."""
@@ -183,7 +170,7 @@ class Faults:
 
         Call once per tick, and pass each to ``leave``.
         """
-        if not self.babbles or self.is_off(robot, tick):
+        if not self._babblers or self.is_off(robot, tick):
             return []
         identifier = self._frames.identifier(robot)
         return [

@@ -131,8 +131,7 @@ class Swarm:
         frames += self._estimates(alive, seen)
         frames += self._commanded(seen)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
-        if self.faults.babbles:
-            sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
+        sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
         self._carrier.carry(self.ticks)
         for node in alive:
             node.end()
