@@ -277,8 +277,6 @@ class Machine:
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
             both = self._common(self.value(node.left), self.value(node.right))
             return self.arithmetic.compare(node.op, *both)
-        if isinstance(node, c_ast.UnaryOp) and node.op == "!":
-            return z3.Not(self.truth(node.expr))
         return self.value(node).term != 0
 
     def _value_Constant(self, node: Any) -> Number:  # noqa: N802
@@ -339,8 +337,6 @@ class Machine:
             return self.value(pointer) if isinstance(pointer, c_ast.ArrayRef) else self.load(pointer)
         if node.op in ("++", "--", "p++", "p--"):
             return self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
-        if node.op == "!":
-            return self._truth_value(self.truth(node))
         number = self._promoted(self.value(node.expr))
         operator, left = {"-": ("-", 0), "~": ("^", -1)}[node.op]
         return self.arithmetic.binary(operator, self.arithmetic.constant(left, number.type), number)

@@ -280,6 +280,17 @@ def test_observations_come_from_a_file_or_the_standard_input(
         assert (figures["estimates"], figures["telemetry"], figures["heartbeats"]) == (300, 3, 1)
 
 
+def test_what_is_no_observation_ends_the_run(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+    text = tmp_path / "observations"
+    text.write_text("1 x", encoding="ascii")
+    node = start(5, *FAST, "--observations", text)
+    bus.hear_out(bus.accept())
+    figures = node.summary(status=1)
+    assert (figures["ended"], figures["t"]) == ("observations not valid", 1)
+    told = f"mcp_asdf_node: character 3 of {text} is no observation; write 0, 1 or -"
+    assert node.complaints == [told]
+
+
 def test_an_input_without_observations_is_missed_but_not_waited_for(start: Start, bus: UnixBus) -> None:
     ticks = ("--steps-per-second", 200, "--steps", 40, "--filter", "none")
     node = start(7, *ticks, "--observations", "-", stdin=subprocess.PIPE)
