@@ -114,7 +114,6 @@ class Reception:
         telemetry: Telemetry, that of other processes' robots included.
         errors: Error frames.
         rejected: Other frames, by the reason why they are no estimate.
-        last_telemetry: The last telemetry of each sender, by id.
     """
 
     delivered: int = 0
@@ -125,7 +124,6 @@ class Reception:
     telemetry: int = 0
     errors: int = 0
     rejected: Counter[Rejection] = field(default_factory=Counter)
-    last_telemetry: dict[int, Telemetry] = field(default_factory=dict)
 
 
 @dataclass
@@ -155,7 +153,6 @@ class BusRobot:
         robot: The firmware; another one after a crash that lost the state.
         ticks: Control ticks begun since the robot started.
         is_alive: Whether the robot has not crashed.
-        heard: Neighbours whose estimate was accepted since the last broadcast.
         sent: Frames made since the robot started.
         reception: Frames heard, counted.
         recorder: Takes the robot's events; None if they are not recorded.
@@ -193,7 +190,7 @@ class BusRobot:
 
     def restart(self) -> None:
         """Begin anew, as after a reset that loses everything. Raises as ``RobotRecord.make``."""
-        self.ticks = self.heard = 0
+        self.ticks = 0
         self.sent = FramesSent()
         self.robot = self._make()
         self._port = _port_of(self.robot)
@@ -224,10 +221,7 @@ class BusRobot:
         if z is not None:
             self.robot.observe(z)
         self._left = max(self._left - 1, 0)
-        if self._left > 0:
-            return False
-        self.heard = 0
-        return True
+        return self._left == 0
 
     def broadcast(self, z: Observation | None, now: float) -> list[can.Message]:
         """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
@@ -288,7 +282,6 @@ class BusRobot:
         if self.recorder is not None:
             self.recorder.receive(words)
         received, accepted = len(words), self._port.receive_all(words)
-        self.heard += accepted
         self.reception.delivered += received
         if accepted < received:
             self.reception.refused += received - accepted
@@ -302,7 +295,6 @@ class BusRobot:
                 heard.heartbeats += 1
             elif isinstance(each, Telemetry):
                 heard.telemetry += 1
-                heard.last_telemetry[each.sender] = each
             elif each is Rejection.ERROR_FRAME:
                 heard.errors += 1
             elif isinstance(each, Rejection):
