@@ -104,7 +104,7 @@ AUTHORS_PAPER_DOF = replace(AUTHORS, lost_degrees=1)
         pytest.param(TRACE_A, "m", AUTHORS, id="A-m", marks=pytest.mark.slow),
         pytest.param(TRACE_A, "m-1", AUTHORS_PAPER_DOF, id="A-m-1", marks=pytest.mark.slow),
         pytest.param(TRACE_A, "m-1", PAPER, id="A-m-1-paper"),  # this run meets no edge but the degrees
-        pytest.param(TRACE_B, "m", AUTHORS, id="B-m"),
+        pytest.param(TRACE_B, "m", AUTHORS, id="B-m", marks=pytest.mark.slow),
         pytest.param(TRACE_B, "m-1", AUTHORS_PAPER_DOF, id="B-m-1", marks=pytest.mark.slow),
     ],
 )
