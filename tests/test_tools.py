@@ -118,6 +118,7 @@ TEST_ROOMS = (
     Room(
         "tests",
         ("tests/**/*.c",),
+        ("-DREAL=double",),
         not_files=(*SIMULATORS, *IN_THE_NODE),
     ),
     Room("node", IN_THE_NODE, ("-D_GNU_SOURCE",)),

@@ -1,5 +1,5 @@
 /* Functions that the robot of demo.c needs from its board, beside port.h and a radio. A board is
- * avr/demo_atmega.c; demo_scripted.c is one for tests. */
+ * avr/demo_atmega.c. */
 #ifndef MCP_ASDF_DEMO_H
 #define MCP_ASDF_DEMO_H
 

@@ -1,4 +1,4 @@
-/* Plays a script (demo_scripted.c has the format) to a robot's image on a simulated ATmega328P, as its
+/* Plays a script (scripted_board.c has the format) to a robot's image on a simulated ATmega328P, as its
  * hardware would: tiles as voltages at ADC0, bytes of the radio on the UART, ticks by the chip's own timer.
  * What the UART sends goes to a file. Usage: avr_robot IMAGE FILE CLOCK BAUD < SCRIPT
  * Exits with 3 if the UART was set to a speed that is 2.5 % off. */

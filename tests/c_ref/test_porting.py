@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import random
 import re
+import shutil
 import subprocess
 from itertools import product
 from pathlib import Path
@@ -98,7 +99,7 @@ class Expected:
         self.sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
 
     def play(self, script: bytes) -> bytes:
-        """Bytes that it sends while a script is played; demo_scripted.c has the format."""
+        """Bytes that it sends while a script is played; scripted_board.c has the format."""
         at = 0
         while at < len(script):
             length = max(0, script[at] - NO_TILE)
@@ -186,7 +187,7 @@ def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
     (tmp_path / "mcp-asdf").symlink_to(ROOT)
     (tmp_path / "CMakeLists.txt").write_text(blocks("cmake")[0])
     (tmp_path / "main.c").write_text(blocks("c")[0])
-    (tmp_path / "board.c").write_text((PORTS / "demo_scripted.c").read_text(encoding="utf-8"))
+    shutil.copy(Path(__file__).with_name("scripted_board.c"), tmp_path / "board.c")
     run(require("cmake"), "-S", tmp_path, "-B", tmp_path / "build", CFLAGS=WARNINGS)
     run("cmake", "--build", tmp_path / "build")
     played = script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
