@@ -112,7 +112,7 @@ class Lossy(Wire):
     def __init__(self, *nodes: RobotNode, loses: Callable[[Command, int], bool], mute: int = -1) -> None:
         """``loses`` is asked of each command, with how often it has been sent; telemetry ``mute`` is lost."""
         self._loses, self._mute = loses, mute
-        self._times = Counter[tuple[int, int, Action]]()
+        self._times, self.looks = Counter[tuple[int, int, Action]](), 0
         super().__init__(*nodes)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -122,6 +122,10 @@ class Lossy(Wire):
             self.sent.append(msg)
         else:
             super().send(msg, timeout)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        self.looks += 1
+        return super().recv(timeout)
 
     def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
         is_mute = node.sent.telemetry == self._mute and kinds(list(frames)) == "t"
@@ -266,6 +270,7 @@ def test_a_command_that_is_lost_twice_ends_the_run_and_so_does_an_answer(
             lockstep.observe(dict.fromkeys(robots, COLOURS[tick % 3]))
             lockstep.estimates(robots)
             lockstep.settle(robots)
+    assert wire.looks < 1000, "it waits instead of looking again and again"
     orders = [each.action.name for each in map(decoded, wire.sent) if (each.tick, each.target) == (7, 2)]
     assert sum(name.startswith(lost) for name in orders) == 2 * (lost != "none")
     if lost == "none":
