@@ -26,6 +26,14 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
 
 
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """An empty folder; HOME, in which matplotlib puts its own, is another."""
+    made = tmp_path / "run"
+    made.mkdir()
+    return made
+
+
 def command(*arguments: str | Path) -> int:
     return main(["swarm", *SMALL, *map(str, arguments)])
 
@@ -37,11 +45,11 @@ def command(*arguments: str | Path) -> int:
     ("suffix", "magic"), [("svg", b"<?xml"), *slow([("png", b"\x89PNG"), ("pdf", b"%PDF")])]
 )
 def test_a_run_is_in_its_files(
-    suffix: str, magic: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    suffix: str, magic: bytes, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A log of every frame, a picture, and beside each what is printed as JSON; and so in every run."""
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
-    plot, log = tmp_path / f"my.run.{suffix}", tmp_path / "my.run.log"
+    plot, log = folder / f"my.run.{suffix}", folder / "my.run.log"
     assert command("--json", "--plot", plot, "--log", log) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["parameters"]["seed"] == 1
@@ -56,10 +64,10 @@ def test_a_run_is_in_its_files(
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
     assert plot.read_bytes().startswith(magic)
-    made = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    made = {path: path.read_bytes() for path in folder.iterdir()}
     assert made.keys() == {plot, log, *beside, Path(f"{log}.events")}
     assert command("--json", "--plot", plot, "--log", log) == 0
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == made
+    assert {path: path.read_bytes() for path in folder.iterdir()} == made
 
 
 def test_what_is_piped_has_fields_and_ends_with_the_line_to_type_again(
@@ -137,14 +145,14 @@ BAD = {
 
 @pytest.mark.parametrize("arguments", BAD)
 def test_bad_usage(
-    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(folder)
     assert command(*shlex.split(arguments)) == 2
     captured = capsys.readouterr()
     assert BAD[arguments] in captured.err
     assert captured.out == ""
-    assert list(tmp_path.iterdir()) == []
+    assert list(folder.iterdir()) == []
 
 
 OUTPUTS = {"run.log", "run.log.events", "run.log.json", "run.png", "run.png.json"}
@@ -152,16 +160,16 @@ OUTPUTS = {"run.log", "run.log.events", "run.log.json", "run.png", "run.png.json
 
 @pytest.mark.parametrize("obstructed", ["run.log.events", "run.log.json", "run.png", "run.png.json"])
 def test_what_cannot_be_written_is_told_before_the_first_tick(
-    obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
     monkeypatch.setattr(Swarm, "tick", lambda self: pytest.fail("it ran"))
     for name in OUTPUTS - {obstructed}:
-        (tmp_path / name).write_text("of yesterday")
-    (tmp_path / obstructed).mkdir()
-    assert command("--log", tmp_path / "run.log", "--plot", tmp_path / "run.png") == 2
-    assert f"cannot write {tmp_path / obstructed}: it is not a regular file" in capsys.readouterr().err
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
-    assert all((tmp_path / name).read_text() == "of yesterday" for name in OUTPUTS - {obstructed})
+        (folder / name).write_text("of yesterday")
+    (folder / obstructed).mkdir()
+    assert command("--log", folder / "run.log", "--plot", folder / "run.png") == 2
+    assert f"cannot write {folder / obstructed}: it is not a regular file" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == OUTPUTS
+    assert all((folder / name).read_text() == "of yesterday" for name in OUTPUTS - {obstructed})
 
 
 # Ends
@@ -186,11 +194,11 @@ def test_a_signal_saves_what_is_done(
     code: int,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    folder: Path,
 ) -> None:
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt() if swarm.ticks == 7 else None)
     handler = signal.getsignal(signal.SIGINT)
-    log, plot = tmp_path / "run.log", tmp_path / "run.png"
+    log, plot = folder / "run.log", folder / "run.png"
     assert command("--json", "--log", log, "--plot", plot) == code
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
@@ -202,7 +210,7 @@ def test_a_signal_saves_what_is_done(
 
 
 def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
     class Failing(virtual.VirtualBus):
         def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -212,7 +220,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
             super().send(msg, timeout)
 
     monkeypatch.setattr(virtual, "VirtualBus", Failing)
-    log = tmp_path / "run.log"
+    log = folder / "run.log"
     assert command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
     assert len(log.read_text().splitlines()) == 4 * (8 + 1)
@@ -227,12 +235,12 @@ def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
 
 
 def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    obstruct = (tmp_path / "run.log.json").mkdir
+    obstruct = (folder / "run.log.json").mkdir
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: obstruct(exist_ok=True))
-    assert command("--quiet", "--log", tmp_path / "run.log") == 2
+    assert command("--quiet", "--log", folder / "run.log") == 2
     out, err = capsys.readouterr()
     assert out.startswith("seed 1: 4 robots, 30 steps")
-    assert f"cannot write {tmp_path}/run.log.json" in err
-    assert {path.name for path in tmp_path.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
+    assert f"cannot write {folder}/run.log.json" in err
+    assert {path.name for path in folder.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
