@@ -109,7 +109,10 @@ def run(args: argparse.Namespace) -> int:
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
-    return exit_code(recording, _exit_code(outcome))
+    if outcome.failure is not None:
+        print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
+        return exit_code(recording, 1)
+    return exit_code(recording, INTERRUPTED if outcome.interrupted else 0)
 
 
 def _check(plan: _Plan) -> None:
@@ -220,10 +223,3 @@ def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: floa
     if "without_filter" in report:
         sentence = comparison(report["results"], report["without_filter"])
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)
-
-
-def _exit_code(outcome: SwarmRun) -> int:
-    if outcome.failure is not None:
-        print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
-        return 1
-    return INTERRUPTED if outcome.interrupted else 0

@@ -275,7 +275,9 @@ def test_the_picture_shows_every_robot_and_the_truth() -> None:
     outcome, _ = record(small("loss=0.25", "delay=0.5"))
     figure = draw(outcome)
     title = figure.axes[0].get_title("left")
-    assert all(part in title for part in ("5 robots, 2 flawed", "seed 11", "loss=0.25; delay=0.5"))
+    assert all(
+        part in title for part in ("5 robots, 2 flawed", r"$\tau$ = 20", "seed 11", "loss=0.25; delay=0.5")
+    )
     meaning = {line.get_color(): line.get_label() for line in figure.legends[0].get_lines()}
     for axes, quantity, truth in zip(figure.axes, QUANTITIES, (0.95, 0.55, 0.55), strict=True):
         *robots, true_line = axes.lines
