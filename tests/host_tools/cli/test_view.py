@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.request import urlopen
 
+import can
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
 
@@ -18,6 +19,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import table_of, write_table
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.view.films import BusFilm
 
 HTML = "--export out.html"
 
@@ -80,6 +82,13 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["url"].startswith("http://127.0.0.1:") and "no robot sent telemetry" in err
+    monkeypatch.setattr(BusFilm, "record", raise_bus_error)
+    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
+    assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
+
+
+def raise_bus_error(film: BusFilm, should_stop: object) -> None:
+    raise can.CanOperationError("it is off")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ flawed = 2
 filter = ["none", "asdf-plus"]
 fill_ratio = [0.55, 0.95]
 """
-ONE = "--where filter=none --where fill_ratio=.950"
+ONE = "--where filter=none --where fill_ratio=.950 --where robots=4"
 
 
 @pytest.fixture(scope="module")
