@@ -177,6 +177,9 @@ def test_x_is_of_the_own_estimate_now_and_the_last_closed_round(kind: AnyType) -
         assert robot.x == near((robot.alpha * robot.x_hat + beta * 0.125) / (robot.alpha + beta))
         xs.append(robot.x)
     assert all(left != right for left, right in pairwise(xs[2:5]))
+    robot.receive(2, 0.125, robot.alpha)
+    robot.settle()
+    assert robot.x == near((robot.x_hat + 0.125) / 2), "of two equally sure robots"
 
 
 @of_every_kind
