@@ -79,7 +79,7 @@ def test_a_terminal_gets_a_bar_with_the_present_error(width: int) -> None:
     pictures = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", text).replace("\r", "\n").splitlines()
     assert max(map(cell_len, pictures)) <= width
     last = [each for each in pictures if each.strip()][-1]
-    assert last.startswith("200/200 ")
+    assert last.startswith("200/200 ") and last.count("━") == (5 if width == 60 else 10)
     errors = f"mean error {mean_errors(run)[-1]:.4f}, without filter {mean_errors(other)[-1]:.4f}"
     assert errors in last or (width == 60 and errors[:20] in last)
 
