@@ -29,6 +29,7 @@ def join() -> can.BusABC:
 def server() -> Iterator[SlcanServer]:
     with SlcanServer(join()) as running:
         yield running
+    assert not running._server.is_alive()
 
 
 def wait_until_open(server: SlcanServer) -> None:
