@@ -63,7 +63,9 @@ def test_a_page_is_served_until_it_is_asked_to_end(
     told: list[str] = []
 
     def look(should_stop: Callable[[], bool]) -> None:
-        wait(iter([False, should_stop() or True]).__next__)
+        answers = [True, should_stop()]
+        wait(answers.pop)
+        assert answers == []
         url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
         assert url is not None
         told.append(urlopen(f"{url[0]}events").read().decode())

@@ -12,7 +12,7 @@ import can
 import numpy as np
 import pytest
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Telemetry, encode_telemetry
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, Telemetry, encode, encode_telemetry
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -148,14 +148,18 @@ def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The film takes a state every 0.1 s; a frame comes after 0.05 s, and one after 0.25 s."""
-    frames = {0.05: Telemetry(7, 1 << 22, 1 << 23, 0, 0), 0.25: Telemetry(3, 1 << 21, 1 << 22, 0, 0)}
+    """The film takes a state every 0.1 s; frames come between."""
+    frames = {
+        0.05: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
+        0.15: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
+        0.25: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
+    }
     now = [0.0]
 
     def recv(timeout: float) -> can.Message | None:
         due = next((at for at in frames if at <= now[0] + timeout), None)
         now[0] = round(now[0] + timeout, 9) if due is None else due
-        return None if due is None else encode_telemetry(frames.pop(due))
+        return None if due is None else frames.pop(due)
 
     bus: Any = SimpleNamespace(recv=recv)
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
@@ -165,7 +169,8 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     assert stage.robots == [7, 3] and watch.has_telemetry
     unknown = [np.nan, np.nan]
     first = [[0.5, np.nan], unknown, [0.5, np.nan], [0.9, np.nan]]
-    last = [[0.5, 0.25], unknown, [0.5, 0.25], [0.9, 0.9]]
+    second = [first[0], [0.25, np.nan], *first[2:]]
+    third = [[0.5, 0.25], [0.25, np.nan], [0.5, 0.25], [0.9, 0.9]]
     assert [each.tick for each in taken] == [1, 2, 3]
-    for each, expected in zip(taken, (first, first, last), strict=True):
+    for each, expected in zip(taken, (first, second, third), strict=True):
         assert np.array_equal(each.values, expected, equal_nan=True)
