@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -246,6 +247,8 @@ def test_the_load_of_a_real_bus() -> None:
         # Heartbeats and estimates in one tick are the most.
         assert share["peak"] == pytest.approx(160 * 10 / (0.1 * int(rate)))
     assert load_warning(run.results) is None
+    told = dict(summary(run, "virtual", 1.0))["bus load"]
+    assert re.findall(r"(\d+ .)bit/s", told) == ["125 k", "250 k", "500 k", "1 M"]
 
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
