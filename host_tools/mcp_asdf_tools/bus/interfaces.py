@@ -78,12 +78,18 @@ class BusChoice:
         return BusChoice(self.interface, self.settings | own)
 
     def open(self) -> can.BusABC:
-        """Join the bus as one more node. Raises UsageError if that is impossible."""
+        """Join the bus as one more node. Raises UsageError if that is impossible.
+
+        The connection marks others' frames as received and returns no own ones, on any interface.
+        """
         try:
             bus = can.Bus(interface=self.interface, single_handle=True, **self.settings)
         except Exception as error:  # an interface may raise anything
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
-        return wrapped(self.interface, bus, self.channel or self.interface)
+        if bus.channel_info == can.BusABC.channel_info:
+            bus.channel_info = self.channel or self.interface
+        wrapper = _WRAPPERS.get(self.interface)
+        return bus if wrapper is None else wrapper(bus)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -108,17 +114,6 @@ class BusChoice:
         channel = self.channel or "can0"
         ways = _VIRTUAL if channel.startswith("vcan") else _REAL
         return f"{cause}; as root, create it with: " + " && ".join(way.format(channel) for way in ways)
-
-
-def wrapped(interface: str, bus: can.BusABC, name: str) -> can.BusABC:
-    """Connection that marks others' frames as received and returns no own ones, on any interface.
-
-    ``name`` is that of the bus where the interface does not name it.
-    """
-    if bus.channel_info == can.BusABC.channel_info:
-        bus.channel_info = name
-    wrapper = _WRAPPERS.get(interface)
-    return bus if wrapper is None else wrapper(bus)
 
 
 class _Wrapper(can.BusABC):
