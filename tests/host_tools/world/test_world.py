@@ -19,7 +19,7 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
-from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream
+from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream, philox
 from mcp_asdf_tools.world.sensors import CheckedSensors, sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import Checked
@@ -51,6 +51,20 @@ def seen(scene: Scene) -> list[list[Observation | None]]:
         [colours[black] if observes else None for black in row]
         for row, observes in zip(scene.black.tolist(), scene.observes.tolist(), strict=True)
     ]
+
+
+def test_draws_are_those_of_philox_4x32_10() -> None:
+    """The known answers of its authors (Random123), and a seed's words as its key."""
+
+    def drawn(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
+        c0, c1, c2, c3 = (np.array([word], np.uint64) for word in counter)
+        return [int(word[0]) for word in philox((c0, c1, c2, c3), key)]
+
+    digits = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344)
+    low, high = 0xA4093822, 0x299F31D0
+    assert drawn((0, 0, 0, 0), (0, 0)) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]
+    assert drawn(digits, (low, high)) == [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1]
+    assert Stream(1, high << 32 | low, 7, 3).words(4)[:, 2].tolist() == drawn((0, 2, 7, 1), (low, high))
 
 
 @pytest.mark.parametrize(("white_offset", "white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))])
