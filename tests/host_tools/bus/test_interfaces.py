@@ -210,5 +210,5 @@ def test_only_a_bus_of_this_process_without_settings_is_private() -> None:
 def test_a_bus_that_cannot_be_opened_is_told_with_the_fix(words: tuple[str, ...], says: str) -> None:
     with pytest.raises(UsageError, match=says):
         chosen(*words).open()
-    with pytest.raises(UsageError, match="there is no such interface; choose one of .*, socketcan, "):
+    with pytest.raises(UsageError, match=r"there is no such interface; choose one of .*, socketcan, "):
         BusChoice("gremlin", {}).open()

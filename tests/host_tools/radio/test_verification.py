@@ -301,6 +301,7 @@ DIFFERENCES = {
     "health caution": "heartbeat, health: expected .*health 0, got .*health 2",
     "mode maintenance": "heartbeat, mode: expected .*mode 0, .*got .*mode 2, ",
     "alpha of 20 bits": r"estimate, alpha: expected .*hat 0x\w+ \([\d.]+\), alpha 0x\w+ \([\d.e+-]+\), got",
+    "a bitmap of 32 senders": "telemetry, x: ",
     "hangs": "robot 3 did not ",
 }
 
@@ -310,6 +311,9 @@ def test_a_difference_says_what_was_expected_and_what_came(what: str) -> None:
     difference = found(WRONG[what]).difference
     assert difference is not None
     assert re.match(r'phase "[^"]+"( \(.*?\))?, tick \d+: ' + DIFFERENCES[what], difference), difference
+    assert what != "a bitmap of 32 senders" or re.search(
+        r"\(messages of the robots \d+ and \d+\)", difference
+    )
 
 
 # Others on the bus
@@ -360,12 +364,12 @@ def test_a_node_that_the_controller_hears_is_named_and_not_blamed_on_it(
 class Advises(RobotNode):
     """Says in its health that a tick stayed open, which is its right."""
 
-    from_tick = 0
+    from_tick, severity = 0, 1
 
     def observe(self, z: Observation | None) -> list[can.Message]:
         frames = super().observe(z)
         for frame in frames[:-1]:
-            frame.data[4] = int(self.unsettled > 0 or 0 < self.from_tick <= self.ticks)
+            frame.data[4] = self.severity * (self.unsettled > 0 or 0 < self.from_tick <= self.ticks)
         return frames
 
 
@@ -373,9 +377,10 @@ def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else() -> N
     controller = Advises(right())
     assert judge(controller, phases=PHASES[:5]).difference is None
     assert controller.unsettled > 0
-    controller = Advises(right())
-    controller.from_tick = 30
-    assert "heartbeat, health: expected" in str(judge(controller, phases=PHASES[:5]).difference)
+    for from_tick, severity in ((30, 1), (0, 2)):
+        controller = Advises(right())
+        controller.from_tick, controller.severity = from_tick, severity
+        assert "heartbeat, health: expected" in str(judge(controller, phases=PHASES[:5]).difference)
 
 
 def test_other_frames_of_the_controller_are_not_judged() -> None:
