@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
@@ -140,10 +140,13 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
 
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
 @given(st.binary(max_size=30) | st.from_regex(rb"[tTrR][0-9A-F]{3,12}\Z"))
+@example(b"t+120")
+@example(b"t 120")
+@example(b"t1231 7 ")
 def test_any_line_is_a_frame_or_none(line: bytes) -> None:
     frame = frame_of(line)
     if frame is not None:
-        assert line_of(frame)[:-1] == line.upper() if line[:1].isupper() else line_of(frame)
+        assert line_of(frame)[:-1] == line[:1] + line[1:].upper()
 
 
 def test_a_taken_port_is_named(server: SlcanServer) -> None:
