@@ -22,7 +22,7 @@ from proofs.source import SOURCES
 
 EQUIVALENTS = equivalents("c")
 PARTS = 16
-SAMPLE = 30
+SAMPLE = 20
 
 
 @cache

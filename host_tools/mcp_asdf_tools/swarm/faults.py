@@ -134,7 +134,7 @@ class Faults:
     """
 
     def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat) -> None:
-        """Prepare. ``seed`` is 0 .. 2**128 - 1, ``frames`` the format of estimates, for freeze and liar."""
+        """Prepare. ``seed`` has up to 128 bits, ``frames`` is the format of estimates, for freeze and liar."""
         self.faults = tuple(faults)
         self._frames = frames
         kinds = [fault.kind for fault in faults]
