@@ -134,7 +134,7 @@ class Faults:
     """
 
     def __init__(self, faults: Sequence[Fault], seed: int, frames: FrameFormat) -> None:
-        """Prepare. ``seed`` has up to 128 bits, ``frames`` is the format of estimates, for freeze and liar."""
+        """Prepare. ``seed`` has up to 128 bits, ``frames`` is the estimates' format, for freeze and liar."""
         self.faults = tuple(faults)
         self._frames = frames
         kinds = [fault.kind for fault in faults]
