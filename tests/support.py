@@ -50,6 +50,15 @@ def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
     return done.stdout
 
 
+def version_of_header() -> str:
+    """The one place where the version stands."""
+    text = HEADER.read_text(encoding="utf-8")
+    return ".".join(
+        re.findall(rf"^#define MCP_ASDF_VERSION_{part} (\d+)$", text, re.MULTILINE)[0]
+        for part in ("MAJOR", "MINOR", "PATCH")
+    )
+
+
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 

@@ -14,7 +14,6 @@ from support import CORE, ROOT, TABLE, require, run
 
 PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
 WHITE_BOX = ("arithmetic", "state")
-"""Without ``damaged``, whose inputs are random."""
 PORTS = ROOT / "c_ref/ports"
 SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
 FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}

@@ -19,8 +19,7 @@ UNREACHED = {
 
 @pytest.mark.slow
 def test_every_condition_is_tested(tmp_path: Path) -> None:
-    """Missing means missing from all C tests together; ``test_damaged.c``, whose inputs are random, does not
-    count."""
+    """Missing means missing from all C tests together."""
     found = measured(tmp_path)
     assert {Path(path) for _, path, _ in found.outcomes} == {
         *SOURCES,

@@ -1,24 +1,99 @@
-"""The core gets into other projects: copied, added, fetched, found, and as a Python package.
+"""The core gets into other projects in each way that docs/porting.md names.
 
-Every way ends in a small program whose output must be the mirror's answer for the same run.
+Ways that build here end in a small program whose output must be the mirror's answer for the same run. The
+others' own tools do here what they can offline: PlatformIO reads its manifest and Arduino's, and packs the
+folder, as ESP-IDF does; Kconfig reads Zephyr's options.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import site
 import sys
+import tarfile
 import tomllib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 import pytest
+import yaml
 
-from c_ref.consumer import CONSUMER, answer, version_of_header
-from support import CORE, HEADER, ROOT, TABLE, require, run, slow
+from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Observation
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from support import CORE, ROOT, TABLE, require, run, version_of_header
+
+PACKAGE = ROOT / "c_ref"
+PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
+FILES = {f"src/{path.name}" for path in CORE.parent.iterdir()}
+HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
+"""Headers that a user includes; the core's arithmetic has others."""
+
+# --- The small program -----------------------------------------------------------------------------------
+
+CONSUMER = """
+#include <stdio.h>
+#include "mcp_asdf_frame.h"
+#include "mcp_asdf_image.h"
+
+#ifdef __cplusplus
+extern "C"
+#else
+extern
+#endif
+const uint32_t mcp_asdf_t_table_omega05_q30[33];
+
+int main(void)
+{
+    static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
+    mcp_asdf_t robot, copy;
+    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    if (mcp_asdf_init(&robot, &config, 1, 0xC0000000) != MCP_ASDF_OK) {
+        return 1;
+    }
+    for (int tick = 0; tick < 2000; ++tick) {
+        mcp_asdf_receive(&robot, 2, MCP_ASDF_ONE / 10 * 9, 0x80000006);
+        mcp_asdf_receive(&robot, 3, MCP_ASDF_ONE / 9 * 8, 0x80000006);
+        mcp_asdf_step(&robot, tick % 3 == 0 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
+    }
+    mcp_asdf_save(&robot, image);
+    if (mcp_asdf_restore(&copy, &config, image) != MCP_ASDF_OK || !mcp_asdf_invariants_hold(&copy)) {
+        return 1;
+    }
+    printf("%lu %lu\\n", (unsigned long)mcp_asdf_x(&copy), (unsigned long)mcp_asdf_b_hat(&copy));
+    return 0;
+}
+"""
+STRICT = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror")
+
+
+@cache
+def answer() -> str:
+    """Expected output of the program, by the mirror; the run passes through an update of b_hat."""
+    robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), 1, 0.75)
+    for tick in range(2000):
+        robot.receive_raw(2, 2**23 // 10 * 9, alpha_to_word(32.0))
+        robot.receive_raw(3, 2**23 // 9 * 8, alpha_to_word(32.0))
+        robot.step(Observation(tick % 3 == 0))
+    assert robot.counters.updates == 1
+    return f"{robot.x_raw} {robot.b_hat_raw}\n"
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A folder with the program and the table that it chose."""
+    (tmp_path / "main.c").write_text(CONSUMER)
+    shutil.copy(TABLE, tmp_path)
+    return tmp_path
+
+
+# --- Ways that build it ----------------------------------------------------------------------------------
 
 BUILD = """
 cmake_minimum_required(VERSION 3.21)
@@ -28,238 +103,191 @@ add_executable(consumer main.c t_table_omega05_q30.c)
 target_link_libraries(consumer PRIVATE mcp_asdf::mcp_asdf)
 install(TARGETS consumer)
 """
-ADD = 'add_subdirectory("{}" mcp_asdf)'
 FETCH = """
 include(FetchContent)
 FetchContent_Declare(mcp_asdf SOURCE_DIR "{}")
 FetchContent_MakeAvailable(mcp_asdf)
 """
-FIND = "find_package(mcp_asdf {} REQUIRED)"
-SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-TESTED_WHEELS = SETTINGS["tool"]["cibuildwheel"]["test-command"]
-"""Commands with which cibuildwheel tests what it makes."""
-
-
-@pytest.fixture
-def expected() -> str:
-    return answer()
-
-
-@pytest.fixture
-def project(tmp_path: Path) -> Path:
-    """A folder with the consumer's sources: its program and the table that it chose."""
-    (tmp_path / "main.c").write_text(CONSUMER)
-    shutil.copy(TABLE, tmp_path)
-    return tmp_path
 
 
 def cmake(*arguments: str | Path) -> str:
     return run(require("cmake"), *arguments)
 
 
-def build(project: Path, get: str, *options: str) -> Path:
-    """Build the consumer, which gets the library by the command ``get``; returns the build folder."""
+def installed(folder: Path) -> Path:
+    """The library is installed and then moved, so that nothing may name the first place."""
+    place = folder / "first"
+    cmake("-S", PACKAGE, "-B", folder / "made", f"-DCMAKE_INSTALL_PREFIX={place}")
+    cmake("--build", folder / "made", "--target", "mcp_asdf")
+    cmake("--install", folder / "made")
+    shutil.rmtree(folder / "made")
+    return place.rename(folder / "second")
+
+
+def copied(project: Path, compiler: str, source: str) -> None:
+    """The compiler takes nothing beyond the standard."""
+    for path in CORE.parent.iterdir():
+        shutil.copy(path, project)
+    for path in (*CORE.parent.glob("*.c"), TABLE):
+        run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", path.name, cwd=project)
+    (project / "main.c").rename(project / source)
+    objects = sorted(project.glob("*.o"))
+    run(require(compiler, compiler), *STRICT, source, *objects, "-o", "consumer", cwd=project)
+
+
+def built(project: Path, get: str, *options: str) -> None:
+    """CMake gets the library by the command ``get``; nothing of what is embedded is installed or tested."""
     (project / "CMakeLists.txt").write_text(BUILD.format(get))
     cmake("-S", project, "-B", project / "build", "-DCMAKE_C_FLAGS=-Wall -Wextra -Werror", *options)
     cmake("--build", project / "build")
-    return project / "build"
+    cmake("--install", project / "build", "--prefix", project / "whole")
+    (program,) = (path for path in (project / "whole").rglob("*") if path.is_file())
+    program.rename(project / "consumer")
+    assert "Total Tests: 0" in run("ctest", "-N", "--test-dir", project / "build")
 
 
-@pytest.fixture(scope="module", params=["root", "c_ref", "absolute"])
-def prefix(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the library was installed to and then moved, so that nothing may name the first place; or where a
-    distribution put it that gives folders as absolute paths."""
-    folder = tmp_path_factory.mktemp("install")
-    place, is_absolute = folder / "first", request.param == "absolute"
-    names = {"LIBDIR": "lib/machine", "INCLUDEDIR": "include/here"} if is_absolute else {}
-    folders = [f"-DCMAKE_INSTALL_{name}={place / each}" for name, each in names.items()]
-    source = ROOT if request.param == "root" else ROOT / "c_ref"
-    cmake("-S", source, "-B", folder / "build", f"-DCMAKE_INSTALL_PREFIX={place}", *folders)
-    cmake("--build", folder / "build", "--target", "mcp_asdf")
-    cmake("--install", folder / "build")
-    shutil.rmtree(folder / "build")
-    return place if is_absolute else place.rename(folder / "second")
-
-
-def pkg_config(prefix: Path, *arguments: str) -> str:
-    (folder,) = (path.parent for path in prefix.rglob("mcp_asdf.pc"))
-    return run(require("pkg-config", "pkgconf"), *arguments, "mcp_asdf", PKG_CONFIG_PATH=str(folder))
-
-
-# --- Copied ----------------------------------------------------------------------------------------------
-
-
-PRIVATE = (CORE.with_name("mcp_asdf_arithmetic.h"), *sorted(CORE.parent.glob("mcp_asdf_target*.h")))
-ROM = CORE.with_name("mcp_asdf_rom.h")
-IMAGE, FRAME = CORE.with_name("mcp_asdf_image.c"), CORE.with_name("mcp_asdf_frame.c")
-FOLDER = sorted(CORE.parent.iterdir())
-MINIMAL = (CORE, HEADER, ROM, *PRIVATE)
-STRICT = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror")
-SAVING = """
-    mcp_asdf_t copy;
-    uint8_t image[MCP_ASDF_IMAGE_SIZE];
-    mcp_asdf_save(&robot, image);
-    if (mcp_asdf_restore(&copy, &config, image) != MCP_ASDF_OK || !mcp_asdf_invariants_hold(&copy)) {
-        return 1;
-    }
-    robot = copy;
-    printf("""
-
-
-@pytest.mark.parametrize(("compiler", "standard"), [("gcc", "c99"), ("clang", "c17")])
-@pytest.mark.parametrize("files", [MINIMAL, FOLDER], ids=["core", "folder"])
-def test_the_copied_files_and_a_table_are_all_it_takes(
-    files: Sequence[Path], compiler: str, standard: str, project: Path, expected: str
-) -> None:
-    """The compiler takes nothing beyond the standard."""
-    for path in files:
-        shutil.copy(path, project)
-    if files is FOLDER:
-        saving = CONSUMER.replace('#include "mcp_asdf.h"', '#include "mcp_asdf_image.h"')
-        (project / "main.c").write_text(saving.replace("    printf(", SAVING))
-    sources = [path for path in project.iterdir() if path.suffix == ".c"]
-    run(require(compiler, compiler), f"-std={standard}", *STRICT, *sources, "-o", "consumer", cwd=project)
-    assert run(project / "consumer") == expected
-
-
-def test_the_headers_suit_c_plus_plus(project: Path, expected: str) -> None:
-    """A C++ program with the C objects; its own copy of the table's declaration has C linkage."""
-    optional = '#include "mcp_asdf_image.h"\n#include "mcp_asdf_frame.h"\n#include "mcp_asdf.h"\n'
-    source = CONSUMER.replace('#include "mcp_asdf.h"', optional + 'extern "C" {', 1)
-    source = source.replace("q30[33];", "q30[33];\n}", 1).replace("#include <stdio.h>", "")
-    (project / "main.cpp").write_text("#include <stdio.h>\n" + source)
-    include = f"-I{HEADER.parent}"
-    run("cc", "-c", include, CORE, TABLE, cwd=project)
-    objects = ("mcp_asdf.o", "t_table_omega05_q30.o")
-    run(require("c++", "g++"), *STRICT, include, "main.cpp", *objects, "-o", "consumer", cwd=project)
-    assert run(project / "consumer") == expected
-
-
-TARGETS = {
-    "host": ("cc", "gcc"),
-    "32-bit": ("gcc -m32", "gcc"),
-    "Cortex-M4": ("arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb", "gcc-arm-none-eabi"),
-    "Cortex-M0+": ("arm-none-eabi-gcc -mcpu=cortex-m0plus -mthumb", "gcc-arm-none-eabi"),
-    "RV32": ("riscv64-unknown-elf-gcc -march=rv32imac -mabi=ilp32", "gcc-riscv64-unknown-elf"),
-    "AVR": ("avr-gcc -mmcu=atmega328p", "gcc-avr avr-libc"),
-    "s390x": ("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross"),
-}
-WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
-MEMORY_CALLS = re.compile(r"(__aeabi_)?mem(cpy|set|clr|move)\d?")
-LONG_DIVISION = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod")
-FLOAT = re.compile(r"[sdx]f\d|aeabi_[fd]")
-
-
-@pytest.mark.parametrize("optimisation", ["-Os", *slow(["-O0", "-O2"])])
-@pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize("source", [CORE, IMAGE, FRAME], ids=lambda path: path.stem)
-def test_the_core_stands_on_its_own(source: Path, target: str, optimisation: str, tmp_path: Path) -> None:
-    """No warning on any target, no 64-bit division, no float, no library, no data that can change.
-
-    Of the three parts only the image needs another: it makes robots with the functions of the core.
-    """
-    (compiler, *flags), packages = TARGETS[target][0].split(), TARGETS[target][1]
-    require(compiler, packages)
-    freestanding = ("-std=c99", "-pedantic-errors", "-ffreestanding", optimisation, *WARNINGS)
-    run(compiler, *flags, *freestanding, "-c", source, "-o", "core.o", cwd=tmp_path)
-    tool = compiler.removesuffix("gcc").removesuffix("cc")
-    symbols = [line.split()[-2:] for line in run(f"{tool}nm", "core.o", cwd=tmp_path).splitlines()]
-    undefined = {name for kind, name in symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
-    foreign = {name for name in undefined if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)}
-    assert foreign == ({"mcp_asdf_init", "mcp_asdf_observe"} if source == IMAGE else set())
-    assert not [name for name in undefined if LONG_DIVISION.search(name) or FLOAT.search(name)]
-    assert not [name for kind, name in symbols if kind in "bBdDcC"]
-
-
-# --- Added, fetched, found -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("get", "folder"),
-    [(ADD, ROOT), (FETCH, ROOT / "c_ref"), *slow([(ADD, ROOT / "c_ref"), (FETCH, ROOT)])],
-    ids=["added root", "fetched c_ref", "added c_ref", "fetched root"],
-)
-def test_cmake_builds_it_from_source(get: str, folder: Path, project: Path, expected: str) -> None:
-    """Nothing of what is embedded is installed or tested with the consumer."""
-    built = build(project, get.format(folder))
-    assert run(built / "consumer") == expected
-    cmake("--install", built, "--prefix", project / "installed")
-    assert [path.name for path in (project / "installed").rglob("*") if path.is_file()] == ["consumer"]
-    assert "Total Tests: 0" in run("ctest", "-N", "--test-dir", built)
-
-
-@pytest.mark.slow
-def test_find_package_finds_it_by_its_version(prefix: Path, project: Path, expected: str) -> None:
-    (config,) = prefix.rglob("mcp_asdf-config.cmake")
-    is_usual = config.is_relative_to(prefix / "lib/cmake")
-    where = f"-DCMAKE_PREFIX_PATH={prefix}" if is_usual else f"-Dmcp_asdf_DIR={config.parent}"
-    assert run(build(project, FIND.format(f"{version_of_header()} EXACT"), where) / "consumer") == expected
-    with pytest.raises(AssertionError, match="compatible with requested"):
-        build(project, FIND.format("9.0"), where)
-
-
-def linked_by_pkg_config(prefix: Path, project: Path) -> str:
-    """Output of the consumer."""
-    flags = pkg_config(prefix, "--cflags", "--libs").split()
-    run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "consumer", cwd=project)
-    return run(project / "consumer")
-
-
-def test_pkg_config_finds_it(prefix: Path, project: Path, expected: str) -> None:
-    assert linked_by_pkg_config(prefix, project) == expected
-    assert pkg_config(prefix, "--modversion").strip() == version_of_header() == metadata.version("mcp-asdf")
-
-
-def test_what_is_installed(prefix: Path) -> None:
+def found(project: Path) -> None:
+    """CMake finds the version; what is installed is for users only."""
+    prefix = installed(project / "library")
+    built(
+        project,
+        f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)",
+        f"-DCMAKE_PREFIX_PATH={prefix}",
+    )
+    config = {f"mcp_asdf-config{kind}.cmake" for kind in ("", "-noconfig", "-version")}
     files = {path.name for path in prefix.rglob("*") if path.is_file()}
-    config = {"mcp_asdf-config.cmake", "mcp_asdf-config-noconfig.cmake", "mcp_asdf-config-version.cmake"}
-    headers = {path.name for path in FOLDER if path.suffix == ".h"} - {path.name for path in PRIVATE}
-    assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | headers | config
+    assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | config
+
+
+def pkg_config(project: Path) -> None:
+    (folder,) = (path.parent for path in installed(project / "library").rglob("mcp_asdf.pc"))
+    ask = (require("pkg-config", "pkgconf"), "mcp_asdf")
+    flags = run(*ask, "--cflags", "--libs", PKG_CONFIG_PATH=str(folder)).split()
+    assert run(*ask, "--modversion", PKG_CONFIG_PATH=str(folder)).strip() == version_of_header()
+    run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "consumer", cwd=project)
+
+
+WAYS: dict[str, Callable[[Path], None]] = {
+    "copied, gcc": lambda project: copied(project, "gcc", "main.c"),
+    "copied, clang": lambda project: copied(project, "clang", "main.c"),
+    "copied, C++": lambda project: copied(project, "g++", "main.cpp"),
+    "add_subdirectory": lambda project: built(project, f'add_subdirectory("{PACKAGE}" mcp_asdf)'),
+    "FetchContent": lambda project: built(project, FETCH.format(ROOT)),
+    "find_package": found,
+    "pkg-config": pkg_config,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_project_gets_it_and_does_what_the_mirror_does(way: str, project: Path) -> None:
+    WAYS[way](project)
+    assert run(project / "consumer") == answer()
 
 
 # --- The Python package ----------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    no_network = ("--no-build-isolation", "--no-deps", "--no-index", "--disable-pip-version-check")
-    # The set-up has built it for speed already; here that would only take longer.
-    options = (*no_network, "--config-settings=cmake.build-type=Debug", "--wheel-dir", folder)
-    run(sys.executable, "-m", "pip", "wheel", "--quiet", *options, ROOT)
-    (made,) = folder.iterdir()
-    return made
-
-
-def test_the_wheel_holds_the_packages_and_nothing_else(wheel: Path) -> None:
-    names = set(zipfile.ZipFile(wheel).namelist())
-    packages = {name.split("/")[0] for name in names if ".dist-info" not in name}
-    assert packages == {"mcp_asdf", "mcp_asdf_tools"}
-    assert {f"{package}/py.typed" for package in packages} <= names
-    assert len([name for name in names if re.fullmatch(r"mcp_asdf/_native\..*\.so", name)]) == 1
-    for package in (ROOT / "firmware_py/mcp_asdf", ROOT / "host_tools/mcp_asdf_tools"):
-        modules = {str(path.relative_to(package.parent)) for path in package.rglob("*.py")}
-        assert modules == {name for name in names if re.match(rf"{package.name}/.*\.py$", name)}
-    page = ROOT / "host_tools/mcp_asdf_tools/view/page"
-    parts = {str(path.relative_to(ROOT / "host_tools")) for path in page.rglob("*") if path.is_file()}
-    assert len(parts) > 10
-    assert parts <= names
-    core = {f"mcp_asdf/core/{path.name}" for path in (ROOT / "c_ref/src").glob("*.[ch]")}
-    assert core == {name for name in names if name.endswith((".c", ".h"))}
-    assert f"mcp_asdf-{version_of_header()}-" in wheel.name
-
-
 @pytest.mark.slow
-def test_the_wheel_is_installed_by_pip_and_used(wheel: Path, tmp_path: Path) -> None:
-    """In a fresh environment, which borrows only the libraries from that of the tests."""
+def test_the_wheel_is_whole_and_used(tmp_path: Path) -> None:
+    """It is installed in a fresh environment, which borrows only the libraries from that of the tests, and
+    passes the commands with which cibuildwheel tests what it makes."""
+    no_network = ("--no-build-isolation", "--no-deps", "--no-index", "--quiet")
+    options = (*no_network, "--config-settings=cmake.build-type=Debug", "--wheel-dir", tmp_path)
+    run(sys.executable, "-m", "pip", "wheel", *options, ROOT)
+    (wheel,) = tmp_path.glob(f"mcp_asdf-{version_of_header()}-*.whl")
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info" not in name}
+    extensions = {name for name in names if re.fullmatch(r"mcp_asdf/_native\..*\.so", name)}
+    assert len(extensions) == 1
+    core = {name.replace("src/", "mcp_asdf/core/") for name in FILES}
+    assert core == {name for name in names if name.endswith((".c", ".h"))}
+    for folder in (ROOT / "firmware_py/mcp_asdf", ROOT / "host_tools/mcp_asdf_tools"):
+        here = [*folder.rglob("*.py"), folder / "py.typed", *folder.glob("view/page/**/*.*")]
+        assert {str(path.relative_to(folder.parent)) for path in here} <= names
+    assert {name.split("/")[0] for name in names} == {"mcp_asdf", "mcp_asdf_tools"}
+
     run(sys.executable, "-m", "venv", tmp_path / "venv")
     python = tmp_path / "venv/bin/python"
     where = Path(run(python, "-c", "import site; print(*site.getsitepackages())").strip())
     (where / "borrowed.pth").write_text("\n".join(site.getsitepackages()))
     run(python, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
-    program = tmp_path / "venv/bin/mcp-asdf"
-    assert run(program, "--version") == f"mcp-asdf {version_of_header()}\n"
-    for command in TESTED_WHEELS:
-        run(program, *command.replace("{project}", str(ROOT)).split()[1:], cwd=tmp_path)
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    for command in settings["tool"]["cibuildwheel"]["test-command"]:
+        program, *arguments = command.replace("{project}", str(ROOT)).split()
+        run(tmp_path / "venv/bin" / program, *arguments, cwd=tmp_path)
     code = "import mcp_asdf, mcp_asdf_tools; print(mcp_asdf.__file__, mcp_asdf_tools.__file__)"
     assert all(Path(each).is_relative_to(where) for each in run(python, "-c", code).split())
+
+
+# --- Manifests -------------------------------------------------------------------------------------------
+
+
+def test_all_manifests_agree() -> None:
+    lines = (PACKAGE / "library.properties").read_text(encoding="utf-8").splitlines()
+    manifests = [
+        dict(line.split("=", 1) for line in lines),
+        json.loads((PACKAGE / "library.json").read_text(encoding="utf-8")),
+        yaml.safe_load((PACKAGE / "idf_component.yml").read_text(encoding="utf-8")),
+        yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8")),
+    ]
+    for manifest in manifests:
+        assert (manifest["version"], manifest["license"]) == (version_of_header(), "MIT")
+    assert set(manifests[1]["headers"]) == HEADERS
+    assert manifests[1]["build"] == {"srcDir": "src", "includeDir": "src"}
+    assert metadata.version("mcp-asdf") == version_of_header()
+
+
+# PlatformIO's own reader, schema and packer; the schema would fetch the list of licences.
+PLATFORMIO = """
+import sys
+from platformio.package.manifest.parser import ManifestParserFactory
+from platformio.package.manifest.schema import ManifestSchema
+from platformio.package.pack import PackagePacker
+ManifestSchema.load_spdx_licenses = staticmethod(lambda: {"licenses": [{"licenseId": "MIT"}]})
+for name in ("library.json", "library.properties"):
+    found = ManifestParserFactory.new_from_file(f"{sys.argv[1]}/{name}").as_dict()
+    ManifestSchema().load_manifest(found)
+PackagePacker(sys.argv[1]).pack(sys.argv[2])
+"""
+
+
+def files_in(archive: Path) -> set[str]:
+    with tarfile.open(archive) as tar:
+        return {member.name.removeprefix("./") for member in tar if member.isfile()}
+
+
+def test_platformio_packs_it(tmp_path: Path) -> None:
+    pytest.importorskip("platformio", reason="platformio is not installed: make setup")
+    archive = tmp_path / "packed.tar.gz"
+    run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
+    expected = FILES | {"library.json", "library.properties", "README.md", "LICENSE"}
+    assert files_in(archive) - {".piopm"} == expected
+
+
+@pytest.mark.slow
+def test_esp_idf_packs_it(tmp_path: Path) -> None:
+    require("compote")
+    run("compote", "manifest", "lint", PACKAGE / "idf_component.yml")
+    run("compote", "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path, cwd=PACKAGE)
+    files = files_in(tmp_path / f"mcp_asdf_{version_of_header()}.tgz")
+    assert files == FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
+    component = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
+    (sources,) = re.findall(r"idf_component_register\(SRCS (.*) INCLUDE_DIRS src\)", component)
+    assert set(sources.split()) == {f"src/{name}.c" for name in PARTS}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "parts"), [("", ()), ("=y", PARTS), ("=y\nCONFIG_MCP_ASDF_IMAGE=n", PARTS[::2])]
+)
+def test_zephyr_builds_what_its_options_say(chosen: str, parts: tuple[str, ...], tmp_path: Path) -> None:
+    """The optional parts come with the core, unless they are left out; nothing comes unasked."""
+    kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
+    module = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))["build"]
+    (tmp_path / "prj.conf").write_text(f"CONFIG_MCP_ASDF{chosen}" if chosen else "")
+    kconfig = kconfiglib.Kconfig(str(PACKAGE / module["kconfig"]), warn_to_stderr=False)
+    kconfig.load_config(str(tmp_path / "prj.conf"))
+    assert kconfig.warnings == []
+    options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
+    assert options == {name.upper(): "y" if name in parts else "n" for name in PARTS}
+    text = (PACKAGE / module["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+    for name in PARTS[1:]:
+        assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in text

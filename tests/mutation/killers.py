@@ -29,7 +29,7 @@ VARIANTS = (
 """The choices of each target, and the two targets with code of their own."""
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
-CORE_TESTS = (THIRD, "arithmetic", "api", "state", "damaged")
+CORE_TESTS = (THIRD, "arithmetic", "api", "state")
 BLACK_BOX = ("api", "frame", "node")
 CALLS = 1_000_000
 """Calls of the independent implementation: a tenth of a second."""

@@ -16,9 +16,8 @@ from typing import Any
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from c_ref.consumer import version_of_header
 from mcp_asdf_tools.common.files import write_atomically
-from support import ROOT
+from support import ROOT, version_of_header
 
 UPLOT = ROOT / "host_tools/mcp_asdf_tools/view/page/uplot/uPlot.iife.min.js"
 NAME = "mcp-asdf"

@@ -12,10 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from c_ref.consumer import version_of_header
 from release.lowest import requirements
 from release.sbom import bill
-from support import ROOT, require, run
+from support import ROOT, require, run, version_of_header
 
 BOUNDED = re.compile(r"([\w.-]+)(\[[\w,-]+\])?>=\d[\d.]*")
 
