@@ -86,8 +86,8 @@ def programs(folder: Path) -> Iterator[Path]:
     third = third_object(folder)
     for variant in VARIANTS:
         for name in WHITE_BOX:
-            own = choices(variant, "TEST")
-            yield _compiled(folder / f"{name}_{variant}", tests / f"test_{name}.c", *own)
+            program = folder / f"{name}_{variant}"
+            yield _compiled(program, tests / f"test_{name}.c", *choices(variant))
         yield third_program(third, variant, ("clang-19", *FLAGS), folder / f"third_{variant}")
 
 

@@ -249,42 +249,25 @@ typedef struct {
     int estimate, heartbeat, telemetry;
 } trial_t;
 
+enum {
+    FORMAT = MCP_ASDF_FRAME_ERR_FORMAT,
+    NODE = MCP_ASDF_FRAME_ERR_NODE,
+    X_HAT = MCP_ASDF_FRAME_ERR_X_HAT,
+    HEALTH = MCP_ASDF_FRAME_ERR_HEALTH,
+    MODE = MCP_ASDF_FRAME_ERR_MODE,
+    X = MCP_ASDF_FRAME_ERR_X,
+    B_HAT = MCP_ASDF_FRAME_ERR_B_HAT
+};
+
 static const trial_t trials[] = {
     {{6143, 7}, 127, 8388608, 3, 3, 8388608, 16777200, 0, 0, 0},
     {{0, 0}, 0, 0, 0, 0, 0, 16, 0, 0, 0},
-    {{6144, 7}, 127, 8388609, 0, 0, 8388609, 16, MCP_ASDF_FRAME_ERR_FORMAT, 0, MCP_ASDF_FRAME_ERR_FORMAT},
-    {{0, 8},
-     127,
-     0,
-     4,
-     0,
-     0,
-     16,
-     MCP_ASDF_FRAME_ERR_FORMAT,
-     MCP_ASDF_FRAME_ERR_FORMAT,
-     MCP_ASDF_FRAME_ERR_FORMAT},
-    {{6144, 8},
-     128,
-     8388609,
-     4,
-     4,
-     0,
-     0,
-     MCP_ASDF_FRAME_ERR_NODE,
-     MCP_ASDF_FRAME_ERR_NODE,
-     MCP_ASDF_FRAME_ERR_NODE},
-    {{9, 0},
-     1,
-     8388609,
-     4,
-     4,
-     8388609,
-     15,
-     MCP_ASDF_FRAME_ERR_X_HAT,
-     MCP_ASDF_FRAME_ERR_HEALTH,
-     MCP_ASDF_FRAME_ERR_X},
-    {{9, 0}, 1, 1, 3, 4, 1, 15, 0, MCP_ASDF_FRAME_ERR_MODE, MCP_ASDF_FRAME_ERR_B_HAT},
-    {{9, 0}, 1, 1, 0, 0, 1, 16777201, 0, 0, MCP_ASDF_FRAME_ERR_B_HAT},
+    {{6144, 7}, 127, 8388609, 0, 0, 8388609, 16, FORMAT, 0, FORMAT},
+    {{0, 8}, 127, 0, 4, 0, 0, 16, FORMAT, FORMAT, FORMAT},
+    {{6144, 8}, 128, 8388609, 4, 4, 0, 0, NODE, NODE, NODE},
+    {{9, 0}, 1, 8388609, 4, 4, 8388609, 15, X_HAT, HEALTH, X},
+    {{9, 0}, 1, 1, 3, 4, 1, 15, 0, MODE, B_HAT},
+    {{9, 0}, 1, 1, 0, 0, 1, 16777201, 0, 0, B_HAT},
 };
 
 /* A frame that was made is that of these bytes; one that was refused is as it was. */

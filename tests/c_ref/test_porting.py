@@ -141,12 +141,7 @@ def a_packet(stream: random.Random) -> bytes:
     return bytes(whole)
 
 
-# --- The page --------------------------------------------------------------------------------------------
-
-
-def test_the_page_shows_the_demonstration() -> None:
-    assert blocks("c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
-
+# --- The page's promises ---------------------------------------------------------------------------------
 
 TARGETS = {
     "host": ("gcc", "gcc"),
@@ -189,6 +184,7 @@ def test_the_core_stands_on_its_own(target: str, part: str, tmp_path: Path) -> N
 
 def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
     """The project of the page, with a script for a board."""
+    assert blocks("c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
     (tmp_path / "mcp-asdf").symlink_to(ROOT)
     (tmp_path / "CMakeLists.txt").write_text(blocks("cmake")[0])
     (tmp_path / "main.c").write_text(blocks("c")[0])
@@ -267,20 +263,16 @@ KILOBOT = re.compile(r"-D(?:F_CPU|BAUD)=\w+")
 
 
 def avr_image(folder: Path, *macros: str) -> Path:
-    """The robot's image, built by the page's command."""
+    """The robot's image, built by the page's command; it leaves half of the flash and most of the memory."""
     require("avr-gcc", PACKAGES)
     (command,) = (block for block in blocks("console") if "avr-gcc" in block)
     (folder / "c_ref").symlink_to(ROOT / "c_ref")
     (folder / "tables").symlink_to(ROOT / "tables")
     run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), *macros, cwd=folder)
-    return folder / "robot.elf"
-
-
-def test_it_leaves_half_of_an_atmega_s_flash_and_most_of_its_memory(tmp_path: Path) -> None:
-    _, numbers = run(require("avr-size"), avr_image(tmp_path)).splitlines()
-    text, data, bss = map(int, numbers.split()[:3])
-    assert text + data < 15 * 1000
-    assert data + bss < 300
+    image = folder / "robot.elf"
+    text, data, bss = map(int, run(require("avr-size"), image).splitlines()[1].split()[:3])
+    assert text + data < 15 * 1000 and data + bss < 300
+    return image
 
 
 @pytest.mark.parametrize("board", ["Kilobot", *slow(["Uno"])])

@@ -16,24 +16,25 @@ CHOSEN = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_tex
 """Choices that the white-box tests are built for."""
 
 
-def compiles(*compiler: str) -> bool:
-    """True if the compiler makes a program with the standard library."""
-    source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
-    command = [*compiler, "-x", "c", "-", "-o", "/dev/null"]
-    done = subprocess.run(command, input=source, text=True, stderr=subprocess.DEVNULL, check=False)
-    return done.returncode == 0
+NEEDS = {
+    "gcc": ("gcc", "gcc"),
+    "clang": ("clang", "clang"),
+    "sanitizers": ("clang -fsanitize=address", "libclang-rt-dev"),
+    "32-bit": ("gcc -m32", "gcc-12-multilib, or gcc's version"),
+    "big-endian": ("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross"),
+}
+"""A preset's compiler, and Debian's packages that have what makes programs with it."""
 
 
 def skip_without_tools(preset: str) -> None:
-    """Skip where the preset's compiler or emulator is not installed, naming Debian's packages."""
-    if preset in ("clang", "sanitizers"):
-        require("clang", "clang")
-    if preset == "sanitizers" and not compiles("clang", "-fsanitize=address"):
-        pytest.skip("clang's sanitizers are not installed (apt-get install libclang-rt-dev)")
-    if preset == "32-bit" and not compiles("gcc", "-m32"):
-        pytest.skip("gcc makes no 32-bit programs (apt-get install gcc-12-multilib, or gcc's version)")
+    compiler, packages = NEEDS[preset]
+    program, *flags = compiler.split()
+    command = [require(program, packages), *flags, "-x", "c", "-", "-o", "/dev/null"]
+    source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
+    done = subprocess.run(command, input=source, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        pytest.skip(f"{compiler} makes no programs: apt-get install {packages}")
     if preset == "big-endian":
-        require("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross")
         require("qemu-s390x", "qemu-user")
 
 

@@ -14,12 +14,12 @@ VARIANTS = ("1001", "2100", "1000", "3010", "4000", "2000")
 """Choices of Cortex-M4, Cortex-M0+, RV32, AVR, lanes of host engines, any other; those of CMakeLists.txt."""
 
 
-def choices(variant: str, prefix: str = "MCP_ASDF") -> list[str]:
+def choices(variant: str) -> list[str]:
     """A compiler's flags for these choices."""
-    flags = [f"-D{prefix}_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=True)]
+    flags = [f"-DMCP_ASDF_{name}={digit}" for name, digit in zip(CHOICES, variant, strict=True)]
     if variant[0] != "4":
         return flags
-    return [*flags, f"-I{LANES.parent}", *(("-include", LANES.name) if prefix == "MCP_ASDF" else ())]
+    return [*flags, f"-I{LANES.parent}", "-include", LANES.name]
 
 
 def third_object(folder: Path, sources: Path = CORE.parent) -> Path:

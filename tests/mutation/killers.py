@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 
-from c_ref.third import choices, third_object
+from c_ref.third import third_object
 from mutation.c_mutants import Mutant
 from proofs.source import LANES_HEADER, SOURCES, Variant
 from support import CORE, ROOT, TABLE
@@ -52,8 +52,6 @@ class Compiler:
         if test == THIRD:
             return self._third_passes(folder, variant)
         flags = [f"-I{folder}", f"-I{PORTS}", *_flags(variant), "-w", "-DCHECK_ONCE"]
-        if test not in BLACK_BOX:
-            flags += choices(variant.digits, "TEST")
         sources = [TESTS / f"test_{test}.c", *_linked(folder, test)]
         if self.name == "tcc":
             return _limited("tcc", *flags, "-include", CLZ, *sources[1:], "-run", sources[0])
