@@ -73,7 +73,7 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
 
 
 def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
-    results: pa.Table | list[Trials] | SwarmRun,
+    results: pa.Table | list[Trials],
     kind: str = PLOTS[0],
     *,
     trial: int = 0,
@@ -82,16 +82,12 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     y: str = "H",
     limits: LimitsOf = paper_limits,
 ) -> Figure:
-    """A picture of results or of a swarm's run; its method ``savefig`` writes a file.
+    """A picture of results; its method ``savefig`` writes a file.
 
-    Kinds for results: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
+    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
     ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each value of a parameter ``hue``;
     ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``. Raises
     UsageError if the results do not have what it shows.
     """
-    if isinstance(results, SwarmRun):
-        from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
-
-        return draw(results)
     experiments = results if isinstance(results, list) else experiments_in(results)
     return draw_results(experiments, kind, trial=trial, x=x, hue=hue, y=y, limits=limits)

@@ -8,7 +8,6 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -21,7 +20,7 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_together
+from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.recording.recording import LogOutputs
@@ -42,7 +41,7 @@ __all__ = ["EPILOG", "add_arguments", "run", "settings_of"]
 EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter none --plot off.png       # the same without the filter, as a picture
+  mcp-asdf swarm --filter none                      # the same without the filter
   mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
   mcp-asdf swarm --flawed 0.5 --set omega=0.1 --seed 7 --log run.log --json
@@ -89,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     settings, choice = settings_of(args), choose_bus(args)
     plan = _Plan(args, settings, choice, wiring_of(args, settings, choice))
     _check(plan)
-    beside = [results_beside(path) for path in (args.log, args.plot) if path is not None]
+    results = None if args.log is None else results_beside(args.log)
     header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     try:
@@ -99,13 +98,8 @@ def run(args: argparse.Namespace) -> int:
                 outcome, report, seconds = _emulate(plan, outputs, camera)
                 # Printed even if a file cannot be completed.
                 ending.callback(_print, plan, outcome, report, seconds)
-            files: dict[Path, bytes | str] = dict.fromkeys(beside, json.dumps(report, indent=2) + "\n")
-            if args.plot is not None:
-                from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415
-                from mcp_asdf_tools.swarm.plot import draw  # noqa: PLC0415
-
-                files[args.plot] = image_of(draw(outcome), args.plot)
-            write_together(files)
+            if results is not None:
+                write_atomically(results, json.dumps(report, indent=2) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
@@ -116,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(plan: _Plan) -> None:
-    """Refuse options that contradict each other, and pictures that cannot be written."""
+    """Refuse options that contradict each other."""
     args, settings = plan.args, plan.settings
     if args.compare and (plan.wiring.remote or settings.filter == "none"):
         reason = "robots elsewhere run once" if plan.wiring.remote else "filter is none"
@@ -130,10 +124,6 @@ def _check(plan: _Plan) -> None:
             f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
             "the ids 126 and 127"
         )
-    if args.plot is not None:
-        from mcp_asdf_tools.common.figures import check_plot_path  # noqa: PLC0415
-
-        check_plot_path(args.plot)
 
 
 def _emulate(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any, get_args
 
 import can
@@ -87,8 +86,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="this robot is a controller there that obeys command frames; repeatable",
     )
-    output = parser.add_argument_group("output (beside each file, FILE.json gets all parameters and results)")
-    output.add_argument("--plot", metavar="FILE", type=Path, help="draw the run: .png, .svg or .pdf")
+    output = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
     add_log_option(output, "FILE.events gets what each robot saw and heard")
     output.add_argument(
         "--compare", action="store_true", help="also run the same swarm without the filter, and compare"

@@ -33,8 +33,8 @@ from mcp_asdf_tools.common.figures import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
+from mcp_asdf_tools.experiments.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
-from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
 
 _BOXES = (
     "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "

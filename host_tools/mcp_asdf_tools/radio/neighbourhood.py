@@ -121,8 +121,7 @@ class Neighbourhood:
                 node.end()
         heard = arrivals.of(controller)
         self.tick += 1
-        # Error frames are a driver's report: they cannot be sent.
-        return [frame for frame in heard if not frame.is_error_frame]
+        return heard
 
     def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:
         now = node.ticks / self._steps_per_second

@@ -15,8 +15,6 @@ from statistics import fmean
 from typing import Any
 
 import can
-import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
@@ -34,12 +32,6 @@ from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remo
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
 from mcp_asdf_tools.world.world import World
-
-QUANTITIES = ("b_hat", "x_hat", "x")
-"""Quantities of each robot in a history."""
-
-MAX_SAMPLES = 2000
-"""About as many as a plot can show."""
 
 
 class Swarm:
@@ -240,37 +232,6 @@ SwarmHook = Callable[[Swarm], None]
 """Called after every tick."""
 
 
-class History:
-    """Every robot's b_hat, x_hat and x over time, thinned so that memory does not grow with the run."""
-
-    def __init__(self, ticks: int) -> None:
-        """Prepare for a run of ``ticks``."""
-        self._sampling_interval = -(-ticks // MAX_SAMPLES)
-        self._ticks: list[int] = []
-        self._rows: list[list[list[float]]] = []
-
-    def sample(self, swarm: Swarm) -> None:
-        """Keep the present state if a sample is due."""
-        if swarm.ticks % self._sampling_interval == 0:
-            self.add(swarm)
-
-    def add(self, swarm: Swarm) -> None:
-        """Keep the present state, once."""
-        if self._ticks[-1:] != [swarm.ticks]:
-            self._ticks.append(swarm.ticks)
-            self._rows.append([[getattr(node.robot, name) for node in swarm.nodes] for name in QUANTITIES])
-
-    @property
-    def ticks(self) -> NDArray[np.int64]:
-        """Ticks done at each sample, rising from 0."""
-        return np.array(self._ticks, dtype=np.int64)
-
-    def values(self, quantity: str) -> NDArray[np.float64]:
-        """One of QUANTITIES, of shape (samples, robots)."""
-        index = QUANTITIES.index(quantity)
-        return np.array([row[index] for row in self._rows], dtype=np.float64)
-
-
 @dataclass
 class SwarmRun:
     """Run of a swarm, finished or not.
@@ -278,7 +239,6 @@ class SwarmRun:
     Attributes:
         settings: Its parameters.
         nodes: The robots in their last state.
-        history: Their states over time.
         results: Results as plain values, for JSON.
         interrupted: Whether Ctrl-C ended it.
         failure: Failure of the bus that ended it; None if there was none.
@@ -286,7 +246,6 @@ class SwarmRun:
 
     settings: SwarmSettings
     nodes: Sequence[BusRobot]
-    history: History
     results: dict[str, Any] = field(default_factory=dict)
     interrupted: bool = False
     failure: str | None = None
@@ -310,13 +269,10 @@ def run_swarm(
 
     ``should_stop``, KeyboardInterrupt and a failing bus end the run early; the ticks done count.
     """
-    history = History(swarm.settings.steps)
-    history.add(swarm)
-    outcome = SwarmRun(swarm.settings, swarm.nodes, history)
+    outcome = SwarmRun(swarm.settings, swarm.nodes)
     try:
         while swarm.ticks < swarm.settings.steps and not outcome.interrupted:
             swarm.tick()
-            history.sample(swarm)
             for hook in hooks:
                 hook(swarm)
             outcome.interrupted = should_stop()
@@ -324,7 +280,6 @@ def run_swarm(
         outcome.interrupted = True
     except (SwarmError, LockstepError, can.CanError) as error:
         outcome.failure = f"tick {swarm.ticks + 1}: {error}"
-    history.add(swarm)
     outcome.results = results_of(swarm)
     return outcome
 

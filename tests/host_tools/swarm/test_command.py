@@ -19,7 +19,7 @@ from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from support import interruptible, slow
+from support import interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -28,7 +28,7 @@ SMALL = ("--robots", "4", "--steps", "30", "--filter-period", "10")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """An empty folder; HOME, in which matplotlib puts its own, is another."""
+    """An empty folder; HOME is another."""
     made = tmp_path / "run"
     made.mkdir()
     return made
@@ -41,32 +41,25 @@ def command(*arguments: str | Path) -> int:
 # Files and output
 
 
-@pytest.mark.parametrize(
-    ("suffix", "magic"), [("svg", b"<?xml"), *slow([("png", b"\x89PNG"), ("pdf", b"%PDF")])]
-)
-def test_a_run_is_in_its_files(
-    suffix: str, magic: bytes, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A log of every frame, a picture, and beside each what is printed as JSON; and so in every run."""
+def test_a_run_is_in_its_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A log of every frame, and beside it what is printed as JSON; and so in every run."""
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
-    plot, log = folder / f"my.run.{suffix}", folder / "my.run.log"
-    assert command("--json", "--plot", plot, "--log", log) == 0
+    log, beside = folder / "my.run.log", folder / "my.run.log.json"
+    assert command("--json", "--log", log) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["parameters"]["seed"] == 1
     assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
     assert report["bus"] == {"interface": "virtual", "channel": "vcan0", "slcan": None}
     assert report["results"]["frames"]["delivered"] == 30 * 4 * 3
-    beside = [Path(f"{path}.json") for path in (plot, log)]
-    assert all(json.loads(path.read_text()) == report for path in beside)
+    assert json.loads(beside.read_text()) == report
     with can.LogReader(log) as reader:
         read = list(reader)
     assert content(read) == content(frames)
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
-    assert plot.read_bytes().startswith(magic)
     made = {path: path.read_bytes() for path in folder.iterdir()}
-    assert made.keys() == {plot, log, *beside, Path(f"{log}.events")}
-    assert command("--json", "--plot", plot, "--log", log) == 0
+    assert made.keys() == {log, beside, Path(f"{log}.events")}
+    assert command("--json", "--log", log) == 0
     assert {path: path.read_bytes() for path in folder.iterdir()} == made
 
 
@@ -136,8 +129,7 @@ BAD = {
     "--set latency=one": "'latency=one': give a whole number",
     "--set speed=fast": "'speed=fast': give a number",
     "--log run.db": "cannot log to run.db: choose .log",
-    "--plot run.gif": "run.gif",
-    "--plot no/such/folder/run.png": "cannot write no/such/folder/run.png: its folder does not exist",
+    "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
     "--interface nonsense": "nonsense",
     "--interface socketcan --channel nowhere0": "socketcan nowhere0",
 }
@@ -155,10 +147,10 @@ def test_bad_usage(
     assert list(folder.iterdir()) == []
 
 
-OUTPUTS = {"run.log", "run.log.events", "run.log.json", "run.png", "run.png.json"}
+OUTPUTS = {"run.log", "run.log.events", "run.log.json"}
 
 
-@pytest.mark.parametrize("obstructed", ["run.log.events", "run.log.json", "run.png", "run.png.json"])
+@pytest.mark.parametrize("obstructed", sorted(OUTPUTS))
 def test_what_cannot_be_written_is_told_before_the_first_tick(
     obstructed: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
@@ -166,7 +158,7 @@ def test_what_cannot_be_written_is_told_before_the_first_tick(
     for name in OUTPUTS - {obstructed}:
         (folder / name).write_text("of yesterday")
     (folder / obstructed).mkdir()
-    assert command("--log", folder / "run.log", "--plot", folder / "run.png") == 2
+    assert command("--log", folder / "run.log") == 2
     assert f"cannot write {folder / obstructed}: it is not a regular file" in capsys.readouterr().err
     assert {path.name for path in folder.iterdir()} == OUTPUTS
     assert all((folder / name).read_text() == "of yesterday" for name in OUTPUTS - {obstructed})
@@ -198,15 +190,14 @@ def test_a_signal_saves_what_is_done(
 ) -> None:
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt() if swarm.ticks == 7 else None)
     handler = signal.getsignal(signal.SIGINT)
-    log, plot = folder / "run.log", folder / "run.png"
-    assert command("--json", "--log", log, "--plot", plot) == code
+    log = folder / "run.log"
+    assert command("--json", "--log", log) == code
     assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
     assert report["results"]["steps"] == 7
     assert len(log.read_text().splitlines()) == 4 * (7 + 1)
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    assert json.loads(Path(f"{plot}.json").read_text()) == report
+    assert json.loads(Path(f"{log}.json").read_text()) == report
 
 
 def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(

@@ -12,10 +12,11 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
+from host_tools.swarm.swarms import Track
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmRun, results_of, run_swarm
+from mcp_asdf_tools.swarm.swarm import Companion, Swarm, results_of, run_swarm
 
 MOVING = SwarmSettings(
     topology="dynamic",
@@ -28,41 +29,42 @@ MOVING = SwarmSettings(
 )
 
 
-def shown(settings: SwarmSettings, compare: bool = True, **options: Any) -> tuple[str, SwarmRun, SwarmRun]:
-    """All that a run writes on a console with these options, the run, and the one without the filter."""
+def shown(settings: SwarmSettings, compare: bool = True, **options: Any) -> tuple[str, Track, Track]:
+    """All that a run writes on a console with these options, its track, and that without the filter."""
     out = io.StringIO()
     console = Console(file=out, **options)
     companion = Companion(settings) if compare else None
+    track, without = Track(settings), Track(settings.without_filter())
     with Swarm(settings, Wiring()) as swarm, LiveView(console, companion) as live:
-        run = run_swarm(swarm, [live] if companion is None else [companion, live])
+        run_swarm(swarm, [track, live] if companion is None else [companion, track, live])
     with Swarm(settings.without_filter(), Wiring()) as swarm:
-        other = run_swarm(swarm)
+        other = run_swarm(swarm, [without])
     assert companion is None or (results_of(companion.swarm) == other.results and companion.seconds > 0)
-    return out.getvalue(), run, other
+    return out.getvalue(), track, without
 
 
-def mean_errors(run: SwarmRun) -> list[float]:
-    errors: list[float] = np.abs(run.history.values("x") - run.settings.fill_ratio).mean(axis=1).tolist()
+def mean_errors(track: Track) -> list[float]:
+    errors: list[float] = np.abs(track["x"] - MOVING.fill_ratio).mean(axis=1).tolist()
     return errors
 
 
 @pytest.mark.parametrize("compare", [False, True])
 def test_a_pipe_gets_lines_of_fields(compare: bool) -> None:
-    text, run, other = shown(MOVING, compare)
+    text, track, other = shown(MOVING, compare)
     rows = [line.split("\t") for line in text.splitlines()]
-    found, without = mean_errors(run), mean_errors(other)
+    found, without = mean_errors(track), mean_errors(other)
     assert [row for row in rows if row[0] == "step"] == [
         ["step", str(tick), "mean_error", f"{found[tick]:.5f}"]
         + (["without_filter", f"{without[tick]:.5f}"] if compare else [])
         for tick in range(20, 401, 20)
     ]
-    b_hat, ticks = run.history.values("b_hat"), run.history.ticks
+    b_hat = track["b_hat"]
     changes = [
         [
             "robot",
             str(robot),
             "step",
-            str(ticks[i]),
+            str(i),
             "b_hat",
             f"{b_hat[i - 1, robot]:.4f}",
             f"{b_hat[i, robot]:.4f}",
@@ -75,12 +77,14 @@ def test_a_pipe_gets_lines_of_fields(compare: bool) -> None:
 
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_a_terminal_gets_a_bar_with_the_present_error(width: int) -> None:
-    text, run, other = shown(replace(MOVING, steps=200), width=width, force_terminal=True, color_system=None)
+    text, track, other = shown(
+        replace(MOVING, steps=200), width=width, force_terminal=True, color_system=None
+    )
     pictures = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", text).replace("\r", "\n").splitlines()
     assert max(map(cell_len, pictures)) <= width
     last = [each for each in pictures if each.strip()][-1]
     assert last.startswith("200/200 ") and last.count("━") == (5 if width == 60 else 10)
-    errors = f"mean error {mean_errors(run)[-1]:.4f}, without filter {mean_errors(other)[-1]:.4f}"
+    errors = f"mean error {mean_errors(track)[-1]:.4f}, without filter {mean_errors(other)[-1]:.4f}"
     assert errors in last or (width == 60 and errors[:20] in last)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import content, record, small
+from host_tools.swarm.swarms import Track, content, record, small
 from mcp_asdf.fixed_point import alpha_units, word_to_alpha
 from mcp_asdf.robot import FixedPointRobot, Robot, Status
 from mcp_asdf_tools.bus.frames import (
@@ -31,9 +31,7 @@ from mcp_asdf_tools.robots.bus_robot import RoundingPort
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.plot import draw
-from mcp_asdf_tools.swarm.swarm import MAX_SAMPLES, QUANTITIES, Swarm, run_swarm
-from support import slow
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -120,18 +118,20 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> None:
-    """A frame of each robot every 7 ticks, with what the history says of that moment."""
+    """A frame of each robot every 7 ticks, with what the robots held at that moment."""
     updates = {0: [0] * 5}
 
     def note(swarm: Swarm) -> None:
         updates[swarm.ticks] = [node.robot.counters.updates for node in swarm.nodes]
 
-    silent, _ = record(small(firmware=firmware))
-    outcome, frames = record(small(firmware=firmware, telemetry_period=7), hooks=[note])
+    quiet, talkative = small(firmware=firmware), small(firmware=firmware, telemetry_period=7)
+    silent, track = Track(quiet), Track(talkative)
+    record(quiet, hooks=[silent])
+    outcome, frames = record(talkative, hooks=[note, track])
     decoded = [decode_telemetry(frame) for frame in frames]
     found = [each for each in decoded if isinstance(each, Telemetry)]
-    x, b_hat = (outcome.history.values(name) for name in ("x", "b_hat"))
-    assert np.array_equal(x, silent.history.values("x"))
+    x, b_hat = track["x"], track["b_hat"]
+    assert np.array_equal(x, silent["x"])
     assert [(each.sender, each.transfer_id) for each in found] == [
         (robot, turn % 32) for turn in range(9) for robot in range(5)
     ]
@@ -197,7 +197,8 @@ class Local(virtual.VirtualBus):
 @pytest.mark.parametrize("kind", [virtual.VirtualBus, Local])
 def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.VirtualBus]) -> None:
     """Garbage, and legal messages from outside the swarm or of another round."""
-    undisturbed, clean = record(small())
+    undisturbed, told = Track(small()), Track(small())
+    _, clean = record(small(), hooks=[undisturbed])
     junk = [
         can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),
         can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
@@ -214,13 +215,13 @@ def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.Virtu
                     other.send(frame, timeout=1)
 
     wiring = Wiring(lambda robot: kind("foreign", preserve_timestamps=True))
-    disturbed, frames = record(small(), wiring, [disturb])
+    disturbed, frames = record(small(), wiring, [disturb, told])
     foreign = content(junk)
     assert [each for each in content(frames) if each in foreign] == foreign
     assert [each for each in content(frames) if each not in foreign] == content(clean)
     assert all(frame.is_rx for frame in frames)
-    for quantity in QUANTITIES:
-        assert np.array_equal(disturbed.history.values(quantity), undisturbed.history.values(quantity))
+    for quantity in ("b_hat", "x_hat", "x"):
+        assert np.array_equal(told[quantity], undisturbed[quantity])
     figures = disturbed.results["frames"]
     assert figures["strays"] == 2 * 5
     assert figures["id_conflicts"] == {"1": 1}
@@ -228,7 +229,7 @@ def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.Virtu
     assert figures["rejected"] == {reason.name: 5 for reason in reasons}
 
 
-# Results, history and picture
+# Results
 
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
@@ -253,40 +254,3 @@ def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
         assert (found["after_min"], found["after_max"]) == (min(b_hat), max(b_hat))
     for name in ("tests", "updates"):
         assert results[name] == sum(vars(node.robot.counters)[name] for node in outcome.nodes) > 0
-
-
-@pytest.mark.parametrize("ticks", [MAX_SAMPLES - 1, MAX_SAMPLES + 1, *slow([3 * MAX_SAMPLES + 1])])
-def test_a_history_is_thinned_and_has_both_ends(ticks: int) -> None:
-    held: list[list[float]] = []
-
-    def note(swarm: Swarm) -> None:
-        held.append([node.robot.x for node in swarm.nodes])
-
-    outcome, _ = record(small(robots=2, steps=ticks), Wiring(), [note])
-    found = outcome.history.ticks
-    assert MAX_SAMPLES / 2 <= len(found) <= MAX_SAMPLES + 2
-    assert (found[0], found[-1]) == (0, ticks)
-    assert (np.diff(found) > 0).all()
-    assert outcome.history.values("x")[1:].tolist() == [held[tick - 1] for tick in found[1:]]
-    assert outcome.history.values("b_hat")[0] == pytest.approx([0.55, 0.95])
-
-
-def test_the_picture_shows_every_robot_and_the_truth() -> None:
-    outcome, _ = record(small("loss=0.25", "delay=0.5"))
-    figure = draw(outcome)
-    title = figure.axes[0].get_title("left")
-    assert all(
-        part in title for part in ("5 robots, 2 flawed", r"$\tau$ = 20", "seed 11", "loss=0.25; delay=0.5")
-    )
-    meaning = {line.get_color(): line.get_label() for line in figure.legends[0].get_lines()}
-    for axes, quantity, truth in zip(figure.axes, QUANTITIES, (0.95, 0.55, 0.55), strict=True):
-        *robots, true_line = axes.lines
-        values = outcome.history.values(quantity)
-        count = len(values)  # of b_hat, the last value is drawn on beyond the last step
-        drawn = sorted(
-            (meaning[line.get_color()], np.asarray(line.get_ydata())[:count].tolist()) for line in robots
-        )
-        kinds = ["flawed robots"] * 2 + ["healthy robots"] * 3
-        assert drawn == sorted(zip(kinds, values.T.tolist(), strict=True))
-        assert set(np.asarray(true_line.get_ydata()).tolist()) == {truth}
-        assert meaning[true_line.get_color()] == "true value"

@@ -1,4 +1,4 @@
-"""One picture for runs over time: b_hat, x_hat and x of every robot, of a swarm on a bus or of a trial."""
+"""One picture for trials over time: b_hat, x_hat and x of every robot."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LABELS = ("flawed robots", "healthy robots", "true value")
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """A run over time.
+    """A trial over time.
 
     Attributes:
         title: What is run.

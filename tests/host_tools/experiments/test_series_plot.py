@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER
-from mcp_asdf_tools.robots.series_plot import TimeSeries, draw_time_series
+from mcp_asdf_tools.experiments.series_plot import TimeSeries, draw_time_series
 
 STEPS = np.arange(0.0, 101.0)
 
