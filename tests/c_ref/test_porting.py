@@ -25,7 +25,7 @@ PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
 ROBOT_ID, B_HAT = 7, 0xF3333333
 ESTIMATES = FrameFormat()
-MARK, PACKET, SLOTS = 0x7E, 13, 8
+MARK, SLOTS = 0x7E, 8
 IMAGE_SIZE = 124
 NO_TILE = 2
 """Of a script: a tick in which the sensor gives no colour."""
@@ -53,77 +53,54 @@ def packet(frame: can.Message) -> bytes:
     return bytes([MARK]) + content + bytes([checksum(content)])
 
 
-class Expected:
-    """The demonstration robot in Python, on the mirror, with the radio's queue.
+Script = list[tuple[list[bytes], int]]
+"""Ticks: packets that come at once before it, and what the sensor sees, 0, 1 or NO_TILE."""
 
-    Attributes:
-        sent: What it has sent over the serial line.
-    """
 
-    def __init__(self) -> None:
-        self.sent = b""
-        self._robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), ROBOT_ID, B_HAT / 2**32)
-        assert self._robot.b_hat_raw == B_HAT
-        self._ticks = self._lost = 0
-
-    def hear(self, received: bytes) -> None:
-        """Bytes that come at once, of which the queue keeps the first packets."""
-        packets = re.findall(rb"\x7e(.{13})", received, re.DOTALL)
-        self._lost += max(0, len(packets) - SLOTS)
-        for content in packets[:SLOTS]:
+def expected(ticks: Script) -> bytes:
+    """What the demonstration robot sends, by the mirror; its radio's queue keeps the first packets."""
+    robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), ROBOT_ID, B_HAT / 2**32)
+    assert robot.b_hat_raw == B_HAT
+    sent, lost = b"", 0
+    for number, (packets, tile) in enumerate(ticks, 1):
+        lost += max(0, len(packets) - SLOTS)
+        for content in (each[1:] for each in packets[:SLOTS]):
             if checksum(content[:-1]) != content[-1]:
-                self._lost += 1
+                lost += 1
                 continue
             identifier = int.from_bytes(content[:4], "little")
             message = frames.decode(can.Message(arbitration_id=identifier, data=content[4:-1]), ESTIMATES)
             if isinstance(message, Message):
-                self._robot.receive_raw(message.sender, message.x_hat, message.alpha)
-
-    def tick(self, tile: int) -> None:
-        robot = self._robot
+                robot.receive_raw(message.sender, message.x_hat, message.alpha)
         if tile != NO_TILE:
             robot.observe(Observation(tile))
-        own = Message(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, self._ticks % 32)
-        self.sent += packet(frames.encode(own, ESTIMATES))
+        own = Message(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
+        sent += packet(frames.encode(own, ESTIMATES))
         robot.settle()
-        self._ticks += 1
-        if self._ticks % 10 == 0:
-            self._report(self._ticks // 10)
-
-    def _report(self, seconds: int) -> None:
-        robot, count = self._robot, (seconds - 1) % 32
-        beat = Heartbeat(ROBOT_ID, seconds, count, vendor_status=self._lost % 256)
-        updates = robot.counters.updates % 256
-        state = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, count)
-        self.sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
-
-    def play(self, script: bytes) -> bytes:
-        """Bytes that it sends while a script is played; scripted_board.c has the format."""
-        at = 0
-        while at < len(script):
-            length = max(0, script[at] - NO_TILE)
-            if length:
-                self.hear(script[at + 1 : at + 1 + length])
-            else:
-                self.tick(script[at])
-            at += 1 + length
-        return self.sent
+        if number % 10 == 0:
+            seconds, count, updates = number // 10, (number // 10 - 1) % 32, robot.counters.updates % 256
+            beat = Heartbeat(ROBOT_ID, seconds, count, vendor_status=lost % 256)
+            state = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, count)
+            sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
+    return sent
 
 
-def script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> bytes:
+def script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> Script:
     """A run in a swarm that sees about 70 % black, with packets that are damaged or none of ours."""
     stream = random.Random(seed)
-    return b"".join(
-        records([a_packet(stream) for _ in range(stream.randint(0, most_packets))])
-        + bytes([stream.choice(tiles)])
+    return [
+        ([a_packet(stream) for _ in range(stream.randint(0, most_packets))], stream.choice(tiles))
         for _ in range(ticks)
+    ]
+
+
+def played(ticks: Script) -> bytes:
+    """The script in the format of scripted_board.c, with noise between the packets."""
+    contents = [(b"\x00\xff".join(packets), tile) for packets, tile in ticks]
+    return b"".join(
+        (bytes([NO_TILE + len(content)]) + content if content else b"") + bytes([tile])
+        for content, tile in contents
     )
-
-
-def records(packets: list[bytes]) -> bytes:
-    """The packets with noise between them, as one record of the script."""
-    content = b"\x00\xff".join(packets)
-    return bytes([NO_TILE + len(content)]) + content if packets else b""
 
 
 def a_packet(stream: random.Random) -> bytes:
@@ -191,9 +168,9 @@ def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
     shutil.copy(Path(__file__).with_name("scripted_board.c"), tmp_path / "board.c")
     run(require("cmake"), "-S", tmp_path, "-B", tmp_path / "build", CFLAGS=WARNINGS)
     run("cmake", "--build", tmp_path / "build")
-    played = script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
-    done = subprocess.run([tmp_path / "build/robot"], input=played, capture_output=True, check=True)
-    assert done.stdout == b"?" + Expected().play(played)  # after the board's greeting
+    ticks = script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
+    done = subprocess.run([tmp_path / "build/robot"], input=played(ticks), capture_output=True, check=True)
+    assert done.stdout == b"?" + expected(ticks)  # after the board's greeting
 
 
 # --- Over a reset ------------------------------------------------------------------------------------------
@@ -285,7 +262,7 @@ def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
     image = avr_image(tmp_path, *(KILOBOT.findall(PAGE) if board == "Kilobot" else ()))
     simulator, source = tmp_path / "avr_robot", Path(__file__).with_name("avr_robot.c")
     run("cc", "-O2", "-I/usr/include/simavr", source, "-lsimavr", "-o", simulator)
-    played = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
+    ticks = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
     arguments = (image, tmp_path / "sent", *CLOCKS[board])
-    subprocess.run([simulator, *map(str, arguments)], input=played, capture_output=True, check=True)
-    assert (tmp_path / "sent").read_bytes() == Expected().play(played)
+    subprocess.run([simulator, *map(str, arguments)], input=played(ticks), capture_output=True, check=True)
+    assert (tmp_path / "sent").read_bytes() == expected(ticks)
