@@ -37,10 +37,9 @@ def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
         name, equals, value = condition.partition("=")
         known = found[0].experiment.parameters()
         if not equals or name not in known:
-            varying = _differing(found) or "nothing, there is one experiment"
             raise UsageError(
                 f"--where {condition}: write NAME=VALUE with a parameter's name{offer(name, known)}; "
-                f"in {args.file} differ {varying}"
+                f"in {args.file} differ {_differing(found) or 'no parameters'}"
             )
         values = {str(each.experiment.parameters()[name]) for each in found}
         found = [each for each in found if _is(each.experiment.parameters()[name], value)]

@@ -11,8 +11,6 @@ from dataclasses import asdict
 from typing import Any
 
 from rich.console import Console
-from rich.status import Status
-from rich.table import Table
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli.again import print_again
@@ -84,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         }
         print(json.dumps(report, indent=2))
     elif not args.quiet:
-        Console(soft_wrap=True).print(_summary(node, results, f"on {choice}"))
+        print(_summary(node, results, f"on {choice}"))
         print_again(args)
     if outcome.has_failed:
         print(f"mcp-asdf node: {outcome.ending}", file=sys.stderr)
@@ -103,12 +101,11 @@ def _go(
         is_asked = stack.enter_context(stopping())
         fd = standard_input() if args.until_eof else None
         link = BusLink(bus, lambda: is_asked() or (fd is not None and has_ended(fd)), log=log)
-        status = stack.enter_context(console.status("")) if console.is_terminal else None
-        return run_node(node, link, args.steps, _watching(node, console, status))
+        return run_node(node, link, args.steps, _watching(node, console))
 
 
-def _watching(node: RobotNode, console: Console, status: Status | None) -> Callable[[], None]:
-    """What shows the node's state on a terminal, and reports another node with its id at once."""
+def _watching(node: RobotNode, console: Console) -> Callable[[], None]:
+    """What reports another node with its id at once."""
     told = False
 
     def watch() -> None:
@@ -116,32 +113,18 @@ def _watching(node: RobotNode, console: Console, status: Status | None) -> Calla
         if node.reception.id_conflicts and not told:
             told = True
             console.print(f"mcp-asdf node: {_CONFLICT}", soft_wrap=True)
-        if status is not None:
-            robot = node.robot
-            status.update(
-                f"robot {node.id}   t {robot.t}   n {robot.n}   b_hat {robot.b_hat:.4f}   "
-                f"x_hat {robot.x_hat:.4f}   x {robot.x:.4f}   updates {node.counters.updates}   "
-                f"sent {node.sent.estimates}   heard {node.reception.delivered}"
-            )
 
     return watch
 
 
-def _summary(node: RobotNode, results: dict[str, Any], where: str) -> Table:
-    """Results as a table of two columns."""
+def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
     robot, frames, counters = node.robot, results["frames"], node.counters
-    table = Table(box=None, padding=(0, 1), show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
-    table.add_row("run", f"{node.ticks} ticks as robot {node.id}; {results['ending']}")
-    table.add_row("estimate", f"x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}")
-    table.add_row("filter", f"b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates")
-    table.add_row(
-        "frames",
-        f"{frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats and "
-        f"{frames['telemetry_sent']} telemetry sent {where}; {frames['delivered']} estimates heard, "
-        f"{frames['refused']} of them refused, {sum(frames['rejected'].values())} other frames rejected",
+    return (
+        f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"
+        f"estimate  x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}\n"
+        f"filter    b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates\n"
+        f"sent      {frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats, "
+        f"{frames['telemetry_sent']} telemetry {where}\n"
+        f"heard     {frames['delivered']} estimates, {frames['refused']} of them refused, and "
+        f"{sum(frames['rejected'].values())} other frames"
     )
-    if frames["id_conflicts"]:
-        table.add_row("node-id conflict", f"{_CONFLICT}: {frames['id_conflicts']} estimates")
-    return table

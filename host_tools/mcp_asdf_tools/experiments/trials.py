@@ -20,7 +20,7 @@ from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from mcp_asdf.reference import AUTHORS, PAPER, ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, convergence_step
@@ -221,10 +221,6 @@ def _make_robots(experiment: Experiment) -> list[Robot]:
 # --- Jobs ------------------------------------------------------------------------------------------------
 
 
-def _own_version() -> str:
-    return software_versions()["mcp-asdf"]
-
-
 @dataclass(frozen=True)
 class Job:
     """Arguments of ``run_trials`` for a worker process, which must have this version of the program."""
@@ -233,10 +229,10 @@ class Job:
     first: int
     count: int
     sampling_interval: int = 0
-    version: str = field(default_factory=_own_version)
+    version: str = field(default_factory=own_version)
 
     def run(self) -> Trials:
         """The job's results. Raises UsageError in a program of another version, and as ``run_trials``."""
-        if self.version != (own := _own_version()):
+        if self.version != (own := own_version()):
             raise UsageError(f"a worker has mcp-asdf {own}, this is {self.version}; install the same on all")
         return run_trials(self.experiment, self.first, self.count, self.sampling_interval)

@@ -90,6 +90,7 @@ class Neighbourhood:
         self.nodes = {each.id: BusRobot(each, settings.subjects.estimates) for each in settings.neighbours}
         self.faults = Faults(settings.faults, settings.swarm.seed, settings.subjects.estimates)
         self.tick = 0
+        self._steps_per_second = settings.swarm.steps_per_second
         self._ids = sorted([settings.controller.id, *self.nodes])
         self._world = World(settings.swarm)
         self._delivery = Delivery(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
@@ -127,7 +128,3 @@ class Neighbourhood:
         now = node.ticks / self._steps_per_second
         heartbeats = [node.heartbeat(now)] if node.ticks % self._steps_per_second == 0 else []
         return heartbeats + node.broadcast(z, now)
-
-    @property
-    def _steps_per_second(self) -> int:
-        return self.settings.swarm.steps_per_second

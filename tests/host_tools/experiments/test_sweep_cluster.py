@@ -12,14 +12,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common import versions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import cluster as cluster_module
-from mcp_asdf_tools.experiments import trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import read_table
 from mcp_asdf_tools.experiments.sweep import Store, jobs_of, run_sweep
@@ -83,7 +84,7 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
         sweep(50, here, "--workers", "1")
         assert read_table(there).equals(read_table(here))
         with monkeypatch.context() as patch:
-            patch.setattr(trials, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+            patch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
             assert next(jobs_of(store)).run().experiment == SLOW
             with pytest.raises(UsageError, match="install the same on all"):
                 run_sweep(store, 1, scheduler=address)
