@@ -26,8 +26,9 @@ import pytest
 from mutation.python_mutants import Mutant
 from support import DRAWS_ALL, ROOT
 
-PROCESSOR_SECONDS, SECONDS = 120, 900
-"""Limits for one mutant: what hangs has been noticed."""
+PROCESSOR_SECONDS, SECONDS, TIMES = 120, 30, 4
+"""Limits for one mutant, of the processor and of the clock: the latter beside so many times what its tests
+took without it. What hangs has been noticed."""
 QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow")
 HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
 """Libraries that most tests need, imported once before processes split."""
@@ -120,13 +121,16 @@ def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
     """True if a test in the folders fails: one that runs the statement, or another of the same file, to which
     a cache or a fixture may bring the result."""
     running = known.running(mutant, folders)
-    return bool(running) and not _in_child(lambda: _passes(mutant, running, known.failed), SECONDS)
+    files = list(dict.fromkeys(test.partition("::")[0] for test in running))
+    usual = sum(taken for test, taken in known.seconds.items() if test.partition("::")[0] in files)
+    return bool(running) and not _in_child(
+        lambda: _passes(mutant, files, running, known.failed), SECONDS + TIMES * usual
+    )
 
 
-def _passes(mutant: Mutant, running: list[str], failed: list[str]) -> bool:
+def _passes(mutant: Mutant, files: list[str], running: list[str], failed: list[str]) -> bool:
     resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_SECONDS, PROCESSOR_SECONDS))
     _install(mutant)
-    files = dict.fromkeys(test.partition("::")[0] for test in running)
     plugin = _Sorter({test: number for number, test in enumerate(running)}, {*failed})
     return pytest.main([*QUIET, "-x", *files], plugins=[plugin]) == pytest.ExitCode.OK
 
