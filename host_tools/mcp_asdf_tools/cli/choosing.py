@@ -47,8 +47,7 @@ def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
             there = " or ".join(sorted(values))
             raise UsageError(f"--where {condition}: no experiment of {args.file} has it; {name} is {there}")
     if only_one and len(found) > 1:
-        fix = f"choose one with --where {_differing(found)}"
-        raise UsageError(f"{len(found)} experiments of {args.file} match; {fix}")
+        raise UsageError(f"{len(found)} experiments match; choose one with --where {_differing(found)}")
     return found
 
 

@@ -120,9 +120,8 @@ class Neighbourhood:
         for node in self.nodes.values():
             if node.is_alive:
                 node.end()
-        heard = arrivals.of(controller)
         self.tick += 1
-        return heard
+        return arrivals.of(controller)
 
     def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:
         now = node.ticks / self._steps_per_second

@@ -222,7 +222,7 @@ static void run_firmware(block_t *block, uint32_t k)
         for (uint32_t j = 0; j < experiment->robots && block->has_lanes; ++j) {
             hand_over(block, &trial->robots[j], j * block->side + l);
         }
-        trial_tick(experiment, trial, arena, k, block->black + l, block->side);
+        trial_tick(experiment, trial, arena, k, (trial_tiles_t){block->black + l, block->side});
         trial_keep(experiment, trial, k + 1);
     }
     if (block->has_lanes) {

@@ -86,7 +86,7 @@ static void hear(mcp_asdf_t *robots, uint32_t count, const mcp_asdf_arena_t *are
 
 /* Before a robot observes, its x_hat and alpha are still those that it said in the step before. */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, const uint32_t *black, uint32_t stride)
+                uint32_t k, trial_tiles_t tiles)
 {
     const uint32_t count = experiment->robots;
     const bool is_late = experiment->latency != 0, closes = trial_closes(experiment, k);
@@ -94,7 +94,7 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
         hear(trial->robots, count, arena);
     }
     for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
-        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)black[j * stride]);
+        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)tiles.black[j * tiles.stride]);
     }
     if (!is_late && closes) {
         hear(trial->robots, count, arena);

@@ -6,6 +6,10 @@
 
 /* One trial's part of the outcome; members as in mcp_asdf_outcome_t. */
 typedef mcp_asdf_outcome_t trial_t;
+typedef struct {
+    const uint32_t *black;
+    size_t stride;
+} trial_tiles_t;
 
 /* Whether robots broadcast and close their rounds in step k, from 0. */
 static inline bool trial_closes(const mcp_asdf_experiment_t *experiment, uint32_t k)
@@ -34,9 +38,9 @@ trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outco
 mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial);
 
 /* Step k (from 0) of a trial's robots, by the firmware, in an arena that has moved, or NULL. Robot j observes
- * black[j * stride], 1 for black. */
+ * tiles.black[j * tiles.stride], 1 for black. */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, const uint32_t *black, uint32_t stride);
+                uint32_t k, trial_tiles_t tiles);
 
 /* Write down what the outcome shows of `step`, 1 .. T. */
 void trial_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step);
