@@ -32,6 +32,8 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)  # when all have been marked that are slow
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    # What takes minutes begins first, so that the other worker has work until the end.
+    items.sort(key=lambda item: "test_python_mutants" not in item.nodeid)
     if not config.pluginmanager.hasplugin("timeout"):
         return
     for item in items:
