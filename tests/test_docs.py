@@ -53,7 +53,7 @@ RUN_ELSEWHERE = {
 
 HERE_WITH_MULTICAST = (
     "mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100",
-    "mcp-asdf radio --id 3 --robots 11 --interface udp_multicast --verify --wait 60",
+    "mcp-asdf radio --id 3 --interface udp_multicast --verify --wait 60",
     "mcp-asdf node --id 3 --interface udp_multicast",
 )
 C_NODES = (

@@ -89,7 +89,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("repeated messages", fault="duplicate=0.7,ticks=0,receivers={me}"),
     Phase("corrupted bits", fault="corrupt=0.5,bits=3,receivers={me}"),
     # Half of it a tick late, before the messages of that tick, which a controller deaf after a flood misses.
-    Phase("flood", fault="babble=1,frames=20,robots={them} delay=0.5,receivers={me}"),
+    Phase("flood", fault="babble=1,frames=10,robots={them} delay=0.5,receivers={me}"),
     Phase("crash and rejoin", fault="crash=0.2,ticks=5,robots={them}"),
     Phase("frozen neighbours", fault="freeze=0.8,robots={them}"),
     Phase("liar", fault="liar=1,x=1,alpha=1e38,robots={one}"),
