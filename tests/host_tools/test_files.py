@@ -28,24 +28,6 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
-@pytest.mark.parametrize("lost", ["a", "b"])
-def test_a_file_that_cannot_appear_keeps_back_the_others(
-    lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its name is taken by a folder once all are complete, before which none has its name."""
-
-    def obstruct(file: int) -> None:
-        drafts = [entry.name for entry in tmp_path.iterdir()]
-        assert all(name.startswith(".") for name in drafts)
-        if len(drafts) == 2:
-            (tmp_path / lost).mkdir()
-
-    monkeypatch.setattr(os, "fsync", obstruct)
-    with pytest.raises(UsageError, match=f"cannot write .*/{lost}: "):
-        files.write_files(tmp_path, {"a": "new", "b": "new"})
-    assert [entry.name for entry in tmp_path.iterdir()] == [lost]
-
-
 @pytest.mark.parametrize("function", ["fsync", "replace"])
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("after", [0, 1])

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -45,22 +44,6 @@ def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
     assert m.simulate(SHORT, str(output)).equals(expected), "nothing was left to run"
     with pytest.raises(m.UsageError, match="results of other experiments"):
         m.simulate(m.grid(robots=3, steps=50, trials=1), output)
-
-
-def test_other_limits_are_the_callers() -> None:
-    table = m.simulate(SHORT)
-    (trials,) = m.experiments_in(table)
-    assert table["H"].to_pylist() == trials.scores().h.tolist()
-    most = 100 * (1 - trials.errors / 0.9).mean(axis=1)  # times exp(-IQR / e_max)
-    assert (np.array(m.score(table, e_max=0.9)["h_e"]) <= most).all()
-    with pytest.raises(m.UsageError, match="e_max is 0; it must be above 0"):
-        m.score(table, e_max=0)
-
-
-def test_a_grid_has_every_combination_in_order() -> None:
-    given = m.grid(flawed=("10%", "50%"), filter=["none", "asdf-plus"], robots=10, omega=0.1)
-    found = [(each.flawed, each.filter, each.robots) for each in given]
-    assert found == [(1, "none", 10), (1, "asdf-plus", 10), (5, "none", 10), (5, "asdf-plus", 10)]
 
 
 def images(swarm: Swarm) -> list[bytes]:
