@@ -6,7 +6,6 @@ import json
 import os
 import shlex
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -38,9 +37,6 @@ def command(*arguments: str | Path) -> int:
     return main(["swarm", *SMALL, *map(str, arguments)])
 
 
-# Files and output
-
-
 def test_a_run_is_in_its_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A log of every frame, and beside it what is printed as JSON; and so in every run."""
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
@@ -63,18 +59,13 @@ def test_a_run_is_in_its_files(folder: Path, capsys: pytest.CaptureFixture[str])
     assert {path: path.read_bytes() for path in folder.iterdir()} == made
 
 
-def test_what_is_piped_has_fields_and_ends_with_the_line_to_type_again(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """One line each, however long, so that cut and grep find what they look for."""
+def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert command("--seed", "42") == 0
     *lines, again = capsys.readouterr().out.splitlines()
     assert again.startswith("again: mcp-asdf swarm ") and again.endswith("--seed 42")
-    rows = [line.split("\t") for line in lines]
-    names = [name for name, *_ in rows]
+    names = [line.split("\t")[0] for line in lines]
     assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
     assert set(names[:-7]) <= {"step", "robot"}
-    assert [row[1] for row in rows if row[0] == "step"][-1] == "30"
     assert command("--seed", "42", "--quiet") == 0
     shown = capsys.readouterr().out
     assert shown.startswith("seed 42: ") and shown.count("\n") == 1
@@ -109,8 +100,6 @@ def test_a_busy_bus_is_warned_of(rate: str, told: str, capsys: pytest.CaptureFix
     assert (warned in capsys.readouterr().err) == bool(told)
 
 
-# Bad usage
-
 BAD = {
     "--robots 129": "--robots is 129; it must be 1 to 128",
     "--robots 127 --slcan 0": "with --slcan take at most 126",
@@ -141,9 +130,8 @@ def test_bad_usage(
 ) -> None:
     monkeypatch.chdir(folder)
     assert command(*shlex.split(arguments)) == 2
-    captured = capsys.readouterr()
-    assert BAD[arguments] in captured.err
-    assert captured.out == ""
+    out, err = capsys.readouterr()
+    assert BAD[arguments] in err and out == ""
     assert list(folder.iterdir()) == []
 
 
@@ -164,35 +152,22 @@ def test_what_cannot_be_written_is_told_before_the_first_tick(
     assert all((folder / name).read_text() == "of yesterday" for name in OUTPUTS - {obstructed})
 
 
-# Ends
-
-
-def sending(number: signal.Signals) -> Callable[[], None]:
-    return lambda: os.kill(os.getpid(), number)
-
-
-def raise_interrupt() -> None:
-    raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize(
-    ("interrupt", "code"),
-    [(sending(signal.SIGINT), 130), (sending(signal.SIGTERM), 143), (raise_interrupt, 130)],
-    ids=["ctrl-c", "kill", "hook"],
-)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @interruptible()
 def test_a_signal_saves_what_is_done(
-    interrupt: Callable[[], None],
+    number: signal.Signals,
     code: int,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     folder: Path,
 ) -> None:
-    monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: interrupt() if swarm.ticks == 7 else None)
-    handler = signal.getsignal(signal.SIGINT)
+    def interrupt(view: LiveView, swarm: Swarm) -> None:
+        if swarm.ticks == 7:
+            os.kill(os.getpid(), number)
+
+    monkeypatch.setattr(LiveView, "__call__", interrupt)
     log = folder / "run.log"
     assert command("--json", "--log", log) == code
-    assert signal.getsignal(signal.SIGINT) is handler
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
     assert report["results"]["steps"] == 7
@@ -203,14 +178,14 @@ def test_a_signal_saves_what_is_done(
 def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
-    class Failing(virtual.VirtualBus):
-        def send(self, msg: can.Message, timeout: float | None = None) -> None:
-            assert timeout is not None
-            if msg.timestamp > 0.75:
-                raise can.CanOperationError("bus off")
-            super().send(msg, timeout)
+    usual = virtual.VirtualBus.send
 
-    monkeypatch.setattr(virtual, "VirtualBus", Failing)
+    def send(bus: virtual.VirtualBus, frame: can.Message, timeout: float) -> None:
+        if frame.timestamp > 0.75:
+            raise can.CanOperationError("bus off")
+        usual(bus, frame, timeout)
+
+    monkeypatch.setattr(virtual.VirtualBus, "send", send)
     log = folder / "run.log"
     assert command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
@@ -234,4 +209,4 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
     out, err = capsys.readouterr()
     assert out.startswith("seed 1: 4 robots, 30 steps")
     assert f"cannot write {folder}/run.log.json" in err
-    assert {path.name for path in folder.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
+    assert {path.name for path in folder.iterdir()} == OUTPUTS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import islice
+from itertools import count, islice
 from typing import cast
 
 import can
@@ -30,13 +30,11 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import RoundingPort
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
-from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.carrier import Connection, SwarmError, Wiring
+from mcp_asdf_tools.swarm.delivery import SentFrame
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 
 pytestmark = pytest.mark.usefixtures("private_setup")
-
-
-# Lockstep
 
 
 @pytest.mark.parametrize(
@@ -159,29 +157,68 @@ def test_settings_that_cannot_be() -> None:
             small(text)
 
 
-# Trouble on the bus
-
-
-class Deaf(virtual.VirtualBus):
-    """Loses every frame of robot 2 from the third round on."""
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame, filtered = super()._recv_internal(timeout)
-        message = None if frame is None else decode(frame, FrameFormat())
-        if isinstance(message, Message) and message.sender == 2 and message.transfer_id >= 2:
-            frame, filtered = super()._recv_internal(0)
-        return frame, filtered
-
-
 def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bus loses estimates of robot 2 from the third round on."""
+    usual = virtual.VirtualBus.recv
+
+    def recv(bus: virtual.VirtualBus, timeout: float) -> can.Message | None:
+        frame = usual(bus, timeout)
+        message = None if frame is None else decode(frame, FrameFormat())
+        is_lost = isinstance(message, Message) and message.sender == 2 and message.transfer_id >= 2
+        return usual(bus, 0) if is_lost else frame
+
+    monkeypatch.setattr(virtual.VirtualBus, "recv", recv)
     monkeypatch.setattr(connection, "TIMEOUT", 0.05)
-    with Swarm(small(), Wiring(lambda robot: Deaf("test"))) as swarm:
+    with Swarm(small(), Wiring(lambda robot: virtual.VirtualBus("test"))) as swarm:
         outcome = run_swarm(swarm)
     assert outcome.failure is not None
     for part in ("tick 3", "the carrier did not hear frame 106BB802 within", "test"):
         assert part in outcome.failure
     assert outcome.results["steps"] == 2
     assert not outcome.interrupted
+
+
+def estimate(sender: int, tick: int) -> SentFrame:
+    return SentFrame(encode(Message(sender, 0, tick, tick % 32), FrameFormat()), sender, tick)
+
+
+@pytest.mark.parametrize("patience", [None, 0.02])
+def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(
+    patience: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "TIMEOUT", 0.02)
+    frames, babble, missing = count(), estimate(9, 0).frame, estimate(1, 0)
+
+    def receive(timeout: float) -> can.Message:
+        assert timeout > 0 or next(frames) < 10_000, "nothing ends the wait"
+        return babble
+
+    with virtual.VirtualBus() as bus:
+        own = Connection(bus, "robot 7")
+        monkeypatch.setattr(bus, "recv", receive)
+        if patience is None:
+            with pytest.raises(SwarmError, match=r"robot 7 did not hear frame 106BB801 within 0\.02 s"):
+                own.take([missing], None)
+        else:
+            assert own.take([missing], patience) == []
+            assert own.missed == 1
+
+
+def test_what_comes_late_is_had_with_the_next() -> None:
+    strangers: list[can.Message] = []
+    with virtual.VirtualBus("pair") as other, virtual.VirtualBus("pair") as bus:
+        own = Connection(bus, "robot 7", strangers.append)
+        first, second, third, following = (estimate(1, 0), estimate(2, 0), estimate(3, 0), estimate(1, 1))
+        for come, waited, found in (
+            ([second], [first, second, third], [second]),
+            ([first], [], [first]),
+            ([third, following], [following], [third, following]),
+        ):
+            for each in come:
+                other.send(each.frame, timeout=1)
+            assert own.take(waited, 0.01) == found
+            assert own.missed == 2
+    assert strangers == []
 
 
 class Local(virtual.VirtualBus):
@@ -227,9 +264,6 @@ def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.Virtu
     assert figures["id_conflicts"] == {"1": 1}
     reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
     assert figures["rejected"] == {reason.name: 5 for reason in reasons}
-
-
-# Results
 
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
