@@ -99,28 +99,29 @@ def test_every_corner_of_the_stated_ranges_is_legal(database: Any, kind: type) -
 LEGAL = (
     Message(1, 2, 0x300, 4), Heartbeat(1, 2, 3), Telemetry(1, 2, 16, 3, 4), Command(1, 2, 3, Action.SETTLE, 4)
 )  # fmt: skip
+BEYOND = {"alpha": (-0.0, float("inf"))}
+"""Values just outside a range, where they are not a unit away from its ends."""
+REASONS = {"start_end_toggle": Rejection.MULTI_FRAME}
 
 
-@pytest.mark.parametrize(
-    ("legal", "signal", "value", "reason"),
-    [
-        (LEGAL[0], "x_hat", 1 + 2**-23, Rejection.X_HAT),
-        (LEGAL[0], "alpha", -0.0, Rejection.ALPHA),
-        (LEGAL[0], "alpha", float("nan"), Rejection.ALPHA),
-        (LEGAL[0], "start_end_toggle", 6, Rejection.MULTI_FRAME),
-        (LEGAL[1], "mode", 4, Rejection.MODE),
-        (LEGAL[2], "x", 1 + 2**-23, Rejection.X),
-        (LEGAL[2], "b_hat", 2**-20 - 2**-24, Rejection.B_HAT),
-        (LEGAL[2], "b_hat", 1 - 2**-20 + 2**-24, Rejection.B_HAT),
-        (LEGAL[3], "target", 128, Rejection.TARGET),
-        (LEGAL[3], "action", 4, Rejection.ACTION),
-    ],
-)
-def test_just_beyond_a_range_is_rejected(
-    database: Any, legal: Any, signal: str, value: float, reason: Rejection
-) -> None:
-    values = physical(legal) | {signal: value}
-    assert decoded(database, type(legal), values, strict=False) is reason
+@pytest.mark.parametrize("legal", LEGAL, ids=lambda legal: type(legal).__name__)
+def test_just_beyond_a_stated_range_is_rejected(database: Any, legal: Any) -> None:
+    """But for the target of a command, which has a gap."""
+    refused = set()
+    for signal in database.get_message_by_name(type(legal).__name__.replace("Message", "Estimate")).signals:
+        unit, reaches = signal.scale, (2**signal.length - 1) * signal.scale
+        around = (signal.minimum - unit, signal.maximum + unit)
+        for value in BEYOND.get(signal.name, [each for each in around if 0 <= each <= reaches]):
+            found = decoded(database, type(legal), physical(legal) | {signal.name: value}, strict=False)
+            assert found is REASONS.get(signal.name) or found is Rejection[signal.name.upper()], value
+            refused.add(signal.name)
+    beyond = {
+        Message: {"x_hat", "alpha"},
+        Heartbeat: {"mode"},
+        Telemetry: {"x", "b_hat"},
+        Command: {"action"},
+    }
+    assert refused == beyond[type(legal)] | {"start_end_toggle"}
 
 
 @pytest.mark.parametrize(
@@ -175,11 +176,8 @@ def test_the_command_line_of_cantools_decodes_our_log(
     [
         ("--per-node 128", "sender is 128; it must be 0 to 127"),
         ("--per-node 5 3 5", "node 5 is listed twice"),
-        ("--per-node x", "invalid int value: 'x'"),
-        ("--subject 6144", "subject is 6144; it must be 0 to 6143"),
         ("--subject 3001", "subject 3001 is that of telemetry or commands"),
         ("--subject 3002", "subject 3002 is that of telemetry or commands"),
-        ("--priority 8", "priority is 8; it must be 0 to 7"),
     ],
 )
 def test_bad_usage_is_named(arguments: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import random
-import shlex
 import socket
 import struct
-import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import can
@@ -21,9 +17,7 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
 from mcp_asdf_tools.bus.interfaces import BusChoice, WithoutEcho, add_arguments, choose_bus
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.robots.node import filters_for
 from multicast import multicast
 from robots import ALPHA_ONE
@@ -95,33 +89,6 @@ def test_no_datagram_breaks_the_bus() -> None:
             if frame is not None:  # python-can leaves out some that it can read
                 decode(frame, FrameFormat())
                 assert frame.channel == choice.channel, "replay: random.Random(5)"
-
-
-def test_robots_count_it_and_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A swarm, while a stranger sends what is no frame."""
-    choice, log, done = multicast(GROUP), tmp_path / "run.log", threading.Event()
-
-    def disturb() -> None:
-        with stranger(choice) as sending:
-            while not done.wait(0.002):
-                sending.send(b"what is no frame")
-
-    thread = threading.Thread(target=disturb)
-    thread.start()
-    try:
-        options = f"swarm --robots 3 --steps 50 --json --log {log} {shlex.join(choice.arguments())}"
-        assert main(shlex.split(options)) == 0
-    finally:
-        done.set()
-        thread.join()
-    results = json.loads(capsys.readouterr().out)["results"]
-    assert results["steps"] == 50
-    damaged = sum(frame.is_error_frame for frame in read_log(log))
-    assert damaged > 0
-    assert results["frames"]["errors_heard"] == 3 * damaged
-    assert main(["replay", str(log)]) == 0
-    channels = {line.split()[1] for line in log.read_text().splitlines()}
-    assert channels == {choice.channel}
 
 
 class Echoing(can.BusABC):

@@ -8,8 +8,6 @@ import re
 import shlex
 import signal
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,58 +24,43 @@ ROBOTS = 3
 PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Variables that show yakut OpenCyphal's types and ours, and a home for its compiled files."""
-    folder = tmp_path_factory.mktemp("types")
-    write_regulated_types(folder)
-    path = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{folder}"
-    home = str(tmp_path_factory.mktemp("home"))
-    return {**os.environ, "PATH": PATH, "CYPHAL_PATH": path, "HOME": home, "COLUMNS": "160", "LINES": "60"}
-
-
-@contextmanager
-def swarm(environment: dict[str, str], *options: str) -> Iterator[list[str]]:
-    """A swarm that runs; gives the documented command that joins its bus, without what it is to do."""
+@pytest.mark.slow
+def test_it_prints_what_the_robots_broadcast(tmp_path: Path) -> None:
+    """Every estimate that it shows is in the swarm's own log, member by member."""
     require("yakut")
-    command = [require("mcp-asdf"), "swarm", "--robots", f"{ROBOTS}", "--set", "comms-period=20"]
-    endless = ["--filter-period", "1000", "--steps", "100000000", "--slcan", "0", *options]
-    endless += ["--clock", "real-time", "--steps-per-second", "200"]
+    write_regulated_types(tmp_path)
+    types = f"{ROOT / 'host_tools/mcp_asdf_tools/bus/dsdl'}{os.pathsep}{tmp_path}"
+    environment = {**os.environ, "PATH": PATH, "CYPHAL_PATH": types, "HOME": str(tmp_path)}
+    log, wanted = tmp_path / "run.log", ["sub", "3000:mcp_asdf_messages.estimate"]
+    assert " ".join(["yakut", *wanted]) in PAGE
+    running = f"--robots {ROBOTS} --steps 100000000 --clock real-time --steps-per-second 200"
+    settings = "--set comms-period=20 --filter-period 1000"
+    command = f"{require('mcp-asdf')} swarm {running} {settings} --slcan 0 --log {log}"
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
     with interruptible():
-        started = subprocess.Popen(command + endless, env=environment, stdout=quiet, stderr=told, text=True)
-    with started as running:
-        assert running.stderr
-        where = re.search(r"socket://\S+:(\d+)", running.stderr.readline())
+        started = subprocess.Popen(command.split(), env=environment, stdout=quiet, stderr=told, text=True)
+    with started as swarm:
         try:
+            assert swarm.stderr
+            where = re.search(r"socket://\S+:(\d+)", swarm.stderr.readline())
             assert where
-            yield documented(where[1])
+            yakut, *options = documented(where[1])
+            words = [yakut, "--json", *options, *wanted, "--count", "30", "+M"]
+            shown = subprocess.check_output(words, env=environment, stderr=told, timeout=PATIENCE)
         finally:
-            running.send_signal(signal.SIGINT)
-            running.communicate()
+            swarm.send_signal(signal.SIGINT)
+            swarm.communicate()
+    estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
+    assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
+    assert {message_of(estimate) for estimate in estimates} <= logged(log)
 
 
 def documented(port: str) -> list[str]:
-    """The page's command for port 20000, for another port."""
+    """The page's command for port 20000, for another port, without what it is to do."""
     line = next(line for line in PAGE.splitlines() if line.startswith("yakut") and "slcan" in line)
     *command, monitor = shlex.split(line.replace("20000", port))
     assert monitor == "monitor"
     return command
-
-
-@pytest.mark.slow
-def test_it_prints_what_the_robots_broadcast(environment: dict[str, str], tmp_path: Path) -> None:
-    """Every estimate that it shows is in the swarm's own log, member by member."""
-    wanted = ["sub", "3000:mcp_asdf_messages.estimate"]
-    assert " ".join(["yakut", *wanted]) in PAGE
-    with swarm(environment, "--log", str(tmp_path / "run.log")) as yakut:
-        command = [*yakut[:1], "--json", *yakut[1:], *wanted, "--count", "30", "+M"]
-        shown = subprocess.run(
-            command, env=environment, capture_output=True, timeout=PATIENCE, check=True
-        ).stdout
-    estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
-    assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
-    assert {message_of(estimate) for estimate in estimates} <= logged(tmp_path / "run.log")
 
 
 def message_of(estimate: dict[str, Any]) -> Message:

@@ -167,51 +167,28 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
         RobotRecord.from_plain(record(5).plain() | changes)
 
 
-@pytest.mark.parametrize(
-    ("given", "count"),
-    [
-        *(
-            (6, 6),
-            ("6", 6),
-            (np.int64(4), 4),
-            (0, 0),
-            (10, 10),
-            ("30%", 3),
-            (0.25, 3),
-            ("0.5", 5),
-            (1.0, 10),
-            ("45%", 5),
-            ("44.9%", 4),
-        ),
-        *((each, None) for each in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None)),
-    ],
-)
-def test_flawed_robots_are_a_count_or_a_share(given: object, count: int | None) -> None:
-    if count is None:
+def test_flawed_robots_are_a_count_or_a_share() -> None:
+    counts = {
+        6: (6, "6"),
+        4: (np.int64(4), "44.9%"),
+        0: (0,),
+        10: (10, 1.0),
+        3: ("30%", 0.25),
+        5: ("45%", "0.5"),
+    }
+    for count, ways in counts.items():
+        assert {Population(robots=10, flawed=way).flawed for way in ways} == {count}
+    for wrong in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None):
         with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
-            Population(robots=10, flawed=given)
-    else:
-        assert Population(robots=10, flawed=given).flawed == count
+            Population(robots=10, flawed=wrong)
 
 
 @pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus"])
 @pytest.mark.parametrize("activation", ["adaptive", "always"])
 def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
-    given: dict[str, Any] = {
-        "flawed_accuracy": 0.3,
-        "true_accuracy": 1.0,
-        "comms_period": 2,
-        "filter_period": 4,
-    }
-    given |= {
-        "robots": 4,
-        "flawed": 2,
-        "filter": filters,
-        "activation": activation,
-        "omega": "0.1",
-        "memory": 64,
-    }
-    some = Population(**given)
+    periods = {"comms_period": 2, "filter_period": 4, "memory": 64}
+    accuracies = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
+    some = Population(**accuracies, **periods, filter=filters, activation=activation, omega="0.1")
     off, on = TickConfig(None, Filter.OFF, 2, 4, 64), TickConfig(None, Filter.ALWAYS, 2, 4, 64)
     if activation == "adaptive":
         on = TickConfig(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 4, 64)

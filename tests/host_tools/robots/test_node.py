@@ -134,37 +134,24 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
     assert state["raw"] == {name: getattr(twin.robot, f"{name}_raw") for name in state["raw"]}
     assert state["counters"]["rejected"] == 3
     assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
-    frames = report["results"]["frames"]
-    assert (frames["obeyed"], frames["refused"], frames["estimates_sent"], frames["id_conflicts"]) == (
-        80,
-        3,
-        20,
-        3,
-    )
+    expected = {"obeyed": 80, "refused": 3, "estimates_sent": 20, "id_conflicts": 3}
+    assert report["results"]["frames"].items() >= expected.items()
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
     assert main(["replay", str(log)]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("options", "number"),
-    [
-        ("", signal.SIGINT),
-        ("--steps 100000", signal.SIGTERM),
-        ("--steps 100000", signal.SIGHUP),
-        ("--until-eof", None),
-    ],
-)
+ENDINGS = {"": signal.SIGINT, "--steps 100000": signal.SIGTERM, "--until-eof": None}
+
+
+@pytest.mark.parametrize("options", ENDINGS)
 @interruptible()
 def test_it_ends_when_asked_to_with_all_saved(
-    options: str,
-    number: signal.Signals | None,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    options: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """It is asked by a signal or the end of its input; input that can be read is no end."""
-    handlers, (reading, writing) = [signal.getsignal(each) for each in ENDING_SIGNALS], os.pipe()
+    number, (reading, writing) = ENDINGS[options], os.pipe()
+    handlers = [signal.getsignal(each) for each in ENDING_SIGNALS]
 
     def end_it(bus: can.BusABC) -> None:
         os.write(writing, b"something")
@@ -189,23 +176,15 @@ def test_it_ends_when_asked_to_with_all_saved(
 BAD = {
     "": "--id",
     "--id 128": "robot id is 128; choose 0 .. 127",
-    "--id 1 --b-hat 1.5": "b_hat is 1.5",
     "--id 1 --comms-period 3": "--filter-period is 1000; it must be a multiple of comms_period, 3",
-    "--id 1 --memory 66": "--memory is 66; it must be a multiple of 4",
-    "--id 1 --omega 0.95": "--omega is 0.95",
-    "--id 1 --neighbours 128": "--neighbours is 128; it must be 2 to 127",
     "--id 1 --neighbours 1": "--neighbours is 1; it must be 2 to 127",
     "--id 1 --filter none --omega 0.1": "--omega would do nothing: filter is none; leave it out",
     "--id 1 --activation always --neighbours 30": "--neighbours would do nothing: the robot runs no test",
-    "--id 1 --firmware own": "own",
     "--id 1 --steps-per-second 0": "--steps-per-second is 0; it must be 1 to 1000000",
     "--id 1 --steps 0": "steps is 0",
     "--id 1 --until-eof": "there is no standard input",
-    "--id 1 --priority 8": "priority is 8",
     "--id 1 --telemetry-subject 3000": "the subjects [3000, 3000, 3002]; choose three different ones",
     "--id 1 --log run.db": "cannot log to run.db: choose .log",
-    "--id 1 --log no/such/run.log": "cannot write no/such/run.log: its folder does not exist",
-    "--id 1 --interface slcan --channel socket://127.0.0.1:1": "cannot open the bus slcan socket://127.0.0.1:1",
 }
 
 
