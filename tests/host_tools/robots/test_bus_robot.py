@@ -186,8 +186,8 @@ def test_flawed_robots_are_a_count_or_a_share() -> None:
 @pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus"])
 @pytest.mark.parametrize("activation", ["adaptive", "always"])
 def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
-    periods = {"comms_period": 2, "filter_period": 4, "memory": 64}
-    accuracies = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
+    periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
+    accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
     some = Population(**accuracies, **periods, filter=filters, activation=activation, omega="0.1")
     off, on = TickConfig(None, Filter.OFF, 2, 4, 64), TickConfig(None, Filter.ALWAYS, 2, 4, 64)
     if activation == "adaptive":
