@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
-import tomllib
-from importlib.metadata import packages_distributions
 from pathlib import Path
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.extras import EXTRAS
-from support import ROOT
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 HIDING = f"""\
 import sys
 
@@ -36,21 +31,6 @@ def in_base(folder: Path, *lines: str) -> tuple[list[int], list[str]]:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=300)
     last = done.stdout.splitlines()[-1:]
     return [int(each) for line in last for each in line.split()[1:]], done.stderr.splitlines()
-
-
-def names(requirements: list[str]) -> set[str]:
-    """Names of distributions, in one spelling."""
-    return {re.split(r"[^\w.-]", each)[0].lower().replace("_", "-") for each in requirements}
-
-
-def test_every_extra_is_named_for_its_modules() -> None:
-    distributions, extras = packages_distributions(), PROJECT["optional-dependencies"]
-    for module, extra in EXTRAS.items():
-        (distribution, *_) = distributions[module]
-        assert distribution.lower().replace("_", "-") in names(extras[extra]), module
-        assert distribution.lower() not in names(PROJECT["dependencies"])
-    brought = {name for extra in ("study", "view", "cluster") for name in names(extras[extra])}
-    assert len(brought - {"mcp-asdf"}) == len(EXTRAS)
 
 
 def test_the_base_runs_robots_and_knows_all_options(tmp_path: Path) -> None:

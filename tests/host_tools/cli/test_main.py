@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -23,36 +24,21 @@ CHECK = "table --check tables/t_table_omega05_q30.c"
 
 
 def python(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
-    """Run the interpreter with the project importable and its output buffered, whatever the caller set."""
+    """Run the interpreter with its output buffered, whatever the caller set."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=ROOT,
-        env=environment,
-        stdout=stdout,
-        stderr=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
+    run = partial(subprocess.run, cwd=ROOT, env=environment, check=False, text=True)
+    return run([sys.executable, *arguments], stdout=stdout, stderr=subprocess.PIPE)
 
 
-def fake_command(monkeypatch: pytest.MonkeyPatch, outcome: int | BaseException | Callable[[], int]) -> None:
-    """Make ``mcp-asdf table`` return ``outcome``, raise it or call it."""
-
-    def run(args: argparse.Namespace) -> int:
-        if isinstance(outcome, BaseException):
-            raise outcome
-        return outcome() if callable(outcome) else outcome
-
-    command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=run)
+def fake_command(monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int]) -> None:
+    """Make ``mcp-asdf table`` do this."""
+    command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=lambda args: work())
     monkeypatch.setattr(cli, "_load", lambda name: command)
 
 
 def test_the_overview_has_every_command(capsys: Capture) -> None:
-    assert cli.main([]) == 2
-    assert cli.main(["--help"]) == 0
-    out, err = capsys.readouterr()
-    for text in (out, err):
+    assert (cli.main([]), cli.main(["--help"])) == (2, 0)
+    for text in capsys.readouterr():
         assert all(f"\n  {name} " in text and line in text for name, line in cli.COMMANDS.items())
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("mcp-asdf ")
@@ -92,7 +78,7 @@ def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture
         (
             ImportError("no", name="pyarrow.lib"),
             2,
-            "error: this needs pyarrow, which is not installed; run: ",
+            "error: this needs pyarrow, which is not installed; run",
         ),
         (KeyboardInterrupt(), 130, "interrupted\n"),
     ],
@@ -100,19 +86,17 @@ def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture
 def test_what_a_command_comes_to_is_the_exit_code(
     outcome: int | BaseException, code: int, told: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    fake_command(monkeypatch, outcome)
+    fake_command(monkeypatch, Mock(side_effect=[outcome]))
     assert cli.main(["table"]) == code
     assert capsys.readouterr().err.startswith(f"mcp-asdf table: {told}" if told else "")
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), ImportError("no", name="of_nowhere")])
 def test_other_errors_are_not_hidden(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_command(monkeypatch, error)
+    fake_command(monkeypatch, Mock(side_effect=error))
     with pytest.raises(type(error)):
         cli.main(["table"])
 
-
-# --- Signals ------------------------------------------------------------------------------------------
 
 ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
@@ -192,9 +176,6 @@ def test_ctrl_c_within_an_import_waits_for_its_end(monkeypatch: pytest.MonkeyPat
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-# --- In a process of its own --------------------------------------------------------------------------
-
-
 def test_a_reader_that_leaves_ends_the_program_quietly() -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)
@@ -240,9 +221,6 @@ def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
     )
     lines = [line for line in python("-c", script).stdout.splitlines() if line.startswith("LOADED")]
     assert [line.split()[1:] for line in lines] == [loaded for _, loaded in steps]
-
-
-# --- Help, files and examples -------------------------------------------------------------------------
 
 
 def examples(name: str) -> list[str]:

@@ -21,12 +21,9 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="
 
 KILLED, HUNG_UP = signal.SIGTERM, signal.SIGHUP
 LOG = "--log run.log"
-QUICK: list[tuple[str, signal.Signals, int | None]] = [
+CASES = [
     (f"swarm --robots 4 --steps 100000000 --quiet {LOG}", KILLED, None),
     ("node --id 3", HUNG_UP, 0),
-]
-CASES = [
-    *QUICK,
     *slow(
         [
             (f"swarm --robots 2 --steps 100000000 --quiet --processes {LOG}", HUNG_UP, None),

@@ -1,4 +1,4 @@
-"""``mcp-asdf view``: recordings become pages, and what cannot be shown is refused in one line."""
+"""``mcp-asdf view`` and ``plot`` show recordings and results, or refuse what cannot be shown in a line."""
 
 from __future__ import annotations
 
@@ -21,16 +21,23 @@ from mcp_asdf_tools.experiments.results import table_of, write_table
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.films import BusFilm
 
-HTML = "--export out.html"
+VIEW, PLOT = "view grid.parquet --export out.html", "plot grid.parquet out.svg"
+ONE = "--where filter=none --where fill_ratio=.950"
+ANY = "--where fill_ratio=0.55|0.95, filter=asdf-plus|none"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A swarm's log, and results of two experiments of two trials."""
+    """A swarm's log, and results of four experiments of two trials, with values every 20 steps."""
     path = tmp_path_factory.mktemp("view")
     common = Experiment(robots=5, steps=60, filter_period=20, trials=2)
-    experiments = [common, replace(common, filter="none")]
-    write_table(path / "grid.parquet", pa.concat_tables([table_of(run_trials(e, 0, 2)) for e in experiments]))
+    experiments = [
+        replace(common, filter=name, fill_ratio=fill)
+        for fill in (0.55, 0.95)
+        for name in ("none", "asdf-plus")
+    ]
+    tables = [table_of(run_trials(each, 0, 2, 20)) for each in experiments]
+    write_table(path / "grid.parquet", pa.concat_tables(tables))
     swarm = "swarm --robots 5 --steps 60 --filter-period 20 --quiet --log"
     assert main([*swarm.split(), str(path / "run.log")]) == 0
     return path
@@ -43,8 +50,19 @@ def place(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
+    ("options", "count"),
+    [("", 4), ("--where fill_ratio=0.95", 2), (f"--kind series {ONE} --where robots=5", 1)],
+)
+def test_experiments_are_chosen(
+    options: str, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plot", "grid.parquet", str(tmp_path / "x.svg"), "--json", *options.split()]) == 0
+    assert json.loads(capsys.readouterr().out)["experiments"] == count
+
+
+@pytest.mark.parametrize(
     ("recording", "title"),
-    [("run.log", "ASDF+"), ("grid.parquet --where filter=none --trial 1", "no filter")],
+    [("run.log", "ASDF+"), (f"grid.parquet {ONE} --trial 1", "no filter")],
 )
 def test_a_log_and_a_trial_are_exported(
     recording: str, title: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -94,26 +112,29 @@ def raise_bus_error(film: BusFilm, should_stop: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("line", "reason"),
     [
-        ("", "give a recording, or with --interface the bus"),
-        ("--export x.html --interface udp_multicast", "--export is for recordings"),
-        ("none.log", "there is no log"),
-        ("none.log --export no/such/out.html", "its folder does not exist"),
-        ("none.parquet", "cannot read"),
-        (f"grid.parquet {HTML}", "match; choose one with --where filter=asdf-plus|none"),
-        (f"grid.parquet --where filter=both {HTML}", "no experiment of"),
-        (f"grid.parquet --where filter=none --trial 9 {HTML}", "no trial 9; choose one of 0 to 1"),
-        (f"run.log --trial 1 {HTML}", "--trial and --where choose from results"),
-        ("run.log --export out.pdf", "choose a name that ends in .html"),
-        ("run.log --port 99999", "--port is 99999"),
-        ("--subject 9999 --interface udp_multicast", "subject is 9999"),
+        ("view", "give a recording, or with --interface the bus"),
+        ("view --export x.html --interface udp_multicast", "--export is for recordings"),
+        ("view none.log", "there is no log"),
+        ("view none.log --export no/such/out.html", "its folder does not exist"),
+        ("view none.parquet", "cannot read"),
+        (VIEW, f"4 experiments match; choose one with {ANY}"),
+        (f"{VIEW} {ONE} --trial 9", "no trial 9; choose one of 0 to 1"),
+        ("view run.log --export out.html --trial 1", "--trial and --where choose from results"),
+        ("view run.log --export out.pdf", "choose a name that ends in .html"),
+        ("view run.log --port 99999", "--port is 99999"),
+        ("view --subject 9999 --interface udp_multicast", "subject is 9999"),
+        (f"{PLOT} --where colour=red", "--where colour=red: write NAME=VALUE with a parameter's name; in "),
+        (f"{PLOT} --where filte=none", "write NAME=VALUE with a parameter's name; did you mean filter?"),
+        (f"{PLOT} --where filter", f"differ {ANY.removeprefix('--where ')}"),
+        (f"{PLOT} --where filter=both", "has it; filter is asdf-plus or none"),
+        (f"{PLOT} --where filter=none --where filter=asdf-plus", "has it; filter is none"),
+        (f"{PLOT} --kind series --where filter=none", "choose one with --where fill_ratio=0.55|0.95"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(
-    options: str, reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["view", *options.split()]) == 2
+def test_what_cannot_be_shown_is_refused(line: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == 2
     out, err = capsys.readouterr()
     assert reason in err and not out and err.count("\n") == 1
-    assert not Path("out.html").exists()
+    assert not [*Path().glob("out.*")]

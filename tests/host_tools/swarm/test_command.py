@@ -6,19 +6,23 @@ import json
 import os
 import shlex
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import content, record
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from support import interruptible
+from support import ROOT, interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -117,6 +121,8 @@ BAD = {
     "--set robots=3": "no parameter is called 'robots'",
     "--set latency=one": "'latency=one': give a whole number",
     "--set speed=fast": "'speed=fast': give a number",
+    "--compare --filter none": "but filter is none; leave it out",
+    "--compare --processes --interface udp_multicast": "but robots elsewhere run once; leave it out",
     "--log run.db": "cannot log to run.db: choose .log",
     "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
     "--interface nonsense": "nonsense",
@@ -210,3 +216,35 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
     assert out.startswith("seed 1: 4 robots, 30 steps")
     assert f"cannot write {folder}/run.log.json" in err
     assert {path.name for path in folder.iterdir()} == OUTPUTS
+
+
+# The same swarm without the filter
+
+COMPARED = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
+
+
+def test_the_other_run_is_the_same_swarm_without_a_filter(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sentence says what the filter is good for, and the log is that of the run with it."""
+    log = folder / "run.log"
+    assert main([*COMPARED, "--set", "omega=0.1", "--compare", "--quiet", "--log", str(log)]) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert main([*COMPARED, "--filter", "none", "--json"]) == 0
+    report = json.loads(Path(f"{log}.json").read_text())
+    assert report["without_filter"] == json.loads(capsys.readouterr().out)["results"]
+    assert report["results"]["updates"] > 0
+    error, without = (report[name]["mean_error"] for name in ("results", "without_filter"))
+    assert f"the mean error is {error:.3f}; without it, on the same seed, {without:.3f}." in said
+    assert main(["replay", str(log)]) == 0
+
+
+def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
+    """Computed by the engine, since a swarm is trial 0 of the experiment with the same parameters."""
+    common = Experiment(topology="dynamic", filter="asdf-minus", flawed="50%", trials=1)
+    errors = []
+    for experiment in (common, replace(common, filter="none")):
+        x = native.run(experiment, 0, 1).x[0, :, -1] / 2**23
+        errors.append(float(np.abs(x - experiment.fill_ratio).mean()))
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert f"is {errors[0]:.3f} at the end; without it, on the same seed, it is {errors[1]:.3f}." in readme
