@@ -28,12 +28,7 @@ from mcp_asdf_tools.view.page import stage_as_plain
 from mcp_asdf_tools.world.arena import Arena
 
 PARAMETERS: dict[str, Any] = {
-    "robots": 7,
-    "steps": 250,
-    "filter_period": 50,
-    "flawed": "50%",
-    "filter": "asdf-minus",
-    "seed": 3,
+    **{"robots": 7, "flawed": "50%", "steps": 250, "filter": "asdf-minus", "filter_period": 50, "seed": 3}
 }
 WORLDS: list[dict[str, Any]] = [
     {"topology": "dynamic", "drift": "wiener", "drift_diffusion": 1e-3},
@@ -150,7 +145,7 @@ def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -
 def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
     """The film takes a state every 0.1 s; frames come between."""
     frames = {
-        0.05: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
+        0.0: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
         0.15: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
         0.25: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
     }
@@ -165,12 +160,12 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
     watch.record(lambda: now[0] >= 0.4)
-    _, stage, taken = watch.film.since()
-    assert stage.robots == [7, 3] and watch.has_telemetry
+    generation, stage, taken = watch.film.since()
+    assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
     unknown = [np.nan, np.nan]
     first = [[0.5, np.nan], unknown, [0.5, np.nan], [0.9, np.nan]]
     second = [first[0], [0.25, np.nan], *first[2:]]
     third = [[0.5, 0.25], [0.25, np.nan], [0.5, 0.25], [0.9, 0.9]]
-    assert [each.tick for each in taken] == [1, 2, 3]
-    for each, expected in zip(taken, (first, second, third), strict=True):
+    assert [each.tick for each in taken] == [0, 1, 2, 3]
+    for each, expected in zip(taken, (first, first, second, third), strict=True):
         assert np.array_equal(each.values, expected, equal_nan=True)
