@@ -9,10 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 from host_tools.reproduction.test_claims import MadeUp
 from mcp_asdf_tools.reproduction import report, resampling
 from mcp_asdf_tools.reproduction.decisions import decide
+from mcp_asdf_tools.reproduction.figures import Picture
 from mcp_asdf_tools.reproduction.resampling import Estimate, exactly
 from mcp_asdf_tools.reproduction.runs import Run
 from mcp_asdf_tools.reproduction.study import PAPER, QUICK, Part, cells_of
@@ -41,7 +43,8 @@ def run_of(seed: int, expression: str, *parts: Part) -> Run:
 
 def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With two seeds for one part and one for the other, in Markdown, HTML, CSV and values."""
-    monkeypatch.setattr(report, "pictures", lambda study, scale: [])
+    picture = Picture("one", "What it shows", Figure())
+    monkeypatch.setattr(report, "pictures", lambda study, scale: [picture])
     runs = [run_of(1, "90 - P / 2", Part.DYNAMIC, Part.PHYSICAL), run_of(2, "40 + P / 2", Part.DYNAMIC)]
     report.write_report(tmp_path, runs, PAPER)
     content, page = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
@@ -73,7 +76,13 @@ def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(each.finding.comparisons) for run in runs for each in run.decided)
     assert {row["verdict"] for row in rows} <= {verdict.value for verdict in Verdict}
+    assert "![What it shows](figures/one.png)" in content
+    assert re.findall(r'src="([^,"]*,iVBOR)', page) == ["data:image/png;base64,iVBOR"]
+    assert (tmp_path / "figures/one.png").read_bytes().startswith(b"\x89PNG")
     assert not re.search(r"(src|href)=\"(?!data:|#)", page)
+    assert set(re.findall(r"\]\(#([^)]+)\)", content)) <= set(re.findall(r'<a id="([^"]+)">', content))
+    report.write_report(tmp_path, runs, QUICK)
+    assert "Too short for verdicts" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {each["verdict"] for each in report.as_values(runs[0], QUICK)} == {None}
 
 

@@ -163,29 +163,6 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
 # --- Runs ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_whole_study_makes_a_report(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every claim and figure is in it, on a page that needs no other file."""
-    monkeypatch.setattr(report, "pictures", pictures)
-    found = answer(capsys, *SMALL, "--output", str(tmp_path))
-    expected = {(claim.name, part and part.value) for claim in CLAIMS for part in claim.parts}
-    assert {(each["claim"], each["part"]) for each in found["claims"]} == expected
-    assert {each["verdict"] for each in found["claims"]} == {None}
-    assert (tmp_path / "comparisons.csv").read_text(encoding="utf-8").count("\n") == 1 + 1422
-    content, page = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
-    assert "Too short for verdicts" in page
-    assert set(re.findall(r"\]\(#([^)]+)\)", content)) <= set(re.findall(r'<a id="([^"]+)">', content))
-    drawn = {path.stem for path in (tmp_path / "figures").glob("*.png")}
-    assert set(re.findall(r"^!\[.+\]\(figures/([\w-]+).png\)$", content, re.M)) == drawn
-    papers = " ".join(sorted(re.findall(r"\(the paper's figure (\w+)\)\.", content)))
-    assert papers == "3a 3b 4 5a 5b 6 8a 8b"
-    sources = re.findall(r'src="([^"]{30})', page)
-    assert len(sources) == len(drawn) == 13
-    assert all(source.startswith("data:image/png;base64,iVBOR") for source in sources)
-
-
 def test_an_interrupted_study_goes_on_to_the_same_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,19 +81,6 @@ def test_seeds_differ_and_time_may_pass_in_any_portions() -> None:
     assert np.array_equal(whole.positions, motion.position[-1])
 
 
-def test_places_and_headings_at_the_start_are_uniform() -> None:
-    starts = [Arena(PAPER, seed) for seed in range(300)]
-    x, y = np.concatenate([arena.positions for arena in starts]).T / (PAPER.sides[0] - 2 * RADIUS)
-    cx, cy = (
-        np.array([list(zip(a._arena.cx, a._arena.cy, strict=True))[:20] for a in starts]).reshape(-1, 2).T
-    )
-    limit = 4 / math.sqrt(len(x))
-    for centred, deviation in ((x, 12**-0.5), (y, 12**-0.5), (cx, 0.5**0.5), (cy, 0.5**0.5)):
-        assert abs(centred.mean()) < limit * deviation
-        assert centred.std() == pytest.approx(deviation, rel=limit)
-    assert abs((cx * cy).mean()) < limit
-
-
 # ---------------------------------------------------------------- bodies
 
 
@@ -110,30 +97,6 @@ def test_bodies_are_rigid_stay_inside_and_keep_the_speed_limit(settings: WorldSe
     steps = np.linalg.norm(np.diff(motion.position, axis=0), axis=2)
     assert steps.max() <= settings.speed * TICK * (1 + 1e-9)
     assert np.abs(np.linalg.norm(motion.heading, axis=2) - 1).max() < 1e-9
-
-
-def test_a_lone_robot_drives_straight_at_full_speed_until_a_wall_is_in_reach() -> None:
-    motion = Arena(world(1, 5, 5), 1).record(2000)
-    position = motion.position[:, 0]
-    free = np.abs(position).max(axis=1) < 2.5 - RADIUS - REACH - 0.015
-    steps, turned = np.diff(position, axis=0), np.diff(motion.heading[:, 0], axis=0)
-    long_free = np.convolve(free, np.ones(6), "valid")[:-1] == 6
-    cruising = steps[5:][long_free[: len(steps) - 5]]
-    assert len(cruising) > 1000
-    assert np.linalg.norm(cruising, axis=1) == pytest.approx(0.01414)
-    assert np.abs(turned[5:][long_free[: len(steps) - 5]]).max() == 0
-    assert np.abs(position).max() > 2.2
-
-
-def test_a_hard_turn_is_in_place_at_the_wheels_full_speed() -> None:
-    motion = Arena(world(1, 2, 2), 1).record(3000)
-    hard = motion.wheels[:, 0] == 2
-    steady = np.flatnonzero(hard[:-1] & hard[1:] & np.roll(hard, 1)[:-1]) + 1
-    angle = np.unwrap(np.arctan2(motion.heading[:, 0, 1], motion.heading[:, 0, 0]))
-    turned = np.abs(angle[steady] - angle[steady - 1])
-    assert len(turned) > 50
-    assert turned == pytest.approx(2 * 0.1414 / WHEELS_APART * TICK)
-    assert np.linalg.norm(motion.position[steady + 1] - motion.position[steady], axis=2).max() < 1e-12
 
 
 # ---------------------------------------------------------------- who hears whom

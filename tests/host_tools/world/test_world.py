@@ -193,18 +193,6 @@ def test_every_setting_reaches_the_arena() -> None:
     }
 
 
-def test_a_tick_is_as_long_as_said() -> None:
-    """Free robots go as far in a second whatever a tick is."""
-    moved = {}
-    for rate in (5, 10, 40):
-        arena = Arena(replace(PAIR, speed=0.1, width=50.0, height=50.0, steps_per_second=rate), 0)
-        start = arena.positions
-        arena.step(10 * rate)
-        moved[rate] = np.linalg.norm(arena.positions - start, axis=1)
-    assert moved[5] == pytest.approx([1.0, 1.0], abs=0.02)
-    assert moved[40] == pytest.approx(moved[10], abs=0.01)
-
-
 @pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8, 3 * 33e-4 + 2 * 42e-4])
 def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
     pattern = code(fill_ratio)
