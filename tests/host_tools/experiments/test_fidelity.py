@@ -67,14 +67,3 @@ def test_the_comparison_notices_another_experiment(change: dict[str, Any]) -> No
     (cell,) = [cell for cell in CONNECTED if cell.experiment == wanted]
     other = replace(cell.experiment, **change)
     assert min(fidelity.p_values(fidelity.simulate(other, 64), cell.scores)) < 1e-4
-
-
-def test_holm_is_the_procedure() -> None:
-    source = np.random.default_rng(3)
-    for _ in range(100):
-        values = source.random(12) ** 4
-        ordered = sorted(values)
-        rejected = 0
-        while rejected < 12 and ordered[rejected] <= 0.05 / (12 - rejected):
-            rejected += 1
-        assert sum(value <= 0.05 for value in fidelity.holm(values.tolist())) == rejected

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -122,26 +120,6 @@ def test_no_scheduler_is_told(address: str, store: Store, monkeypatch: pytest.Mo
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
     with pytest.raises(UsageError, match="no Dask scheduler at"):
         run_sweep(store, 1, scheduler=address)
-
-
-@pytest.mark.parametrize(
-    ("answer", "patience", "reason"), [(b"", 1, "timed out"), (b"HTTP/1.1 400\r\n", 60, "another server")]
-)
-def test_another_server_is_told(
-    answer: bytes, patience: int, reason: str, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One that is silent, and one that answers before it is asked."""
-    monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
-    with closing(socket.create_server(("127.0.0.1", 0))) as server, ExitStack() as connections:
-
-        def serve() -> None:
-            with suppress(OSError):
-                connections.enter_context(server.accept()[0]).sendall(answer)
-
-        threading.Thread(target=serve, daemon=True).start()
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(UsageError, match=f"no Dask scheduler at {address}: {reason}"):
-            run_sweep(store, 1, scheduler=address)
 
 
 def test_no_workers_are_told(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
