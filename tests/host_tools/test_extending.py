@@ -9,14 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -97,11 +95,3 @@ def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
     assert all(isinstance(robot, MirrorRobot) for robot in robots)
     images = [robot.save() for robot in robots if isinstance(robot, MirrorRobot)]
     assert images == images_by_message(Experiment(**parameters, trials=1), 0)
-
-
-@pytest.mark.usefixtures("installed")
-def test_a_trial_depends_on_seed_and_number_alone() -> None:
-    experiment = Experiment(**SHORT, firmware="beta", topology="geometric", sensor="dazzled", trials=3)
-    together, alone = run_trials(experiment, 0, 3), run_trials(experiment, 2, 1)
-    assert np.array_equal(together.b_hat[2], alone.b_hat[0])
-    assert not np.array_equal(together.b_hat[1], alone.b_hat[0])

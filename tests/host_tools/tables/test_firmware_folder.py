@@ -49,14 +49,3 @@ def test_a_project_builds_what_it_writes(tmp_path: Path, capsys: pytest.CaptureF
     run(cmake, "-S", tmp_path, "-B", tmp_path / "build")
     run(cmake, "--build", tmp_path / "build")
     run(tmp_path / "build/robot")
-
-
-@pytest.mark.parametrize(
-    ("options", "told"), [("--omega 2", "omega is 2"), ("--neighbours 1", "neighbours is 1")]
-)
-def test_a_table_that_cannot_be_is_named_and_nothing_written(
-    options: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["firmware", str(tmp_path / "new"), *options.split()]) == 2
-    assert told in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
