@@ -13,16 +13,15 @@ from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode, encode
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, Subjects
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.world import World
-from node_thread import join, live_robot, meanwhile
-from support import PATIENCE
+from node_thread import join
 from wire import Wire, record
 from wrong_robots import ID, surroundings
 
@@ -128,6 +127,36 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
     assert all(node.robot.t == 20 for node in run.neighbours.nodes.values())
 
 
+def test_what_neighbours_hear_is_counted_by_its_sender() -> None:
+    """And what the controller says reaches them."""
+    wire, others = Wire(), FrameFormat(17)
+    heard = [encode(Message(ID, 9, 0, 0), others)]  # another subject's
+    heard += [encode(Message(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
+    wire._waiting.extend(heard)
+    for frame in heard:
+        frame.is_rx = True
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(wire), ticks=5)
+    run.run()
+    told = {"estimates_heard": 1, "strangers": 3, "id_conflicts": {"1": 2}, "bus_failures": 0}
+    assert run.figures().items() >= told.items()
+    assert [node.counters.accepted for node in run.neighbours.nodes.values()] == [3 * 5 + 1] * 4
+    x = [node.robot.x for node in run.neighbours.nodes.values()]
+    assert (run.figures()["mean_x"], run.figures()["spread_x"]) == (sum(x) / 4, max(x) - min(x))
+
+
+@pytest.mark.parametrize("ticks", [None, 1000])
+def test_neighbours_stop_when_asked_to(ticks: int | None) -> None:
+    """With a number of ticks that is an interruption."""
+    run = RadioRun(
+        Neighbourhood(surroundings(steps_per_second=1000)), BusLink(Wire(), lambda: done > []), ticks
+    )
+    done: list[int] = []
+    run.watch = lambda: done.append(run.neighbours.tick) if run.neighbours.tick == 3 else None
+    run.run()
+    assert (done, run.outcome.ending, run.outcome.is_interrupted) == ([3], "stopped", ticks is not None)
+    assert run.outcome.lateness is not None
+
+
 # The command
 
 
@@ -135,45 +164,26 @@ def radio(options: str) -> int:
     return main(["radio", *shlex.split(options)])
 
 
-def test_neighbours_in_real_time_hear_and_are_heard(
+def test_neighbours_in_real_time_speak_and_leave_a_report(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    log = tmp_path / "run.log"
-    with live_robot(record(3), 100) as frames, meanwhile(lambda: speak_as(1, 9)):
-        code = radio(
-            "--id 3 --robots 5 --steps-per-second 100 --steps 100 --fault loss=0.5,receivers=3 --json "
-            f"--log {log}"
-        )
-    assert code == 0
+    log, options = tmp_path / "run.log", "--steps 20 --steps-per-second 100 --fault loss=0.5,receivers=3"
+    with join() as bus:
+        assert radio(f"--id 3 --robots 5 {options} --json --log {log}") == 0
+        frames = []
+        while (frame := bus.recv(0)) is not None:
+            frames.append(frame)
     report = json.loads(capsys.readouterr().out)
     assert json.loads(Path(f"{log}.json").read_text()) == report
     results = report["results"]
-    assert results["steps"] == 100
-    assert results["estimates_heard"] > 0
-    assert results["strangers"] == 1
-    assert results["id_conflicts"] == {"1": 1}
-    lost = results["faults"][0]["injected"]
-    assert results["frames_sent"] + lost == 4 * (100 + 1)  # with a heartbeat each
-    heard = [m for f in frames if isinstance(m := decode(f, FrameFormat()), Message)]
-    assert [message for message in heard if message.sender in (0, 1, 2, 4)]
-
-
-def speak_as(*senders: int) -> None:
-    """Let other nodes say something once the radio is at work."""
-    with join() as bus:
-        while (frame := bus.recv(PATIENCE)) is not None and frame.arbitration_id & 0x7F != 4:
-            pass
-        bus.send(can.Message(arbitration_id=FrameFormat().identifier(9), data=bytes(8)))  # no estimate
-        for sender in senders:
-            bus.send(encode(Message(sender, 7, 0, 0), FrameFormat()), timeout=1)
+    assert (results["steps"], results["frames_sent"]) == (20, len(frames))
+    assert len(frames) + results["faults"][0]["injected"] == 4 * (20 + 1)  # with a heartbeat each
+    assert {frame.arbitration_id & 0x7F for frame in frames} == {0, 1, 2, 4}
 
 
 BAD = {
     "": "--id",
-    "--id 128": "robot id is 128",
     "--id 3 --robots 1": "robots is 1; from id 0 on there is room for 2 to 126",
-    "--id 3 --robots 5 --first-id 123": "robots is 5; from id 123 on there is room for 2 to 4",
-    "--id 3 --first-id 126": "first-id is 126; it must be 0 to 125",
     "--id 3 --steps 0": "steps is 0",
     "--id 3 --fault gremlin": "no kind is called 'gremlin'",
     "--id 3 --verify --fault collide": "fault collide needs the id",
@@ -181,41 +191,20 @@ BAD = {
     "--id 3 --timeout 2": "--timeout is for a verification",
     "--id 3 --verify --timeout 0": "timeout is 0.0",
     "--id 3 --verify --wait nan": "wait is nan",
+    "--id 3 --verify --comms-period 2000 --filter-period 2000": "comms-period is 2000; a verification has",
+    "--id 3 --verify --report .": "cannot write .: it is not a regular file",
+    "--id 3 --log .": "cannot write .: it is not a regular file",
     "--id 126 --verify": "robot 126 has the id of the simulator",
-    "--id 3 --log run.db": "cannot log to run.db: choose .log",
-    "--id 3 --command-subject 3000": "choose three different ones",
 }
-
-
-@pytest.mark.parametrize(
-    ("options", "obstructed"),
-    [
-        ("--log run.log", "run.log"),
-        ("--log run.log", "run.log.json"),
-        ("--verify --log run.log", "run.log.events"),
-        ("--verify --report report.md", "report.md"),
-    ],
-)
-def test_what_cannot_be_written_is_told_before_the_first_tick(
-    options: str,
-    obstructed: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    for kind in (RadioRun, Verification):
-        monkeypatch.setattr(kind, "run", lambda self: pytest.fail("it ran"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / obstructed).mkdir()
-    assert radio(f"--id 3 {options}") == 2
-    assert f"cannot write {obstructed}: it is not a regular file" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == [obstructed]
 
 
 @pytest.mark.parametrize("arguments", BAD)
 def test_bad_usage(
     arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    """All of it is told before the first tick."""
+    monkeypatch.setattr(RadioRun, "_tick", lambda self: pytest.fail("it ran"))
+    monkeypatch.setattr(Bench, "settle", lambda self: pytest.fail("it ran"))
     monkeypatch.chdir(tmp_path)
     assert radio(arguments) == 2
     assert BAD[arguments] in capsys.readouterr().err
