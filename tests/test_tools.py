@@ -112,7 +112,7 @@ ROOMS = (
         can_analyse=False,
     ),
 )
-SIMULATORS = ("tests/c_ref/avr_robot.c", "tests/benchmarks/cost/avr_machine.c")
+SIMULATORS = ("tests/c_ref/avr_robot.c",)
 IN_THE_NODE = ("tests/fuzz/fuzz_node.c",)
 TEST_ROOMS = (
     Room(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -13,17 +14,14 @@ pytest.importorskip("unicorn", reason="the emulator that counts instructions is 
 from benchmarks.cost import report
 from benchmarks.cost.images import AVR, LEVELS, TARGETS, Image, Target, build
 from benchmarks.cost.machines import load
-from benchmarks.cost.measurement import TICK_CALLS, Figures, kilobot, measure, robot_image
+from benchmarks.cost.measurement import Figures, kilobot, measure
 from benchmarks.cost.paths import Paths
-from benchmarks.cost.report import Numbers
-from benchmarks.cost.robots import OWN_ID, UPDATED, Robot
-from mcp_asdf import Config, MirrorRobot, Observation
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from benchmarks.cost.robots import TESTED, UPDATED
 
 TOLERANCE = 0.02
-each_disassembler = pytest.mark.parametrize("target", TARGETS[::2], ids=lambda target: target.name)
 ALIGNMENT = {"avr-": 1, "arm-none-eabi-": 8, "riscv64-unknown-elf-": 16}
 """Bytes to which the stack pointer is aligned."""
+NUMBER = re.compile(r"[\d.]+")
 
 
 def usable(target: Target) -> Target:
@@ -34,39 +32,35 @@ def usable(target: Target) -> Target:
     return target
 
 
-# ---- The figures ----
-
-
 @pytest.mark.parametrize(
     "target", [TARGETS[0], TARGETS[3], *slow(TARGETS[1:3] + TARGETS[4:])], ids=lambda target: target.name
 )
 def test_nothing_grows_and_the_cost_is_as_published(target: Target, tmp_path: Path) -> None:
     """All at once, as measuring is what takes the time: a target at both levels."""
-    small, fast = (measure(usable(target), level, tmp_path / level) for level in LEVELS)
-    for found in (small, fast):
+    both = {level: measure(usable(target), level, tmp_path / level) for level in LEVELS}
+    for found in both.values():
         check_growth(target, found)
         check_stacks(target, found)
     readme = report.README.read_text(encoding="utf-8")
     if target.version() not in readme:
         pytest.skip(f"the pages are of other compilers than {target.version()}: run make cost")
     if target.name == "Cortex-M4":
-        assert f"at most {fast.bound[UPDATED]} instructions for a step" in readme
-    columns = {
-        (report.README, "cost table"): report.short_column(small, fast),
-        (report.PAGE, "memory"): report.memory_column(small, fast),
-    }
-    for (path, section), column in columns.items():
-        check_page(report.read(path, section), report.table("", {target.name: column}))
-    rows = {
-        f"{target.name} {level}": report.call_column(each)
-        for level, each in zip(LEVELS, (small, fast), strict=True)
-    }
-    check_page(report.read(report.PAGE, "calls"), report.table("", rows, transposed=True))
+        assert f"at most {both['-O2'].bound[UPDATED]} instructions for a step" in readme
+    check_row(readme, report.short_row(target.name, *both.values()))
+    page = report.PAGE.read_text(encoding="utf-8")
+    for level, found in both.items():
+        check_row(page, report.call_row(f"{target.name} {level}", found))
+        check_row(page, report.memory_row(f"{target.name} {level}", found))
 
 
-def check_page(published: Numbers, fresh: str) -> None:
-    for cell, numbers in report.numbers(fresh).items():
-        assert published[cell] == pytest.approx(numbers, rel=TOLERANCE), f"{cell}: run make cost"
+def check_row(page: str, fresh: report.Row) -> None:
+    """The page has the row, in a table with its titles, with about its numbers."""
+    titles, _, row = report.table([fresh]).splitlines()
+    name, _, cells = row.removeprefix("| ").partition(" |")
+    published = re.search(rf"^\| {re.escape(name)} \|(.*)$", page.partition(f"{titles}\n")[2], re.MULTILINE)
+    assert published, f"{row}: run make cost"
+    old, new = ([float(each) for each in NUMBER.findall(line)] for line in (published[1], cells))
+    assert old == pytest.approx(new, rel=TOLERANCE), f"{row}: run make cost"
 
 
 def check_growth(target: Target, found: Figures) -> None:
@@ -74,25 +68,25 @@ def check_growth(target: Target, found: Figures) -> None:
     loops does not grow. An AVR has loops: its most at large t and m is that at small ones, but that it shifts
     1 by the sender's id in one. A Cortex-M0+ divides by a table, an AVR bit by bit, the others with an
     instruction."""
-    if target == AVR:
-        assert found.bound == {}
-        half = len(found.by_age) // 2
-        assert max(found.by_age[half:]) <= 1.06 * max(found.by_age[:half])
-        receive, settle = zip(*found.by_messages, strict=True)
-        assert max(receive) <= 1.25 * max(receive[:4])
-        assert max(settle) == min(settle)
+    if target != AVR:
+        for kind, bound in found.bound.items():
+            assert found.most(kind) <= bound <= 1.1 * found.most(kind), kind
+        assert found.divisions == (0 if target.name == "Cortex-M0+" else 14)
         return
-    for name, bound in found.bound.items():
-        if name != "settle":  # whose costly kinds are those of steps
-            assert found.most[name] <= bound <= 1.1 * found.most[name], name
-    assert found.divisions == (0 if target.name == "Cortex-M0+" else 14)
+    cycles = {
+        kind: [(each.t, each.m, each.cost.cycles) for each in found.seen if each.kind == kind]
+        for kind in ("step", "receive", "settle")
+    }
+    old, young = (max(c for t, _, c in cycles["step"] if (t > 2**16) is is_old) for is_old in (True, False))
+    many, few = (max(c for _, m, c in cycles["receive"] if (m >= 8) is is_many) for is_many in (True, False))
+    assert old <= 1.06 * young and many <= 1.25 * few
+    assert len({c for _, _, c in cycles["settle"]}) == 1
 
 
 def check_stacks(target: Target, found: Figures) -> None:
-    for name in TICK_CALLS:
-        bound, touched = found.stack[name]
-        if name != "settle":  # which is seen without a filter only
-            assert touched <= bound <= touched + 2 * ALIGNMENT[target.tools] + 8, name
+    for name, kinds in {"receive": ["receive"], "x": ["x"], "step": ["step", TESTED, UPDATED]}.items():
+        touched = max(found.most(kind, "stack") for kind in kinds)
+        assert touched <= found.stack[name] <= touched + 2 * ALIGNMENT[target.tools] + 8, name
 
 
 def test_a_kilobot_holds_its_firmware(tmp_path: Path) -> None:
@@ -105,23 +99,6 @@ def test_a_kilobot_holds_its_firmware(tmp_path: Path) -> None:
 
 
 # ---- What measures ----
-
-
-@each_disassembler
-def test_an_image_computes_the_firmware_s_bits(target: Target, tmp_path: Path) -> None:
-    robot = Robot(load(robot_image(usable(target), "-Os", tmp_path / "image")))
-    mirror = MirrorRobot(Config(table=generate(parse_omega("0.05"), q=30), filter_period=20), OWN_ID, 0.75)
-    robot.start(3 << 30, 20)
-    for tick in range(45):
-        for sender in (6, 7, 9):
-            message = sender, (tick * 7919 + sender * 104729) % (1 << 23), 0x80000000 + sender
-            robot.receive(message)
-            mirror.receive_raw(*message)
-        robot.step(tick % 2, tick % 20 == 19, 3)
-        mirror.step(Observation(tick % 2))
-        assert robot.call("x").value == mirror.x_raw
-    assert robot.machine.call("bench_updates").value == mirror.counters.updates > 0
-
 
 KNOWN = {
     "ATmega328P": (
@@ -166,7 +143,7 @@ NO_BOUNDS = {
 
 
 @pytest.mark.parametrize("reason", NO_BOUNDS)
-@each_disassembler
+@pytest.mark.parametrize("target", TARGETS[::2], ids=lambda target: target.name)
 def test_what_has_no_bound_is_refused(target: Target, reason: str, tmp_path: Path) -> None:
     paths = Paths(program(usable(target), tmp_path, NO_BOUNDS[reason]))
     for bound in (paths.longest, paths.deepest) if reason != "there is a loop" else (paths.longest,):
@@ -181,6 +158,6 @@ def test_the_longest_path_is_that_of_the_data_that_take_it(tmp_path: Path) -> No
     )
     image = program(usable(TARGETS[-1]), tmp_path, code)
     machine, paths = load(image), Paths(image)
-    costs = [machine.call("known", ("word", x)).instructions for x in range(4)]
+    costs = [machine.call("known", (x, 4)).instructions for x in range(4)]
     assert paths.longest("known") == max(costs) == costs[3] > costs[0]
     assert paths.longest("known", without="other") == costs[1]

@@ -18,7 +18,7 @@ from mcp_asdf_tools.common.files import write_together
 
 from .images import LEVELS, TARGETS
 from .measurement import kilobot, measure
-from .report import PAGES, fill, sections
+from .report import fill, sections
 
 
 def main() -> int:
@@ -37,7 +37,7 @@ def main() -> int:
         }
         figures = {cell: part.result() for cell, part in parts.items()}
         written = sections(figures, kilobot(Path(name, "kilobot")))
-    write_together({path: fill(path.read_text(encoding="utf-8"), written[path]) for path in PAGES})
+    write_together({path: fill(path.read_text(encoding="utf-8"), each) for path, each in written.items()})
     return 0
 
 

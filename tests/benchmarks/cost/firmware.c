@@ -1,14 +1,12 @@
 /* The firmware under measurement; main() is the least that a robot uses of it, and with WHOLE all there is.
  */
-#include "mcp_asdf_frame.h"
 #include "mcp_asdf_image.h"
 #include "robot.h"
 
+extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
+
 mcp_asdf_t robot;
-mcp_asdf_config_t config = MCP_ASDF_CONFIG(TABLE_OF(Q));
-mcp_asdf_frame_t frame;
-mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE;
-mcp_asdf_estimate_t estimate = {6, 1, MCP_ASDF_HALF, UINT32_C(0x80000012)};
+mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
 uint8_t image[MCP_ASDF_IMAGE_SIZE];
 
 void bench_start(uint32_t b_hat)
@@ -28,8 +26,6 @@ void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
 }
 
 uint32_t bench_updates(void) { return robot.counters.updates; }
-
-uint32_t bench_size(void) { return (uint32_t)sizeof robot; }
 
 int main(void)
 {

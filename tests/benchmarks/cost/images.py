@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from elftools.elf.constants import SH_FLAGS
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import Symbol, SymbolTableSection
 
@@ -21,7 +20,6 @@ TABLE = ROOT / "tables" / "t_table_omega05_q30.c"
 LEVELS = ("-Os", "-O2")
 
 _LINE = re.compile(r"^\s*([0-9a-f]+):\t(\S+)[ \t]*(.*)$|^[0-9a-f]+ <(.+)>:$", re.MULTILINE)
-_VERSION = re.compile(r"\d+(?:\.\d+)+")
 _COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-Wl,--gc-sections")
 _WITHOUT_LIBRARY = ("-ffreestanding", "-nostdlib", "-Wl,-Ttext=0x10000", "-Wl,-e,main")
 
@@ -53,8 +51,7 @@ class Target:
         """Name and version of the compiler. Raises FileNotFoundError without one."""
         command = [self.compiler, "-dumpfullversion", "-dumpversion"]
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        found = _VERSION.search(said)
-        return f"{self.compiler} {found[0] if found else said.strip()}"
+        return f"{self.compiler} {said.split()[0]}"
 
 
 def _cortex_m(name: str, cpu: str) -> Target:
@@ -113,22 +110,19 @@ class Image:
     def sizes(self) -> tuple[int, int]:
         """Bytes of flash, code, constants and what variables begin with; and of variables in RAM, to which an
         AVR copies constants, too."""
-        with self.path.open("rb") as stream:
-            loaded = [
-                each for each in ELFFile(stream).iter_sections() if each["sh_flags"] & SH_FLAGS.SHF_ALLOC
-            ]
-        return (
-            sum(each["sh_size"] for each in loaded if each["sh_type"] == "SHT_PROGBITS"),
-            sum(each["sh_size"] for each in loaded if each["sh_flags"] & SH_FLAGS.SHF_WRITE),
-        )
+        text, data, bss = map(int, self._listed("size").splitlines()[1].split()[:3])
+        return text + data, data + bss
+
+    def _listed(self, tool: str, *options: str) -> str:
+        """What one of the target's tools prints of the image."""
+        command = [self.target.tools + tool, *options, str(self.path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
     @cached_property
     def code(self) -> list[Instruction]:
         """The disassembly, by address."""
-        command = [f"{self.target.tools}objdump", "-d", "--no-show-raw-insn", str(self.path)]
-        listing = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         lines, function = [], ""
-        for address, name, rest, label in _LINE.findall(listing):
+        for address, name, rest, label in _LINE.findall(self._listed("objdump", "-d", "--no-show-raw-insn")):
             function = label or function
             if not label:
                 lines.append(Instruction(int(address, 16), name, rest, function))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths, division
-from .robots import UPDATED, Robot
+from .robots import UPDATED, Robot, Seen
 
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
-STACK_CALLS = (*TICK_CALLS, "x_bar", "init", "save", "restore", "invariants_hold")
+STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 SEED = 1
 _OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
 
@@ -22,44 +22,41 @@ class Figures:
     """Cost of a target at a level.
 
     Attributes:
-        mean: Instructions of calls in a usual life.
-        most: Most instructions that were seen, of calls and kinds of a step.
-        cycles: Most cycles that were seen, on an AVR.
-        by_age: The most cycles of a step at each power of two of t, on an AVR.
-        by_messages: The same of a round's last message and of its end.
+        mean: Instructions of calls and kinds of a step in a usual life.
+        seen: Calls in that life and in all other situations.
         bound: The longest path of a call through the machine code, where there is no loop; "step" is one in
             which the filter is not due.
         divisions: Those on the longest path of a step.
-        stack: Bytes by function: bound, and the most that was touched.
+        stack: Bytes by function.
         code: Bytes of flash of init, observe, receive, settle and x, and of all functions.
         ram: Bytes of a robot.
         times: Instructions of a baseline's step and x in those of the firmware's, by its type.
     """
 
     mean: dict[str, float]
-    most: dict[str, int]
-    cycles: dict[str, int]
-    by_age: list[int]
-    by_messages: list[tuple[int, int]]
-    stack: dict[str, tuple[int, int]]
+    seen: list[Seen]
+    bound: dict[str, int]
+    divisions: int
+    stack: dict[str, int]
     code: tuple[int, int]
     ram: int
-    bound: dict[str, int] = field(default_factory=dict)
-    divisions: int = 0
-    times: dict[str, float] = field(default_factory=dict)
+    times: dict[str, float]
+
+    def most(self, kind: str, what: str = "instructions") -> int:
+        """The most instructions, cycles (on an AVR) or bytes of stack that were seen."""
+        return max(int(getattr(each.cost, what)) for each in self.seen if each.kind == kind)
 
     def tick_stack(self) -> int:
         """Bytes of stack that a tick needs: the deepest of its calls."""
-        return max(self.stack[name][0] for name in TICK_CALLS)
+        return max(self.stack[name] for name in TICK_CALLS)
 
 
 def robot_image(target: Target, level: str, folder: Path, baseline: str = "") -> Image:
     """The firmware, or the baseline in this type of floating point, ready to be called."""
     prefix = "plain_robot" if baseline else "mcp_asdf"
     kept = [f"{prefix}_{name}" for name in (TICK_CALLS if baseline else STACK_CALLS)]
-    kept += [f"bench_{name}" for name in ("start", "set", "updates", "size")]
-    firmware = [HERE / "firmware.c", *sorted(FIRMWARE.glob("*.c"))]
-    sources = [*([HERE / "plain.c"] if baseline else firmware), TABLE]
+    kept += [f"bench_{name}" for name in ("start", "set", "updates")]
+    sources = [HERE / "plain.c"] if baseline else [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
     return build(target, folder, sources, level, f"-DREAL={baseline}", *(f"-Wl,-u,{name}" for name in kept))
 
 
@@ -69,32 +66,28 @@ def measure(target: Target, level: str, folder: Path) -> Figures:
     robot, paths = Robot(load(image)), Paths(image)
     mean = robot.live()
     robot.suffer(SEED)
-    found = Figures(
+    bound = {}
+    if target != AVR:
+        bound = {name: paths.longest(f"mcp_asdf_{name}") for name in ("receive", "x")}
+        bound["step"] = paths.longest("mcp_asdf_step", without="filter")
+        bound[UPDATED] = paths.longest("mcp_asdf_step")
+    times = {}
+    for kind in ("float",) if target == AVR else ("double", "float"):  # avr-gcc 5 has no double of 64 bits
+        plain = Robot(load(robot_image(target, level, folder / kind, kind)), "plain_robot").live()
+        times[kind] = (plain["step"] + plain["x"]) / (mean["step"] + mean["x"])
+    return Figures(
         mean=mean,
-        most={name: max(cost.instructions for cost in costs) for name, costs in robot.costs.items()},
-        cycles={name: max(cost.cycles for cost in costs) for name, costs in robot.costs.items()},
-        by_age=[max(cost.cycles for cost in costs) for costs in robot.by_age.values()],
-        by_messages=[
-            (max(last.cycles for last, _ in pairs), max(end.cycles for _, end in pairs))
-            for pairs in robot.by_messages.values()
-        ],
-        stack={name: (paths.deepest(f"mcp_asdf_{name}"), robot.deepest[name]) for name in STACK_CALLS},
+        seen=robot.seen,
+        bound=bound,
+        divisions=0 if target == AVR else paths.longest("mcp_asdf_step", division),
+        stack={name: paths.deepest(f"mcp_asdf_{name}") for name in STACK_CALLS},
         code=(
             code_bytes(target, level, folder / "least"),
             code_bytes(target, level, folder / "whole", "-DWHOLE"),
         ),
-        ram=robot.machine.call("bench_size").value,
+        ram=int(image.symbols["robot"]["st_size"]),
+        times=times,
     )
-    if target != AVR:
-        calls = ("observe", "receive", "settle", "x")
-        found.bound = {name: paths.longest(f"mcp_asdf_{name}") for name in calls}
-        found.bound["step"] = paths.longest("mcp_asdf_step", without="filter")
-        found.bound[UPDATED] = paths.longest("mcp_asdf_step")
-        found.divisions = paths.longest("mcp_asdf_step", division)
-    for kind in ("float",) if target == AVR else ("double", "float"):  # avr-gcc 5 has no double of 64 bits
-        plain = Robot(load(robot_image(target, level, folder / kind, kind)), "plain_robot").live()
-        found.times[kind] = (plain["step"] + plain["x"]) / (mean["step"] + mean["x"])
-    return found
 
 
 def code_bytes(target: Target, level: str, folder: Path, *flags: str) -> int:

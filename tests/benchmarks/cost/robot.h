@@ -5,13 +5,6 @@
 
 #include "mcp_asdf.h"
 
-#ifndef Q
-#define Q 30
-#endif
-#define PASTE(a, b) a##b
-#define TABLE_OF(q) PASTE(mcp_asdf_t_table_omega05_q, q)
-extern const uint32_t TABLE_OF(Q)[Q + 3];
-
 /* Make a robot with id 5. */
 void bench_start(uint32_t b_hat);
 
@@ -21,8 +14,5 @@ void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
 
 /* Times that b_hat was re-estimated since the start. */
 uint32_t bench_updates(void);
-
-/* Bytes of RAM of a robot. */
-uint32_t bench_size(void);
 
 #endif
