@@ -27,7 +27,7 @@ SHOWN = (
     "FAILED: 21 of 37",
     "(0.000000) vcan0",
     "PASS scenarios",
-    "scenario 6",
+    "call 0 status",
     "tick  50: share of black",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
@@ -41,7 +41,7 @@ RUN_ELSEWHERE = {
         "build/loop",
         "socket://127.0.0.1:20001",
     ),
-    "tests/targets/test_golden_vectors.py": (
+    "tests/targets/test_targets.py": (
         "targets.md",
         "PYTHONPATH=tests python -m targets.golden_vectors",
     ),

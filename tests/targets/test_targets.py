@@ -9,23 +9,41 @@ import pytest
 
 from support import slow
 from targets import matrix
-from targets.golden_vectors import explain, load
-from targets.matrix import TARGETS, Cell, quick_cell, slow_cells
+from targets.golden_vectors import FILES, HERE, Player, content, played, scenarios, verdict
+from targets.matrix import HOST, TARGETS, Cell, quick_cell, slow_cells
 
 CELLS = [*map(quick_cell, TARGETS), *slow(slow_cells())]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_what_the_mirror_gives(name: str) -> None:
+    assert content(name) == (HERE / name).read_bytes(), "write it again and say why in the changelog"
 
 
 @pytest.mark.parametrize("cell", CELLS, ids=str)
 def test_the_target_computes_the_mirror_s_bits(cell: Cell, tmp_path: Path) -> None:
     if reason := cell.missing():
         pytest.skip(reason)
-    printed = matrix.play(cell, tmp_path)
-    if " found " in printed:
-        pytest.fail(explain(printed, load()))
-    assert matrix.verdict_of(cell.vectors()) in printed and "failed" not in printed, printed
+    printed = matrix.play(cell, tmp_path, *(HERE / name for name in cell.vectors()))
+    if wrong := re.search(r"scenario (\d+) expected", printed):
+        assert re.findall(r"call .*", printed) == Player(scenarios()[int(wrong[1])]).lines, printed
+    assert verdict(cell.vectors()) in printed and "failed" not in printed, printed
     if "LTO" in cell.level:
         return
     core = matrix.core_objects(tmp_path)
     odd = {name for name in matrix.needed_symbols(core) if not re.fullmatch(cell.target.helpers, name)}
     assert not odd, f"the core needs {sorted(odd)}"
-    assert sum(map(matrix.ram, core)) == 0, "the core has variables"
+    assert sum(map(matrix.variables, core)) == 0, "the core has variables"
+
+
+def test_a_target_that_differs_prints_every_call(tmp_path: Path) -> None:
+    """The digest of one scenario is not what any robot reaches."""
+    name = next(iter(FILES))
+    known = played(name)
+    number = max(range(len(known)), key=lambda each: len(known[each][0].calls))
+    wrong, digest = bytearray((HERE / name).read_bytes()), 6 + sum(len(each) for _, each in known[:number])
+    wrong[digest] ^= 1
+    (tmp_path / "wrong.bin").write_bytes(wrong)
+    printed = matrix.play(quick_cell(HOST), tmp_path, tmp_path / "wrong.bin").splitlines()
+    assert re.match(rf"scenario {number} expected \d+ found \d+$", printed[-len(known[number][0].calls) - 5])
+    assert printed[-len(known[number][0].calls) - 4 : -1] == [*Player(known[number][0]).lines, "FAIL"]
