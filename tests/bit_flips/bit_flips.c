@@ -4,8 +4,8 @@
  * settle. Then the robot goes on for 600 ticks, and checks its invariants before each observation and each
  * settle.
  *
- * Prints a line of counts for each member; a flip that makes a call trap or hang ends the program or keeps it.
- * `bit_flips FLIPS` tries every bit so many times; the same numbers everywhere. */
+ * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS` tries every
+ * bit so many times; the same numbers everywhere. */
 #include "mcp_asdf.c"
 
 #include "mcp_asdf_image.c"

@@ -1,7 +1,6 @@
 /* The frame codec: any frame to each decoder, where an estimate that is taken is what its encoder makes
  * again; and any numbers to each encoder, which refuses them or makes a legal frame. */
 #include "input.h"
-#include "same_frame.h"
 
 static const mcp_asdf_frame_format_t estimates = MCP_ASDF_FORMAT_ESTIMATE, commands = MCP_ASDF_FORMAT_COMMAND;
 

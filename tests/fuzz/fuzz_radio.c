@@ -3,7 +3,6 @@
 #include "input.h"
 #include "port.h"
 #include "radio.h"
-#include "same_frame.h"
 
 #define PACKET 14
 

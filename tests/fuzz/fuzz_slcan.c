@@ -5,7 +5,6 @@
 #include "mcp_asdf_image.h"
 #include "node/node.h"
 #include "port.h"
-#include "same_frame.h"
 #include "slcan/slcan.h"
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[];
@@ -36,6 +35,7 @@ static bool send(void *link, const mcp_asdf_frame_t *frame)
 static void check_line(const char *line, uint8_t length, const mcp_asdf_frame_t *frame)
 {
     char again[SLCAN_LONGEST];
+    MUST(frame->id >> (frame->flags & MCP_ASDF_FRAME_STANDARD ? 11 : 29) == 0);
     MUST(slcan_write(again, frame) == length);
     for (uint8_t i = 0; i < length; ++i) {
         MUST(((line[i] ^ again[i]) & ~0x20) == 0);
@@ -59,11 +59,26 @@ static void any_byte(slcan_link_t *link, node_t *node, int byte)
     MUST(event == SLCAN_FRAME || !then.is_open || same_frame(&frame, &before));
 }
 
+/* Any frame, legal or not, is either refused or written as a line that reads as it. */
+static void any_frame(input_t in)
+{
+    char line[SLCAN_LONGEST];
+    mcp_asdf_frame_t read, frame = {.id = input_take(&in, 4),
+                                    .flags = input_take(&in, 1) & 15,
+                                    .length = (uint8_t)input_take(&in, 1)};
+    for (int i = 0; i < 8 && i < frame.length && (frame.flags & MCP_ASDF_FRAME_REMOTE) == 0; ++i) {
+        frame.data[i] = (uint8_t)input_take(&in, 1);
+    }
+    const uint8_t length = slcan_write(line, &frame);
+    MUST(length == 0 || (slcan_read(&read, line, length) && same_frame(&read, &frame)));
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static slcan_link_t link;
     static node_t node;
+    any_frame((input_t){data, size});
     slcan_start(&link);
     MUST(node_init(&node, &settings, (node_output_t){send, &link}) == MCP_ASDF_OK);
     for (size_t i = 0; i < size; ++i) {
