@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -225,51 +226,36 @@ def test_a_draw_equal_to_the_probability_is_not_below_it(
     assert make(**given, fill_ratio=1.0, true_accuracy=0.75 + 2**-31).advance(20).black.all()
 
 
-class Model:
-    """A sensor and a topology that give what they are told."""
-
-    def __init__(self, *given: Any) -> None:
-        self.given = given
-
-    def advance(self, steps: int) -> Any:
-        return self.given if len(self.given) > 1 else self.given[0]
+def model(answer: object) -> Any:
+    """An extension that answers this."""
+    return SimpleNamespace(advance=lambda steps: answer)
 
 
-@pytest.mark.parametrize(
-    ("shape", "value", "words"),
-    [
-        ((5, 4), 0.5, ""),
-        ((1, 1), 1.0, ""),
-        ((1, 4), 0.0, ""),
-        ((4,), 0.5, r"gives shape \(4,\); return \(5 or 1, 4 or 1\)"),
-        ((2, 4), 0.5, "gives shape"),
-        ((5, 3), 0.5, "gives shape"),
-        ((5, 4), 1.01, "an accuracy outside 0 to 1"),
-        ((5, 4), -0.01, "an accuracy outside 0 to 1"),
-        ((5, 4), math.nan, "an accuracy outside 0 to 1"),
-    ],
-)
-def test_answers_of_installed_sensors_are_checked(shape: tuple[int, ...], value: float, words: str) -> None:
-    right, given = np.full((1, 1), 0.5), np.full(shape, value)
-    for pair in ((right, given), (given, right)):
-        sensors = CheckedSensors(Model(*pair), make().settings)
-        if words:
+def test_answers_of_installed_sensors_are_checked() -> None:
+    right, settings = np.full((1, 1), 0.5), make().settings
+    for given in (np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))):
+        found = CheckedSensors(model((right, given)), settings).advance(5)
+        assert found[0] is right and found[1] is given
+    wrong = [np.full(shape, 0.5) for shape in ((4,), (2, 4), (5, 3))]
+    for given in (*wrong, *(np.full((5, 4), value) for value in (1.01, -0.01, math.nan))):
+        words = (
+            "outside 0 to 1; clip" if given.shape == (5, 4) else r"gives shape .*; return \(5 or 1, 4 or 1\)"
+        )
+        for pair in ((right, given), (given, right)):
             with pytest.raises(UsageError, match=words):
-                sensors.advance(5)
-        else:
-            assert [each.shape for each in sensors.advance(5)] == [each.shape for each in pair]
+                CheckedSensors(model(pair), settings).advance(5)
 
 
 def test_answers_of_installed_topologies_are_checked() -> None:
     hears = np.zeros((5, 4, 4), np.bool_)
-    assert Checked(Model(hears), "mine", 4).advance(5) is hears
+    assert Checked(model(hears), "mine", 4).advance(5) is hears
     for wrong, words in (
         (hears[:4], "gives bool of shape"),
         (hears.astype(int), "gives int64 of shape"),
         (hears | np.eye(4, dtype=np.bool_), "a robot hears itself"),
     ):
         with pytest.raises(UsageError, match=words):
-            Checked(Model(wrong), "mine", 4).advance(5)
+            Checked(model(wrong), "mine", 4).advance(5)
 
 
 # --- Drifting sensors ------------------------------------------------------------------------------------
