@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import IO
 
 import pytest
 
@@ -61,12 +59,6 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "x.parquet", [SLOW])
 
 
-def worker_processes(address: str) -> list[int]:
-    connect: Any = distributed.Client
-    with connect(address, set_as_default=False) as client:
-        return list(client.run(os.getpid).values())
-
-
 def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
     tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,25 +83,6 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
         with pytest.raises(UsageError, match="what was finished is kept"):
             run_sweep(store, 1, report=lambda _: end.close(), scheduler=address)
     assert 0 < Store(store.output, [long]).left == store.left < long.trials
-
-
-@pytest.mark.slow
-def test_a_killed_worker_changes_nothing(store: Store, tmp_path: Path) -> None:
-    finished: list[int] = []
-    with cluster_of(2, tmp_path) as (address, _):
-        victim, other = worker_processes(address)
-
-        def kill_one(count: int) -> None:
-            finished.append(count)
-            if len(finished) == 3:
-                os.kill(victim, signal.SIGKILL)
-
-        table = run_sweep(store, 1, report=kill_one, scheduler=address)
-        assert sum(finished) == len(finished) == SLOW.trials  # each job's results came once
-        assert victim not in (left := worker_processes(address))
-        assert other in left
-    assert table.equals(run_sweep(Store(tmp_path / "here.parquet", [SLOW]), 1))
-    assert (tmp_path / "here.parquet").read_bytes() == store.output.read_bytes()
 
 
 @pytest.mark.parametrize(
