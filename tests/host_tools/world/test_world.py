@@ -233,11 +233,13 @@ def model(answer: object) -> Any:
 
 def test_answers_of_installed_sensors_are_checked() -> None:
     right, settings = np.full((1, 1), 0.5), make().settings
-    for given in (np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))):
+    answers: list[Any] = [np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))]
+    for given in answers:
         found = CheckedSensors(model((right, given)), settings).advance(5)
         assert found[0] is right and found[1] is given
-    wrong = [np.full(shape, 0.5) for shape in ((4,), (2, 4), (5, 3))]
-    for given in (*wrong, *(np.full((5, 4), value) for value in (1.01, -0.01, math.nan))):
+    wrong: list[Any] = [np.full(shape, 0.5) for shape in ((4,), (2, 4), (5, 3))]
+    wrong += [np.full((5, 4), value) for value in (1.01, -0.01, math.nan)]
+    for given in wrong:
         words = (
             "outside 0 to 1; clip" if given.shape == (5, 4) else r"gives shape .*; return \(5 or 1, 4 or 1\)"
         )
