@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import sys
 from pathlib import Path
 from types import ModuleType
 from typing import cast
+from unittest.mock import patch
 
 import mcp_asdf.fixed_point
 import mcp_asdf.mirror
@@ -15,20 +15,16 @@ from mcp_asdf.robot import Status
 from mcp_asdf_tools.crosscheck.compare import Check, Failure, Firmware, compare_firmwares, crosscheck
 from mcp_asdf_tools.crosscheck.oracle import Audit
 
-MIRROR, FIXED_POINT = mcp_asdf.mirror, mcp_asdf.fixed_point
 SOURCES = {
-    module: Path(cast(str, module.__file__)).read_text(encoding="utf-8") for module in (MIRROR, FIXED_POINT)
+    module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
+    for module in (mcp_asdf.fixed_point, mcp_asdf.mirror)
 }
-"""The arithmetic of the mirror."""
+"""The arithmetic of the mirror, in the order of imports."""
 ROBOT = "robot:2:1:64:0:2147483648"
 """Of a scenario."""
 SEED = 1
 CALLS = 40_000
 """Maximum number of calls to catch a fault; most take a few hundred."""
-
-
-def silent(done: int) -> None:
-    """Report nothing."""
 
 
 def judged(left: Firmware, right: Firmware) -> Check:
@@ -39,25 +35,7 @@ def judged(left: Firmware, right: Firmware) -> Check:
 
 def caught(check: Check, calls: int = CALLS) -> Failure | None:
     """The first failure that the check finds."""
-    return crosscheck(check, SEED, calls, silent).failure
-
-
-def module_of(original: ModuleType, source: str | ast.Module) -> ModuleType:
-    """A module of another source, under the name of the original."""
-    module = ModuleType(original.__name__)
-    exec(compile(source, f"changed {original.__name__}", "exec"), vars(module))
-    return module
-
-
-def copy_of_mirror(changed: ModuleType, source: str | ast.Module) -> Firmware:
-    """The robot of a mirror in which one of SOURCES has changed."""
-    if changed is MIRROR:
-        return cast(Firmware, module_of(MIRROR, source).MirrorRobot)
-    sys.modules[changed.__name__] = module_of(changed, source)
-    try:
-        return cast(Firmware, module_of(MIRROR, SOURCES[MIRROR]).MirrorRobot)
-    finally:
-        sys.modules[changed.__name__] = changed
+    return crosscheck(check, SEED, calls, lambda done: None).failure
 
 
 FAULTS = {
@@ -79,10 +57,13 @@ FAULTS = {
 def planted(fault: str) -> Firmware:
     """A copy of the mirror with one of FAULTS."""
     right, wrong = FAULTS[fault]
-    counts = {module: source.count(right) for module, source in SOURCES.items()}
-    assert sum(counts.values()) == 1, f"the mirror's source has changed: plant {fault!r} anew"
-    module = max(counts, key=counts.__getitem__)
-    return copy_of_mirror(module, SOURCES[module].replace(right, wrong))
+    places = sum(source.count(right) for source in SOURCES.values())
+    assert places == 1, f"the mirror's source has changed: plant {fault!r} anew"
+    with patch.dict(sys.modules):
+        for name, source in SOURCES.items():
+            sys.modules[name] = ModuleType(name)
+            exec(compile(source.replace(right, wrong), f"changed {name}", "exec"), vars(sys.modules[name]))
+        return cast(Firmware, sys.modules[mcp_asdf.mirror.__name__].MirrorRobot)
 
 
 class BrokenRobot(MirrorRobot):

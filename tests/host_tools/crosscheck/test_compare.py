@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from crosschecks import ROBOT, SEED, BrokenRobot, caught, judged, silent
+from crosschecks import ROBOT, SEED, BrokenRobot, caught, judged
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config
@@ -110,7 +110,7 @@ def test_a_run_that_finds_something_counts_the_calls_made(at: int) -> None:
         made.append(len(scenario.calls))
         return None
 
-    outcome = crosscheck(check, SEED, 5000, silent)
+    outcome = crosscheck(check, SEED, 5000, lambda done: None)
     assert outcome.failure is not None
     assert (outcome.calls, outcome.scenarios) == (sum(made) + at, len(made) + 1)
 

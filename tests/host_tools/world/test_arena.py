@@ -156,12 +156,6 @@ def obstacle_by_marching(arena: Arena, robot: int) -> complex:
     return total
 
 
-def test_the_reading_is_that_of_the_sensors_data() -> None:
-    read = _arena.lib.mcp_asdf_arena_reading
-    for distance in [0, 0.0399999, 0.12, 0.1200001, 5, *np.linspace(0.03, 0.13, 2001)]:
-        assert read(float(distance)) == pytest.approx(reading_by_definition(float(distance)), abs=1e-11)
-
-
 @pytest.mark.parametrize("settings", [CROWD, world(2, 0.5, 0.5), world(3, 0.3, 2.0)])
 def test_obstacle_vectors_agree_with_marching_along_the_rays(settings: WorldSettings) -> None:
     arena = Arena(settings, 5)
