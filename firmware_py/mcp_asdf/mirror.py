@@ -2,8 +2,7 @@
 
 Read it next to the C, function by function; where the C needs several words or an estimated digit, the exact
 quotient stands here, so agreement of the two proves the C's shortcuts. Rounding is always down unless a
-comment says otherwise. The rules are those of ``docs/design.md``; "eq." means an equation of the paper. Only
-operators of ``int`` and ``bit_length`` are used, so that counting integers can run this code.
+comment says otherwise. The rules are those of ``docs/design.md``; "eq." means an equation of the paper.
 """
 
 from __future__ import annotations

@@ -14,15 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, checksum
 from robots import (
     ALPHA_MOST,
-    EVERY,
-    FIXED_POINT,
     HALF,
     IMAGE_SIZE,
     ONE,
@@ -159,15 +155,6 @@ def test_an_image_holds_every_field(kind: FixedPointType) -> None:
     assert [name for name, value in found.items() if not value] == ["updated"], "the others can be told apart"
 
 
-@pytest.mark.parametrize(("source", "target"), list(itertools.product(FIXED_POINT, repeat=2)))
-def test_images_are_the_same_everywhere(source: FixedPointType, target: FixedPointType) -> None:
-    robot = busy_robot(source)
-    restored = target.restore(robot.config, memoryview(robot.save()))  # type: ignore[arg-type]
-    assert (restored.state(), restored.save()) == (robot.state(), robot.save())
-    with pytest.raises(TypeError):
-        target.restore(robot.config, 124)  # type: ignore[arg-type]
-
-
 def check_refused(
     kind: FixedPointType, config: Config, image: bytes, status: Status = Status.ERR_IMAGE
 ) -> None:
@@ -230,7 +217,9 @@ def test_impossible_states_are_refused(kind: FixedPointType, invariant: str) -> 
     config, image = replace(robot.config, memory=100), robot.save()
     for fields in IMPOSSIBLE[invariant]:
         check_refused(kind, config, rewritten(image, **fields))
-    kind.restore(config, image)
+    assert kind.restore(config, memoryview(image)).save() == image  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        kind.restore(config, 124)  # type: ignore[arg-type]
 
 
 @of_fixed_point
@@ -269,7 +258,8 @@ def made(kind: AnyType, **given: Any) -> Status:
     try:
         kind(Config(**{"table": table} | given), robot_id, b_hat)
     except FirmwareError as error:
-        assert error.status.name in str(error)
+        named = {Status.ERR_ID: robot_id, Status.ERR_B_HAT: b_hat}.get(error.status, error.status.name)
+        assert str(named) in str(error)
         return error.status
     return Status.OK
 
@@ -305,14 +295,6 @@ def test_the_first_error_is_told_and_a_table_is_needed_for_the_test_alone(kind: 
         assert made(kind, filter=mode, entries=(3 << 26, 3 << 26)) == Status.OK
 
 
-@pytest.mark.parametrize("kind", FIXED_POINT)
-def test_refusals_name_the_value(kind: FixedPointType) -> None:
-    with pytest.raises(FirmwareError, match=r"robot id is 128; choose 0 \.\. 127"):
-        kind(PLAIN, 128, 0.8)
-    with pytest.raises(FirmwareError, match=r"b_hat is 1.5; choose one in \[2\*\*-20"):
-        kind(PLAIN, 3, 1.5)
-
-
 @dataclass(frozen=True)
 class Spoilt(Table):
     """A table whose words are not those of its entries."""
@@ -342,24 +324,3 @@ def test_a_table_of_another_make_is_refused(kind: AnyType) -> None:
     for first in (0x4D435303, 0x4D435503, 3, 0x4D435404, 0x4D435402, 0x4D4354FF, 0x4D435400):
         body = (first, *GOOD.words()[1:-1])
         assert made(kind, table=table_of((*body, checksum(body)))) == Status.ERR_TABLE, hex(first)
-
-
-edges = st.sampled_from(
-    (0, 1, 1 << 26, (1 << 26) + 1, 3 << 26, MAX_OMEGA_WORD, MAX_OMEGA_WORD + 1, 2**32 - 1)
-)
-
-
-@settings(derandomize=True, database=None)
-@given(st.lists(edges | st.integers(0, 2**32 - 1), min_size=2, max_size=6))
-def test_any_words_are_a_table_to_all_or_to_none(words: list[int]) -> None:
-    body = (0x4D435400 | len(words) - 1, words[0], *sorted(words[1:], reverse=True))
-    found = {made(kind, table=table_of((*body, checksum(body)))) for kind in EVERY}
-    assert len(found) == 1
-
-
-def test_the_table_s_checksum_is_fnv_1a_over_words() -> None:
-    words = GOOD.words()
-    value = 0x811C9DC5
-    for word in words[:-1]:
-        value = (value ^ word) * 0x01000193 % 2**32
-    assert words[-1] == value and words[0] == 0x4D435403

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from scipy import stats  # type: ignore[import-untyped]
 
-from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import (
     AUTHORS,
     PAPER,
@@ -33,9 +32,7 @@ from mcp_asdf.reference import (
     t_score,
 )
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Robot, Status
-from mcp_asdf.table import Table
 from mcp_asdf_tools.crosscheck.exact import LARGEST_ALPHA, exact_b_hat, exact_estimate
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from robots import TABLE, hear, watch
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
@@ -53,13 +50,13 @@ def trace(name: str) -> dict[str, Any]:
     return data | {"observations": np.unpackbits(packed, axis=1)}
 
 
-def setups(data: dict[str, Any], table: Table | None) -> Iterator[tuple[Config, int, float]]:
+def setups(data: dict[str, Any]) -> Iterator[tuple[Config, int, float]]:
     """The robots of a run: settings, id and b_hat."""
     size = data["num_robots"]
     for i in range(size):
         flawed = i >= size - data["flawed_count"]
         filters = Filter.ADAPTIVE if flawed or data["mode"] == "asdf_plus" else Filter.OFF
-        yield Config(table, filters, data["tau"]), i, data["flawed_b" if flawed else "true_b"]
+        yield Config(None, filters, data["tau"]), i, data["flawed_b" if flawed else "true_b"]
 
 
 def largest_errors(data: dict[str, Any], block: str, robots: Sequence[Robot]) -> dict[str, float]:
@@ -112,20 +109,8 @@ def test_every_value_and_update_of_the_authors_programs(
     name: str, block: str, conventions: Conventions
 ) -> None:
     data = trace(name)
-    robots = [ReferenceRobot(*each, conventions, omega=data["omega"]) for each in setups(data, None)]
+    robots = [ReferenceRobot(*each, conventions, omega=data["omega"]) for each in setups(data)]
     assert max(largest_errors(data, block, robots).values()) <= 1e-12
-
-
-@pytest.mark.parametrize("name", [TRACE_B, pytest.param(TRACE_A, marks=pytest.mark.slow)])
-def test_the_firmware_stays_within_its_error_of_the_authors_values(name: str) -> None:
-    """Where |2 b_hat - 1| is 0.1 and more. No decision differs in these runs. Each of the six updates may add
-    one rounding of x_hat, 2**-23, to those that come back through x_bar and b_hat; b_hat carries them times
-    |2 b_hat - 1| / |2 x_bar - 1|, here up to 7, and alpha four times that of b_hat over |2 b_hat - 1|."""
-    data = trace(name)
-    table = generate(parse_omega(str(data["omega"])), data["num_robots"] - 1)
-    errors = largest_errors(data, "m-1", [NativeRobot(*each) for each in setups(data, table)])
-    limits = {"x": 7e-7, "x_hat": 7e-7, "x_bar": 7e-7, "b_hat": 2e-6, "alpha": 1e-5, "beta": 1e-5}
-    assert {quantity for quantity, error in errors.items() if not 0 < error <= limits[quantity]} == set()
 
 
 # --- Equations against exact arithmetic --------------------------------------------------------------
@@ -200,20 +185,6 @@ def test_social_and_informed_values_against_fractions(seed: int) -> None:
         assert informed_estimate(own, others) == pytest.approx(float(x), rel=4 * float(ULP))
         other, *rest = rng.sample([own, *others], len(others) + 1)
         assert informed_estimate(other, rest) == informed_estimate(own, others)
-
-
-@pytest.mark.parametrize(
-    ("f", "b", "black_of_1000", "shift", "printed"),
-    [
-        *((0.55, 0.55, 505, 0.0, 0.550), (0.55, 0.55, 505, 0.2, 0.510), (0.55, 0.55, 505, 0.4, 0.506)),
-        *((0.55, 0.95, 545, 0.0, 0.550), (0.55, 0.95, 545, -0.2, 0.590), (0.55, 0.95, 545, -0.4, 0.950)),
-        *((0.95, 0.55, 545, 0.0, 0.950), (0.95, 0.55, 545, 0.2, 0.590), (0.95, 0.55, 545, 0.4, 0.550)),
-        *((0.95, 0.95, 905, 0.0, 0.950), (0.95, 0.95, 905, -0.2, 1.000), (0.95, 0.95, 905, -0.4, 1.000)),
-    ],
-)
-def test_table_1_of_the_paper(f: float, b: float, black_of_1000: int, shift: float, printed: float) -> None:
-    assert b * f + (1 - b) * (1 - f) == pytest.approx(black_of_1000 / 1000)  # eq. 1
-    assert round(local_estimate(black_of_1000, 1000, b + shift), 3) == printed
 
 
 # --- The hypothesis test -----------------------------------------------------------------------------
@@ -297,30 +268,21 @@ def test_perfect_sensor_has_no_finite_confidence_after_one_colour(n: int, b: flo
         local_confidence(n, 5, b)
 
 
-NO_COUNTS = [(5, 3), (-1, 3), (math.nan, 3)]
-NO_SHARES = [math.nextafter(0, -1), math.nextafter(1, 2), math.nan]
-NO_MESSAGES = [
-    *(Message(x_hat, 1.0) for x_hat in NO_SHARES),
-    *(Message(0.5, a) for a in (-1.0, math.nan, math.inf)),
-]
+SOUND = Message(0.5, 1.0)
 
 
 @pytest.mark.parametrize(
     ("equation", "arguments"),
     [
-        *((each, (*c, 0.9)) for c in NO_COUNTS for each in (local_estimate, assumed_accuracy_update)),
-        *((each, (1, 2, p)) for p in NO_SHARES for each in (local_confidence, assumed_accuracy_update)),
-        *(
-            (t_score, (m, omega))
-            for m, omega in ((1, OMEGA), (math.nan, OMEGA), (5, 0.0), (5, 1.0), (5, math.nan))
-        ),
+        *((local_estimate, counts) for counts in ((5, 3, 0.9), (-1, 3, 0.9), (math.nan, 3, 0.9))),
+        (assumed_accuracy_update, (5, 3, 0.9)),
+        *((local_confidence, (1, 2, b)) for b in (math.nextafter(0, -1), math.nextafter(1, 2), math.nan)),
+        (assumed_accuracy_update, (1, 2, math.nan)),
+        *((t_score, wrong) for wrong in ((1, OMEGA), (math.nan, OMEGA), (5, 0.0), (5, 1.0), (5, math.nan))),
         *((rejects, (x_hat, [0.5, other], OMEGA)) for x_hat, other in ((math.nan, 0.6), (0.5, math.inf))),
-        *(
-            (each, ([Message(0.5, 1.0), m],))
-            for m in NO_MESSAGES
-            for each in (social_estimate, social_confidence)
-        ),
-        *((informed_estimate, (m, [])) for m in NO_MESSAGES),
+        *((social_estimate, ([SOUND, Message(x, 1.0)],)) for x in (math.nextafter(0, -1), 1.5, math.nan)),
+        *((social_confidence, ([SOUND, Message(0.5, a)],)) for a in (-1.0, math.inf, math.nan)),
+        (informed_estimate, (Message(2.0, 1.0), [])),
     ],
 )
 def test_an_equation_outside_its_domain_raises(
@@ -341,18 +303,15 @@ def test_authors_update_at_a_tie() -> None:
     assert robot.b_hat == 1 - 1e-6
 
 
-@pytest.mark.parametrize("omega", [0.0, -0.1, 0.91, math.nan])
-def test_omega_out_of_range(omega: float) -> None:
-    with pytest.raises(FirmwareError, match="omega is") as error:
-        ReferenceRobot(Config(), 0, 0.75, omega=omega)
-    assert error.value.status == Status.ERR_TABLE
-
-
 @pytest.mark.parametrize(("omega", "updated"), [(0.05, True), (0.9, False)])
-def test_omega_comes_from_the_table_and_its_entries_do_not_matter(omega: float, updated: bool) -> None:
+def test_omega_comes_from_the_table_or_beside_it(omega: float, updated: bool) -> None:
     table = replace(TABLE, omega_word=round(omega * 2**32 - 0.5))
-    for entries in (TABLE.entries, tuple(2 * entry for entry in TABLE.entries)):
-        robot = ReferenceRobot(Config(replace(table, entries=entries), filter_period=1), 0, 0.75)
+    for config, given in ((Config(table, filter_period=1), None), (Config(filter_period=1), omega)):
+        robot = ReferenceRobot(config, 0, 0.75, omega=given)
         watch(robot, 1, 0)  # x_hat = 1; the deviation is 2.5 S, the threshold 1.06 S or 5.5 S
         hear(robot, 0.8, 0.9)
         assert (robot.settle() == Status.UPDATED) == updated
+    for wrong in (0.0, -0.1, 0.91, math.nan):
+        with pytest.raises(FirmwareError, match="omega is") as error:
+            ReferenceRobot(Config(), 0, 0.75, omega=wrong)
+        assert error.value.status == Status.ERR_TABLE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 
@@ -86,21 +85,6 @@ def test_memory_halves_to_even(kind: AnyType, black: int, halved: int) -> None:
 
 
 @of_every_kind
-def test_an_update_shows_at_the_next_observation(kind: AnyType) -> None:
-    robot = new(kind, ADAPTIVE)
-    watch(robot, black=3, white=1)
-    hear(robot, 0.875, 0.875)
-    assert robot.settle() == Status.UPDATED
-    assert robot.b_hat == near((0.75 + 0.875 - 1) / (2 * 0.875 - 1))
-    for _ in range(2):
-        assert robot.x_hat == local_estimate(3, 4, 0.75)
-        robot.settle()
-    robot.observe(BLACK)
-    assert robot.x_hat == near(local_estimate(4, 5, robot.b_hat))
-    assert robot.alpha == near(local_confidence(4, 5, robot.b_hat))
-
-
-@of_every_kind
 @pytest.mark.parametrize(
     ("mode", "neighbours", "tests", "updates"),
     [
@@ -162,24 +146,6 @@ def test_filter_period_counts_rounds(kind: AnyType, period: int, start: int) -> 
             updated.append(number)
     assert updated == [number for number in range(period, 61, period) if number > start]
     assert (robot.t, robot.n) == (3, 2)
-
-
-@of_every_kind
-def test_x_is_of_the_own_estimate_now_and_the_last_closed_round(kind: AnyType) -> None:
-    robot, xs = new(kind), []
-    for tick, z in enumerate((BLACK, WHITE, BLACK, BLACK, WHITE, BLACK), start=1):
-        robot.observe(z)
-        robot.receive(1, 0.125, 2.0 * tick)
-        if tick % 3 == 0:
-            robot.settle()
-        beta = 2.0 if tick in (3, 4, 5) else 8.0 if tick == 6 else 0.0
-        assert robot.beta == beta, "the first message of a round counts: those of ticks 1 and 4"
-        assert robot.x == near((robot.alpha * robot.x_hat + beta * 0.125) / (robot.alpha + beta))
-        xs.append(robot.x)
-    assert all(left != right for left, right in pairwise(xs[2:5]))
-    robot.receive(2, 0.125, robot.alpha)
-    robot.settle()
-    assert robot.x == near((robot.x_hat + 0.125) / 2), "of two equally sure robots"
 
 
 @of_every_kind
