@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import tomllib
 from collections import defaultdict
@@ -10,7 +11,6 @@ from pathlib import Path
 
 from support import CORE, require
 
-SOURCES = CORE.parent
 RECORD = Path(__file__).with_name("misra.toml")
 NAMES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 ON_AN_AVR = ("-D__AVR__", "--platform=avr8", "-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_BYTE(at)=(*(at))")
@@ -73,29 +73,14 @@ def record() -> tuple[dict[str, set[str]], set[str]]:
     return required, set(rules)
 
 
-def copied(folder: Path, right: str = "", wrong: str = "") -> Path:
-    """A copy of the sources in this folder, with a change."""
-    for path in SOURCES.glob("*.[ch]"):
-        (folder / path.name).write_text(
-            path.read_text(encoding="utf-8").replace(right, wrong), encoding="utf-8"
-        )
-    return folder
-
-
 def test_misra_finds_what_the_record_lists_and_nothing_else(tmp_path: Path) -> None:
     """A new finding fails, and so does an entry without a finding."""
     require("cppcheck", "cppcheck")
     found: defaultdict[str, set[str]] = defaultdict(set)
-    sources = copied(tmp_path)
+    sources = Path(shutil.copytree(CORE.parent, tmp_path / "src"))
     for target in TARGETS:
         for rule, places in findings(target, sources).items():
             found[rule] |= places
     required, advisory = record()
     assert {rule: places for rule, places in found.items() if rule not in ADVISORY} == required
     assert found.keys() & ADVISORY == advisory
-
-
-def test_a_planted_departure_is_found(tmp_path: Path) -> None:
-    require("cppcheck", "cppcheck")
-    found = findings("2000", copied(tmp_path, "high_word(d) == 0U", "high_word(d) == 0"))["10.4"]
-    assert len(found - record()[0]["10.4"]) == 1

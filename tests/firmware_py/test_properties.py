@@ -41,7 +41,7 @@ pytestmark = pytest.mark.random
 Message = tuple[int, int, int]
 """Sender, x_hat and alpha, raw."""
 
-thorough = settings(derandomize=True, deadline=None, max_examples=draws(150))
+thorough = settings(derandomize=True, deadline=None, max_examples=draws(400))
 
 ALPHA_ENDS = (
     *(0, 0x1F, ALPHA_LEAST, 0x1E0, 0x101, 0x7FFFFF00, 0x80000000),
@@ -155,14 +155,16 @@ def test_estimates_stay_within_what_was_said(
 Call = tuple[str, tuple[object, ...]]
 any_word = st.integers(0, 2**32 - 1)
 any_counter = st.integers(65500, 65535)
+tiles = st.tuples(st.sampled_from((0, 1, 1, 2)))
+neighbours = st.tuples(st.integers(0, 9), x_hats, st.sampled_from((0x4000, ALPHA_ONE, ALPHA_MOST)) | alphas)
 calls = st.lists(
     st.one_of(
-        st.tuples(st.just("observe"), st.tuples(st.integers(0, 2))),
-        st.tuples(st.just("step"), st.tuples(st.integers(0, 2))),
-        st.tuples(st.just("settle"), st.tuples()),
-        st.tuples(st.just("receive_raw"), st.tuples(st.integers(0, 130), x_hats, alphas)),
+        st.tuples(st.sampled_from(("observe", "step")), tiles),
+        st.just(("settle", ())),
+        *[st.tuples(st.just("receive_raw"), neighbours)] * 3,
         st.tuples(st.just("receive_raw"), st.tuples(st.integers(0, 255), any_word, any_word)),
     ),
+    min_size=20,
     max_size=60,
 )
 
