@@ -1,5 +1,5 @@
-/* Black box: what mcp_asdf.h promises and the independent implementation (tests/third) does not see: the size of
- * a robot, the usual configuration, and the entry of the table that decides for a number of messages. */
+/* Black box: what mcp_asdf.h promises and the independent implementation (tests/third) does not see: the size
+ * of a robot, the usual configuration, and the entry of the table that decides for a number of messages. */
 #include "check.h"
 #include "mcp_asdf.h"
 
