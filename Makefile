@@ -60,7 +60,10 @@ sbom: .venv/ready-to-test ## list what the wheel needs and ships, as CycloneDX, 
 	@PYTHONPATH=tests $(BIN)/python -m release.sbom
 
 lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml allows, in build/lowest, and run the Python tests
-	@PYTHONPATH=tests $(BIN)/python -m release.lowest
+	@uv venv --quiet --clear --python 3.11 build/lowest
+	@uv pip install --quiet --python build/lowest --resolution lowest-direct --editable '.[all]'
+	@uv pip install --quiet --python build/lowest cantools hypothesis pycparser pytest pytest-timeout pytest-xdist
+	@build/lowest/bin/pytest -m "not slow" -W default --numprocesses=auto tests/firmware_py tests/host_tools
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml

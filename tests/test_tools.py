@@ -30,7 +30,6 @@ class Room:
     Attributes:
         name: Of the room.
         files: Patterns of its files' paths.
-        not_files: Paths that these patterns match and that belong elsewhere.
         definitions: Macros that its build sets.
         gcc: Its compiler with the flags that choose a processor.
         packages: Debian's packages with the compiler and the headers.
@@ -51,12 +50,10 @@ class Room:
     can_analyse: bool = True
     not_clang_tidy: str = ""
     not_cppcheck: tuple[str, ...] = ()
-    not_files: tuple[str, ...] = ()
 
     @property
     def sources(self) -> list[Path]:
-        found = {path for pattern in self.files for path in ROOT.glob(pattern)}
-        return sorted(found - {ROOT / name for name in self.not_files})
+        return sorted(path for pattern in self.files for path in ROOT.glob(pattern))
 
     def flags(self) -> list[str]:
         """For every compiler and analyser; skips the test where the library is not installed."""
@@ -76,10 +73,7 @@ RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 ROOMS = (
     Room("core", ("c_ref/src/*.c",)),
     Room("tables", ("tables/*.c",)),
-    Room(
-        "arena and engine",
-        (f"{ARENA}/*.c", f"{ENGINE}/*.c"),
-    ),
+    Room("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
     Room("ports", ("c_ref/ports/*.c", "c_ref/ports/node/*.c"), not_clang_tidy=COUNTS_BYTES),
     Room(
         "slcan",
@@ -112,27 +106,15 @@ ROOMS = (
         can_analyse=False,
     ),
 )
-SIMULATORS = ("tests/c_ref/avr_robot.c",)
-IN_THE_NODE = ("tests/fuzz/fuzz_node.c",)
-TEST_ROOMS = (
-    Room(
-        "tests",
-        ("tests/**/*.c",),
-        ("-DREAL=double",),
-        not_files=(*SIMULATORS, *IN_THE_NODE),
-    ),
-    Room("node", IN_THE_NODE, ("-D_GNU_SOURCE",)),
-    Room(
-        "simulators",
-        SIMULATORS,
-        packages="libsimavr-dev",
-        headers="/usr/include/simavr",
-    ),
+TESTS = Room(
+    "tests",
+    ("tests/**/*.c",),
+    ("-DREAL=double", "-D_GNU_SOURCE"),
+    packages="gcc libsimavr-dev",
+    headers="/usr/include/simavr",
 )
-"""C of the tests, which compilers must not warn of; the analysers' rules are for code that is delivered."""
-
-LINUX = ROOT / "c_ref/ports/linux"
-"""``tests/targets/test_node.py`` compiles and analyses it."""
+"""C of the tests, which compilers must not warn of; the analysers' rules are for code that is delivered.
+``tests/targets/test_node.py`` compiles and analyses ``c_ref/ports/linux``."""
 
 
 def each_of(rooms: Iterable[Room]) -> pytest.MarkDecorator:
@@ -173,12 +155,9 @@ def test_c_is_formatted() -> None:
     run(require("clang-format"), "--dry-run", "-Werror", *C_FILES)
 
 
-def test_all_c_is_in_one_room() -> None:
-    rooms = [room.sources for room in (*ROOMS, *TEST_ROOMS)] + [sorted(LINUX.glob("*.c"))]
-    assert all(rooms)
-    assert sorted(path for room in rooms for path in room) == [
-        path for path in C_FILES if path.suffix == ".c"
-    ]
+def test_all_c_is_in_a_room() -> None:
+    rooms = {path for room in (*ROOMS, TESTS) for path in room.sources}
+    assert rooms | {*ROOT.glob("c_ref/ports/linux/*.c")} == {path for path in C_FILES if path.suffix == ".c"}
 
 
 @pytest.mark.parametrize(
@@ -221,19 +200,20 @@ def test_cppcheck_finds_nothing(room: Room) -> None:
     cppcheck(room)
 
 
-@each_of(ROOMS)
+@each_of((*ROOMS, TESTS))
 def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
     require(room.gcc[0], room.packages)
-    analyser = ["-fanalyzer"] if room.can_analyse else []
-    run(*room.gcc, *room.flags(), *WARNINGS, *analyser, "-O2", "-c", *room.sources, cwd=tmp_path)
+    how = (
+        ["-fsyntax-only"]
+        if room == TESTS
+        else ["-fanalyzer", "-O2", "-c"]
+        if room.can_analyse
+        else ["-O2", "-c"]
+    )
+    run(*room.gcc, *room.flags(), *WARNINGS, *how, *room.sources, cwd=tmp_path)
 
 
-@each_of(TEST_ROOMS)
-def test_gcc_warns_of_nothing_in_tests(room: Room) -> None:
-    run(require("gcc", "gcc"), *room.flags(), *WARNINGS, "-fsyntax-only", *room.sources)
-
-
-@each_of((*ROOMS, *TEST_ROOMS))
+@each_of((*ROOMS, TESTS))
 def test_clang_warns_of_nothing(room: Room) -> None:
     run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
 
