@@ -59,9 +59,10 @@ def drawn(beyond: int = 0) -> st.SearchStrategy[Any]:
     """Messages of every kind, with fields up to ``beyond`` out of range."""
     nodes, transfers, words = up_to(127, beyond), st.integers(0, 31), st.integers(0, 2**32 - 1)
     ratios, codes = up_to(2**23, beyond), st.integers(0, 255)
+    alphas = st.builds(lambda word, cut: word >> cut << 8 | word & 0xFF, words, st.integers(8, 32))
     b_hats, targets = up_to(MAX_B_HAT, beyond, MIN_B_HAT), nodes | st.just(EVERY_ROBOT)
     return st.one_of(
-        st.builds(Message, nodes, ratios, words | st.sampled_from([0xFF, 0x100, 0xFFFFFF1F]), transfers),
+        st.builds(Message, nodes, ratios, words | alphas, transfers),
         st.builds(Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), codes),
         st.builds(Telemetry, nodes, ratios, b_hats, codes, transfers),
         st.builds(Command, nodes, words, targets, st.sampled_from(Action), transfers),

@@ -56,6 +56,15 @@ def test_two_rounds_lie_on_either_side_of_the_threshold(
     assert not is_rejected(outside, situation.x_hat, k * Fraction(10001, 10000))
 
 
+def test_the_first_rounds_serve_where_the_wanted_update_is_not_to_be_had() -> None:
+    situation = Situation(500, 300, ONE // 3, generate(parse_omega("0.05"), 127))
+    for seed in range(5):
+        found = at_threshold(situation, 3, Update.HALF, random.Random(seed))
+        update = situation.update(found[1])
+        assert update is not None
+        assert at_threshold(situation, 3, update, random.Random(seed)) == found, seed
+
+
 @given(
     share=st.floats(0.55, 0.63),
     x_hat=st.integers(0, ONE).filter(lambda x: abs(x - HALF) > ONE // 8),

@@ -9,9 +9,9 @@ import random
 import shlex
 import signal
 import time
-from collections.abc import Iterable
-from itertools import cycle, repeat
+from itertools import cycle
 from pathlib import Path
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -23,7 +23,7 @@ from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, filters_for, run_node, send_all
 from node_thread import join, meanwhile
-from support import PATIENCE, interruptible
+from support import PATIENCE, ROOT, interruptible
 from wire import node, record
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -32,8 +32,11 @@ WHITE, BLACK = Observation
 
 
 def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:
+    """Their mask is the one of docs/frame.md."""
     draw = random.Random(6)
     subjects = FrameFormat(3000), COMMANDS
+    page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+    assert f"mask `{filters_for(*subjects)[0]['can_mask']:#010X}`".replace("0X", "0x") in page
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
         bus.set_filters(filters_for(*subjects))
         passed = 0
@@ -47,62 +50,49 @@ def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:
     assert passed > 1000
 
 
-class Bus(can.BusABC):
-    """A bus of which each operation has an error code, 0 for success; it returns what it sent itself."""
-
-    def __init__(self, codes: Iterable[int]) -> None:
-        super().__init__(channel="bus")
-        self._codes = iter(codes)
-        self.sent: list[can.Message] = []
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self._check()
-        self.sent.append(msg)
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        self._check()
-        return FRAME  # its own, says the driver: is_rx is false
-
-    def _check(self) -> None:
-        if code := next(self._codes):
-            raise can.CanOperationError("no luck", code)
-
-
 FRAME = encode(Message(9, 1, 0, 0), FrameFormat())
 FULL, DOWN = errno.ENOBUFS, errno.ENETDOWN
 
 
+def outcomes(*codes: int) -> list[can.CanOperationError | None]:
+    """What calls of a bus do that have these error codes, 0 for success."""
+    return [can.CanOperationError("no luck", code) if code else None for code in codes]
+
+
 def test_a_full_send_queue_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = [can.Message(arbitration_id=n) for n in range(50)]
-    with Bus(cycle([FULL, FULL, 0])) as bus:
-        send_all(bus, frames, 10)
-        assert bus.sent == frames
-    with Bus([FULL, DOWN]) as bus, pytest.raises(can.CanOperationError, match="no luck"):
+    frames, bus = [can.Message(arbitration_id=n) for n in range(50)], Mock()
+    bus.send.side_effect = cycle(outcomes(FULL, FULL, 0))
+    send_all(bus, frames, 10)
+    assert [call.args[0] for call in bus.send.call_args_list] == [each for each in frames for _ in range(3)]
+    bus.send.side_effect = outcomes(FULL, DOWN)
+    with pytest.raises(can.CanOperationError, match="no luck"):
         send_all(bus, frames, 10)
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
-    with Bus(repeat(FULL)) as bus, pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
+    bus.send.side_effect = cycle(outcomes(FULL))
+    with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
         send_all(bus, frames, 0)
 
 
 def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run() -> None:
-    log = list[can.Message]()
-    with Bus([0, 0, DOWN, DOWN, 0, DOWN, 0]) as bus:
-        link = BusLink(bus, endures=True, log=log.append)
-        assert [link.send(FRAME) for _ in range(5)] == [True, True, False, False, True]
-        assert [link.receive(0), link.receive(0)] == [None, None]
-        assert (len(log), link.failures) == (3, 3)
-        assert abs(log[0].timestamp - time.time()) < PATIENCE
-    with Bus([0, DOWN]) as bus:
-        outcome = run_node(node(5), BusLink(bus))
-        assert outcome.has_failed and not outcome.is_interrupted
-        assert outcome.ending == "the bus failed: no luck [Error Code 100]"
+    """What the driver marks as sent by itself is not heard."""
+    log, bus = list[can.Message](), Mock()
+    bus.send.side_effect, bus.recv.side_effect = outcomes(0, 0, DOWN, DOWN, 0), [*outcomes(DOWN), FRAME]
+    link = BusLink(bus, endures=True, log=log.append)
+    assert [link.send(FRAME) for _ in range(5)] == [True, True, False, False, True]
+    assert [link.receive(0), link.receive(0)] == [None, None]
+    assert (len(log), link.failures) == (3, 3)
+    assert abs(log[0].timestamp - time.time()) < PATIENCE
+    bus.send.side_effect, bus.recv.side_effect = outcomes(0), outcomes(DOWN)
+    outcome = run_node(node(5), BusLink(bus))
+    assert outcome.has_failed and not outcome.is_interrupted
+    assert outcome.ending == "the bus failed: no luck [Error Code 100]"
 
 
 # The command
 
 
 def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Also in the command that it prints, and while another node sends under its id."""
+    """Also while another node sends under its id."""
     log, twin = tmp_path / "run.log", node(5, "mirror", 0.7, comms_period=2)
 
     def drive(bus: can.BusABC) -> None:
@@ -112,16 +102,12 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
             z = (WHITE, BLACK, None)[tick * tick % 3]
             lockstep.observe({5: z})
             twin.observe(z)
-            if tick % 2:
-                said = lockstep.estimates({5})[5]
-                assert (said.x_hat, said.alpha) == (twin.robot.x_hat_raw, twin.robot.alpha_raw)  # type: ignore[attr-defined]
             if tick in (7, 8, 9):
                 stranger = encode(Message(5, tick, 0, tick), FrameFormat())
                 bus.send(stranger, timeout=1)
                 twin.hear(stranger)
-            answer = lockstep.settle({5})[5]
+            lockstep.settle({5})
             twin.settle()
-            assert answer.x == twin.robot.x_raw  # type: ignore[attr-defined]
 
     robot = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40"
     with join() as bus, meanwhile(lambda: drive(bus)):
