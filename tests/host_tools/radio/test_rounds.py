@@ -56,6 +56,15 @@ def test_two_rounds_lie_on_either_side_of_the_threshold(
     assert not is_rejected(outside, situation.x_hat, k * Fraction(10001, 10000))
 
 
+def test_a_round_that_the_test_does_not_reject_changes_nothing() -> None:
+    table, alpha = generate(parse_omega("0.05"), 127), 0x8000_0001
+    own = ONE // 4
+    for tested, expected in ((table, None), (None, Update.BELOW)):
+        situation = Situation(100, 60, own, tested)
+        assert situation.update([(own + 1, alpha), (own - 1, alpha), (own + 1, alpha)]) is expected
+        assert situation.update([(own + 1, alpha)]) is expected
+
+
 def test_the_first_rounds_serve_where_the_wanted_update_is_not_to_be_had() -> None:
     situation = Situation(500, 300, ONE // 3, generate(parse_omega("0.05"), 127))
     for seed in range(5):
