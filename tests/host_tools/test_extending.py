@@ -13,7 +13,6 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -76,13 +75,6 @@ def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
         for each in found[3]["experiments"]
     }
     assert len(chosen) == len({each["H"]["median"] for each in found[3]["experiments"]}) == 8
-
-
-def test_without_the_package_the_names_are_refused() -> None:
-    for name, value in (("firmware", "beta"), ("topology", "geometric"), ("sensor", "dazzled")):
-        given: dict[str, Any] = {name: value}
-        with pytest.raises(UsageError, match=f"{name} is '{value}'; choose"):
-            Experiment(**given)
 
 
 @pytest.mark.usefixtures("installed")

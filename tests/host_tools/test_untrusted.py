@@ -5,12 +5,12 @@ from __future__ import annotations
 import gzip
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import can
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -44,15 +44,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptio
 """Readers of python-can that refuse a file leave closing it to the garbage collector."""
 
 
-@dataclass(frozen=True)
-class Parser:
-    """One way in for what others have written.
-
-    Attributes:
-        suffix: Of its files.
-        read: All of it; raises UsageError.
-        sound: Contents that it takes.
-    """
+class Parser(NamedTuple):
+    """One way in for what others have written: a reader of files with a suffix, and what it takes."""
 
     suffix: str
     read: Callable[[Path], object]

@@ -67,28 +67,22 @@ def test_exact_values_at_the_edges() -> None:
     assert exact_b_hat(0, 7, Fraction(1)) == 1 - exact_b_hat(7, 7, Fraction(1)) == Fraction(1, 2**20)
 
 
-@pytest.mark.random
-@draw
-@given(counts, b_hats)
-def test_limits_are_those_that_the_design_states(count: tuple[int, int], b: Fraction) -> None:
-    """docs/design.md, section 11; what it rounds up is at least three quarters of it."""
-    (n, t), r = count, 1 / abs(2 * b - 1)
-    below, above = alpha_error(n, t, b)
-    x_hat, alpha = exact_estimate(n, t, b)
-    (least, most), unit = x_hat_limits(n, t, b), Fraction(1, 2**23)
-    if x_hat in (0, 1):
-        assert (below, above) == (Fraction(1, 2**22) + Fraction(1, 2**27), Fraction(1, 2**30))
-        assert least == most == x_hat
-    else:
-        assert 3 <= below * 2**28 <= 4
-        assert 3 <= above * 2**31 / (r + 1) <= 4
-        near, end = min(x_hat, 1 - x_hat), int(x_hat > HALF)
-        first, last = sorted((abs(least - end), abs(most - end)))
-        assert first == near // unit * unit
-        assert last == (near + (1 - 2 * near) * r / 2**31) // unit * unit
-    smallest, largest = alpha_limits(n, t, b)
-    assert largest == alpha * (1 + above)
-    assert smallest == alpha * (1 - below) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+@pytest.mark.parametrize(
+    ("n", "b", "alpha", "x_hat"),
+    [
+        (0, Fraction(19, 20), (66, 2), (0, 0)),
+        (300_000, Fraction(19, 20), (3.125, 6.444), (2330168, 2330168)),
+        (500_100, Fraction(1025, 2048), (3.125, 4098.002), (5053297, 5053298)),
+        (499_900, Fraction(1025, 2048), (3.125, 4098.002), (3335310, 3335311)),
+    ],
+)
+def test_limits_of_estimates(n: int, b: Fraction, alpha: tuple[float, float], x_hat: tuple[int, int]) -> None:
+    """docs/design.md, section 11; in units of 2**-28 below, 2**-31 above, and 2**-23."""
+    (below, above), (_, exact) = alpha_error(n, 10**6, b), exact_estimate(n, 10**6, b)
+    assert (below * 2**28, above * 2**31) == pytest.approx(alpha, abs=1e-3)
+    assert tuple(limit * 2**23 for limit in x_hat_limits(n, 10**6, b)) == x_hat
+    least = exact * (1 - below) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+    assert alpha_limits(n, 10**6, b) == (least, exact * (1 + above))
 
 
 @pytest.mark.parametrize(

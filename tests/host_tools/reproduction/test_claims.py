@@ -119,6 +119,8 @@ def test_cells_are_all_combinations_that_are_flawed() -> None:
         for b_hat in (0.75, 0.95)
         for percent in (10, 30)
     ]
+    (loss,) = asked(percents=30, b_hats=0.75, than={"percent": 50}, loss_from=10)
+    assert loss.place.column.startswith("loss of H from P 10 %")
     assert questions[0].place.row == "f 0.95, b 0.55, b_hat 0.75"
     assert questions[0].place.column == "H, P 10 %, ASDF+, tau 1000 less no filter"
 

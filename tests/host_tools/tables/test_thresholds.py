@@ -122,12 +122,3 @@ def test_the_rejections_on_the_page() -> None:
             away = float(Fraction(title.removesuffix(" sigma"))) * math.sqrt(m)
             share = sum(scipy.stats.nct.sf(limit, m - 1, each) for each in (away, -away))
             assert cell == f"{share:.1%}", (m, omega, title)
-
-
-def test_the_costs_on_the_page() -> None:
-    for row in page_rows("Choosing q"):
-        q = int(row.pop("q"))
-        assert row.pop("bytes") == str(4 * len(generate(Decimal("0.05"), q).words()))
-        for title, cell in row.items():
-            omega = Decimal(title.removeprefix("omega "))
-            assert cell == f"{worst_threshold_error(omega, generate(omega, q)).beyond_q:.2%}"

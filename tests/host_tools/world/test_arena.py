@@ -21,7 +21,7 @@ from mcp_asdf_tools.world.arena import Arena, Motion
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
 
-RADIUS, REACH, WHEELS_APART, TICK = 0.0704, 0.12, 0.1054, 0.1
+RADIUS, WHEELS_APART, TICK = 0.0704, 0.1054, 0.1
 DATA = Path(__file__).parents[2] / "data/motion_statistics.json"
 REFERENCE = json.loads(DATA.read_text(encoding="utf-8"))["statistics"]
 
@@ -128,48 +128,7 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
     assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
 
 
-# ---------------------------------------------------------------- proximity and wheels
-
-
-def reading_by_definition(distance: float) -> float:
-    if distance < 0.04:
-        return 1.0
-    return 0.0 if distance > REACH else min(max(4.14 * math.exp(-33 * distance) - 0.085, 0.0), 1.0)
-
-
-def obstacle_by_marching(arena: Arena, robot: int) -> complex:
-    """Walk along each ray in small strides until inside a body or a wall."""
-    half = np.array(arena.settings.sides) / 2
-    centre, others = arena.positions[robot], np.delete(arena.positions, robot, axis=0)
-    others = others[np.linalg.norm(others - centre, axis=1) < 2 * RADIUS + REACH + 0.01]
-    heading = complex(arena._arena.cx[robot], arena._arena.cy[robot])
-    strides = np.linspace(0, REACH, 1201)
-    total = 0j
-    for k in range(8):
-        own = complex(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4))
-        ray = heading * own
-        points = centre + (RADIUS + strides)[:, None] * np.array([ray.real, ray.imag])
-        hit = np.any(np.abs(points) > half, axis=1)
-        hit |= np.any(np.linalg.norm(points[:, None] - others, axis=2) < RADIUS, axis=1)
-        if hit.any():
-            total += reading_by_definition(strides[hit.argmax()]) * own
-    return total
-
-
-@pytest.mark.parametrize("settings", [CROWD, world(2, 0.5, 0.5), world(3, 0.3, 2.0)])
-def test_obstacle_vectors_agree_with_marching_along_the_rays(settings: WorldSettings) -> None:
-    arena = Arena(settings, 5)
-    ahead, left = _arena.ffi.new("double *"), _arena.ffi.new("double *")
-    strong = 0
-    for _ in range(60):
-        arena.step(5)
-        for robot in range(min(settings.robots, 3)):
-            _arena.lib.mcp_asdf_arena_obstacle(arena._arena, robot, ahead, left)
-            assert abs(complex(ahead[0], left[0]) - obstacle_by_marching(arena, robot)) < 0.03, (
-                f"seed 5, robot {robot}"
-            )
-            strong += abs(complex(ahead[0], left[0])) > 0.1
-    assert strong > 10
+# ---------------------------------------------------------------- wheels
 
 
 class Wheels:

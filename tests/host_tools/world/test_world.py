@@ -6,7 +6,6 @@ import hashlib
 import math
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -116,14 +115,6 @@ def test_trials_seeds_and_robots_differ_and_a_swarm_s_size_does_not_matter() -> 
     assert len({column.tobytes() for column in columns}) == 12
     large = make(robots=30).advance(200).black
     assert np.array_equal(columns[:4].T, large[:, :4])
-
-
-def test_who_hears_whom_in_a_graph(tmp_path: Path) -> None:
-    (tmp_path / "g").write_text("# edges\n0 1\n3 > 2\n")
-    world = make(topology="graph", graph=tmp_path / "g")
-    world.step()
-    assert [list(world.neighbours(robot)) for robot in range(4)] == [[1], [0], [3], []]
-    assert make(topology="graph", graph=str(world.settings.graph)).settings == world.settings
 
 
 STILL: dict[str, Any] = {"robots": 4}
