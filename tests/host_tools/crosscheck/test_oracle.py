@@ -80,7 +80,7 @@ def test_limits_of_estimates(n: int, b: Fraction, alpha: tuple[float, float], x_
     """docs/design.md, section 11; in units of 2**-28 below, 2**-31 above, and 2**-23."""
     (below, above), (_, exact) = alpha_error(n, 10**6, b), exact_estimate(n, 10**6, b)
     assert (below * 2**28, above * 2**31) == pytest.approx(alpha, abs=1e-3)
-    assert tuple(limit * 2**23 for limit in x_hat_limits(n, 10**6, b)) == x_hat
+    assert x_hat_limits(n, 10**6, b) == tuple(Fraction(each, 2**23) for each in x_hat)
     least = exact * (1 - below) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
     assert alpha_limits(n, 10**6, b) == (least, exact * (1 + above))
 
