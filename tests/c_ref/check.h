@@ -50,21 +50,14 @@ static inline void check_equal(uint64_t actual, uint64_t expected, const char *w
     }
 }
 
-/* A fixed sequence of 64-bit numbers (xorshift). */
-static inline uint64_t check_random(void)
+/* A number of a fixed sequence (xorshift), with a random number of bits, so that small ones come up, too. */
+static inline uint32_t check_random_word(void)
 {
     static uint64_t state = UINT64_C(0x9E3779B97F4A7C15);
     state ^= state << 13;
     state ^= state >> 7;
     state ^= state << 17;
-    return state;
-}
-
-/* A random number with a random number of bits, so that small ones come up, too. */
-static inline uint32_t check_random_word(void)
-{
-    const uint64_t bits = check_random();
-    return (uint32_t)(bits >> 32) >> (bits & 31);
+    return (uint32_t)(state >> 32) >> (state & 31);
 }
 
 static inline int check_report(void)
