@@ -147,7 +147,9 @@ def of_x_hat() -> Iterator[Claim]:
     n, d, e, of_t, g = z3.Reals("N D e T g")
     possible = [n >= 0, 2 * n <= d, d > 0, e >= 0, e < 1, d == g * of_t, of_t >= 2**31, g > 0]
     yield "x is not too near to the end", n * (d + 2 * e) <= d * (n + e), possible
-    yield "and D not too small", (n + e) * d * d <= (n * d + d - 2 * n) * (d + 2 * e), possible
+    difference = (n * d + d - 2 * n) * (d + 2 * e) - (n + e) * d * d
+    yield "and D not too small:", difference == (d - 2 * n) * ((1 - e) * d + 2 * e), []
+    yield "a product of two that are not negative", z3.And(d - 2 * n >= 0, (1 - e) * d + 2 * e >= 0), possible
     yield "1 / D is at most r 2^-31", 2**31 * g <= d, possible
 
 

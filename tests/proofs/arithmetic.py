@@ -136,7 +136,7 @@ class Remainder:
         for name in ("a", "byte", "quotient"):
             place = machine.variable(name)
             machine.store(place, machine.unknown(name, machine.load(place).type))
-        self.quotient, self.product = z3.FreshInt("quotient"), z3.FreshInt("product")
+        self.quotient, self.product = z3.Ints(f"q_{self.turns} product_{self.turns}")
         self.a = machine.load(machine.variable("a")).term
         machine.facts[:] = [*self.facts, self._holds(machine)]
         if known(machine.load(machine.variable("turns")).term) == 1:

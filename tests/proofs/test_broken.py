@@ -68,7 +68,7 @@ def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str
 
 def test_nothing_is_proved_from_a_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Even if it takes factorising a prime to see it, and a list of that length was possible before."""
-    monkeypatch.setattr("proofs.prove.WITNESS_SECONDS", 1)
+    monkeypatch.setattr("proofs.prove.EFFORTS", (1,))
     p, q = z3.Ints("p q")
     sound, planted = [p > 1, q > 1, p < q], [p > 1, q > 1, p * q == 16769023]
     prove_all([("sound", p > 0, sound)])
