@@ -265,18 +265,23 @@ def normalised(value: Any) -> tuple[Any, Any]:
     return value, shift
 
 
-def _upper_bits(found: Any, a: Any, d: Any) -> Any:
-    """With both shifted until d has its highest bit set, which loses no bit of either: the upper word of the
-    dividend, and half of that of the divisor, rounded up."""
+def _no_bit_is_lost(_: Any, a: Any, d: Any) -> Any:
+    """By shifting both until d has its highest bit set."""
     divisor, shift = normalised(d)
-    kept = z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
+    return z3.And(z3.LShR(a << shift, shift) == a, z3.LShR(divisor, shift) == d)
+
+
+def _upper_bits(found: Any, a: Any, d: Any) -> Any:
+    """The upper word of the dividend so shifted, and half of that of the divisor, rounded up."""
+    divisor, shift = normalised(d)
     half = _word(31, z3.LShR(divisor, 33)) + 1
-    return z3.And(kept, found["high"] == _word(63, a << shift), found["low"] == half)
+    return z3.And(found["high"] == _word(63, a << shift), found["low"] == half)
 
 
 RATIO = Contract(
     _upper_bits,
     requires=lambda a, d: z3.And(d != 0, z3.ULE(a, d)),
+    steps=(_no_bit_is_lost,),
     uses={
         "leading_zeros": WORDS["leading_zeros"].stands_in("leading_zeros"),
         "upper": SHIFTS["upper"].stands_in("upper"),
