@@ -15,8 +15,8 @@ from proofs.numbers import Integers, Number, Words
 from proofs.source import Program
 
 EFFORTS = (1, 4, 16, 64)
-"""Millions of the solver's steps for one query, in one attempt after the other. With ten seeds none needed more
-than 5: the last attempt gives twelve times as many."""
+"""Millions of the solver's steps for one query, in one attempt after the other. With ten seeds none needed
+more than 5: the last attempt gives twelve times as many."""
 SOLVERS = (z3.SimpleSolver, z3.Solver)
 """For each attempt: whole numbers are the first one's within moments, long words the second one's."""
 Formula = Callable[..., Any]
@@ -36,8 +36,8 @@ def prove(claim: Any, *known: Any, about: str = "") -> None:
 
 
 def _answer(*formulas: Any) -> tuple[Any, Any]:
-    """Whether all of them can hold, and the solver that knows. Each attempt has a context of its own and counts
-    steps, not time, so the answer depends on the formulas' text alone: on no query before, and no load."""
+    """Whether all of them can hold, and the solver that knows. Each attempt has a context of its own and
+    counts steps, not time, so the answer depends on the formulas' text alone: on no query before, no load."""
     query = z3.Solver()
     query.add(*formulas)
     text = query.sexpr()
