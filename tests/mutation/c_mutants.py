@@ -65,14 +65,12 @@ class Mutant:
     Attributes:
         file: Name of the source.
         function: Where it is: the function, or ``define NAME``, or nothing for data.
-        line: Of the file, from 1.
         text: The line, with what is replaced and by what in brackets.
         start, end: Place in the source, of what ``new`` replaces.
     """
 
     file: str
     function: str
-    line: int
     text: str
     start: int
     end: int
@@ -123,7 +121,7 @@ def _mutant(file: str, code: str, places: list[tuple[int, int, str]], change: tu
     first, last = code.rfind("\n", 0, start) + 1, code.find("\n", end)
     text = f"{code[first:start]}[{code[start:end]} => {new}]{code[end:last]}"
     name = next((name for begin, stop, name in places if begin <= start < stop), "")
-    return Mutant(file, name, code.count("\n", 0, start) + 1, " ".join(text.split()), start, end, new)
+    return Mutant(file, name, " ".join(text.split()), start, end, new)
 
 
 def _functions(code: str) -> Iterator[tuple[int, int, str]]:
