@@ -1,27 +1,32 @@
-"""Robots run again from a log send the same bits; any other value is found, in every format."""
+"""Robots run again from a log send the same bits; any other value is found, and no malformed file is read."""
 
 from __future__ import annotations
 
 import json
 import random
 import shlex
-import shutil
 from copy import copy
+from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import can
+import numpy as np
 import pytest
 
 from input_logs import input_log_in
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode, encode, float_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
+from mcp_asdf_tools.tables.thresholds import generate
 from robots import ALPHA_ONE
 from wire import record
 
@@ -48,9 +53,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def check(frames: list[can.Message], log: Path) -> ReplayVerdict:
     with InputLogReader(input_log_path(log)) as input_log:
         return verify(frames, input_log)
-
-
-# Checking
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc"])
@@ -99,11 +101,13 @@ def test_what_faults_did_is_no_difference(options: str, tmp_path: Path) -> None:
         assert fault["injected"] > 0, fault
 
 
-def values(x_hat: int, alpha: int, transfer_id: int) -> str:
+def values(frame: can.Message) -> str:
     """Values as a difference tells them."""
+    said, alpha = decode(frame, FrameFormat()), alpha_bits(frame)
+    assert isinstance(said, Message)
     return (
-        f"x_hat {x_hat:#08x} ({x_hat / 2**23:.7f}), alpha {alpha:#010x} ({float_of(alpha):.7g}), "
-        f"transfer_id {transfer_id}"
+        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {alpha:#010x} ({float_of(alpha):.7g}), "
+        f"transfer_id {said.transfer_id}"
     )
 
 
@@ -119,28 +123,13 @@ def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
     verdict = check(frames, recorded)
     said = decode(frames[place], FrameFormat())
     if isinstance(said, Message):
+        tick = 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
+        told = f"robot {said.sender} broadcast {values(frames[place])}, but in tick {tick} it makes "
         assert verdict.difference is not None, f"replay: random.Random({seed})"
         assert verdict.difference.startswith(f"frame {place + 1} at ")
-        told = (
-            f"robot {said.sender} broadcast {values(said.x_hat, alpha_bits(frames[place]), said.transfer_id)}"
-        )
-        before = decode(right, FrameFormat())
-        assert isinstance(before, Message)
-        tick = 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
-        made = values(before.x_hat, alpha_bits(right), before.transfer_id)
-        assert verdict.difference.endswith(f"{told}, but in tick {tick} it makes {made}")
+        assert verdict.difference.endswith(told + values(right))
     else:  # no legal estimate any more: one that the log lacks
         assert (verdict.difference, verdict.not_logged) == (None, 1)
-
-
-def test_a_wrong_observation_is_found(recorded: Path, tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    lines = input_log_path(recorded).read_text().splitlines()
-    events = json.loads(lines[30])
-    assert events[1] in (0, 1)
-    events[1] = 1 - events[1]
-    input_log_path(log).write_text("\n".join([*lines[:30], json.dumps(events), *lines[31:]]))
-    assert f": robot {events[0]} broadcast " in (check(list(read_log(recorded)), log).difference or "")
 
 
 def test_every_settle_shows_its_robot(recorded: Path) -> None:
@@ -160,25 +149,104 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     for order in ([own, stranger], [stranger, own]):
         assert check(order, log) == ReplayVerdict(reproduced=1, foreign=1)
     for order, told in (
-        ([stranger, stranger, own], "frame 2 at 0.000000 s: robot 5 broadcast x_hat 0x00004d"),
+        ([stranger, stranger, own, own], "frame 2 at 0.000000 s: robot 5 broadcast x_hat 0x00004d"),
         ([own, own], ", but makes no more broadcasts"),
     ):
-        assert told in (check(order, log).difference or "")
+        verdict = check(order, log)
+        assert told in (verdict.difference or "") and verdict.not_logged == 0
     assert check([], log) == ReplayVerdict(not_logged=1)
 
 
-def test_a_input_log_that_contradicts_itself_is_named(tmp_path: Path) -> None:
-    header = InputLogHeader([record(5)], None, FrameFormat())
-    with input_log_in(tmp_path / "x.events", header) as writer:
-        writer.robots[5].settle()
-        writer.robots[5].silent()
-    with pytest.raises(UsageError, match="line 3: robot 5 has a broadcast silent before it made one"):
-        check([], tmp_path / "x")
+# The input log
+
+RECORDS = (
+    record(0, "native", 0.1 + 0.2),
+    record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+    RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
+    RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
+)
+HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+FRAMES = {
+    "186BB92A#0000603333F307E5": can.Message(
+        arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5")
+    ),
+    "042#": can.Message(arbitration_id=0x42, is_extended_id=False),
+    "00000042#R": can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3),
+    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)),
+}
+"""Frames by their text, which is candump's."""
 
 
-# The command
+def test_what_is_written_comes_back(tmp_path: Path) -> None:
+    """Frames are written as candump does."""
+    with input_log_in(tmp_path / "x", HEADER) as writer:
+        writer.robots[7].observe(Observation.BLACK)
+        writer.robots[7].receive(np.array([[3, 2**23, 2**32 - 1], [127, 0, 0]], np.uint32))
+        for frame in FRAMES.values():
+            writer.injected(frame)
+        writer.robots[127].restart()
+        writer.robots[7].settle()
+        writer.robots[7].observe(None)
+        writer.robots[7].falsified(5, 2**31)
+        writer.robots[7].silent()
+    events = (
+        (7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
+        (7, [2, [5, 2**31], "silent"]),
+        (127, ["restart"]),
+    )
+    with InputLogReader(tmp_path / "x") as reader:
+        assert (reader.header, [*reader.lines()]) == (HEADER, [*FRAMES, *events])
 
-BAD = {
+
+def test_what_cannot_be_written() -> None:
+    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
+        InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
+    own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
+    with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
+        RobotRecord(1, "mirror", 0.9, TickConfig(own)).plain()
+
+
+# Malformed files
+
+
+def spoiled(**changes: Any) -> str:
+    """A header with changes, of the first robot if they name something of robots."""
+    plain = json.loads(HEADER.line())
+    for name, value in changes.items():
+        target = plain if name in plain else plain["robots"][0]
+        target[name] = value
+    return json.dumps(plain)
+
+
+GOOD = HEADER.line()
+EVENTS = {
+    "": '1: "format": "mcp-asdf events" is missing',
+    "\n": "1: not JSON",
+    "{}": '1: "format": "mcp-asdf events" is missing',
+    "(1.0) vcan0 1#00": "1: not JSON",
+    "[" * 100_000: "1: not JSON",
+    "\xff\xfe": "1: not JSON",
+    spoiled(version=1): "1: the format is version 1, and version 2 is read here; replay",
+    spoiled(version=3): "1: the format is version 3, and version 2 is read here",
+    spoiled(robots=5): "1: ",
+    spoiled(frames={"subject": 6144, "priority": 4}): "1: subject is 6144",
+    spoiled(filter="sometimes"): "1: filter is 'sometimes'; it must be one of adaptive, always, off",
+    spoiled(comms_period="1"): "1: ",
+    spoiled(table={"omega": "x", "q": 20, "checksum": 1}): "1: ",
+    spoiled(table={"omega": "0.05", "q": 20}): "1: 'checksum' is missing",
+    f"{GOOD}[0,1": "2: not JSON",
+    f"{GOOD}\n": "2: not JSON",
+    f"{GOOD}[0,1,3]\n{{}}": "3: neither a robot with its events nor a frame",
+    f"{GOOD}[]": "2: neither a robot",
+    f"{GOOD}[5,1]": "2: robot 5 is not in the first line",
+    f'{GOOD}[0,3]\n[0,3,"silent"]': "3: robot 0 has a broadcast silent before it made one",
+    **{
+        f"{GOOD}[0,{event}]": f"2: {event.replace(',', ', ').replace(chr(34), chr(39))} is no event"
+        for event in ("4", "-1", "1.0", "[1]", "[1,2,-3]", "[1,2,4294967296]", '"lost"')
+    },
+}
+"""Input logs, and what is told of which line."""
+FILES = {
     "absent.log --events run.log.events": "cannot read the log absent.log: No such file",
     ". --events run.log.events": "cannot read the log .: Is a directory",
     "run.log --events absent": "cannot read absent: No such file",
@@ -189,28 +257,33 @@ BAD = {
     "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
 }
+"""Arguments of ``replay``, and what is told of the files."""
 
 
-@pytest.mark.parametrize("arguments", BAD)
-def test_bad_usage(
-    arguments: str,
-    recorded: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
+MALFORMED = [
+    *(("run.log --events x.events", text, f"x.events, line {told}") for text, told in EVENTS.items()),
+    *((arguments, "", told) for arguments, told in FILES.items()),
+]
+
+
+@pytest.fixture
+def place(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Be where these files are."""
     monkeypatch.chdir(tmp_path)
-    for path in (recorded, input_log_path(recorded)):
-        shutil.copy(path, tmp_path)
-    lines = Path("run.log").read_text().splitlines(keepends=True)
-    for name, text in (
-        ("lone.log", lines),
-        ("cut.log", [*lines[:3], lines[3][:20]]),
-        ("empty.log", []),
-        ("run.xyz", lines),
-        ("other.log", ["(0.0) vcan0 123#00 R\n"]),
-    ):
-        Path(name).write_text("".join(text))
+    lines = recorded.read_text().splitlines(keepends=True)
+    Path("run.log.events").write_text(input_log_path(recorded).read_text())
+    for name in ("run.log", "lone.log", "run.xyz"):
+        Path(name).write_text("".join(lines))
+    Path("cut.log").write_text("".join(lines[:4])[:-40])
+    Path("empty.log").touch()
+    Path("other.log").write_text("(0.0) vcan0 123#00 R\n")
+
+
+@pytest.mark.parametrize(("arguments", "events", "told"), MALFORMED, ids=lambda text: text[-60:])
+@pytest.mark.usefixtures("place")
+def test_a_malformed_file_is_refused(
+    arguments: str, events: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("x.events").write_text(events, "latin-1")
     assert main(["replay", *arguments.split()]) == 2
-    captured = capsys.readouterr()
-    assert BAD[arguments] in captured.err
+    assert told in capsys.readouterr().err
