@@ -1,14 +1,14 @@
-"""The command line's frame: overview, errors, exit codes, signals, and what is loaded when."""
+"""The command line's frame: overview, errors, exit codes, examples, and which libraries a command needs."""
 
 from __future__ import annotations
 
 import os
 import shlex
-import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -16,17 +16,18 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from support import ROOT, interruptible
+from support import ROOT
 
 Capture = pytest.CaptureFixture[str]
 CHECK = "table --check tables/t_table_omega05_q30.c"
 
 
-def python(*arguments: str, stdout: int = subprocess.PIPE) -> subprocess.CompletedProcess[str]:
+def python(
+    *arguments: str, stdout: int = subprocess.PIPE, cwd: Path = ROOT
+) -> subprocess.CompletedProcess[str]:
     """Run the interpreter with its output buffered, whatever the caller set."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    run = partial(subprocess.run, cwd=ROOT, env=environment, check=False, text=True)
+    run = partial(subprocess.run, cwd=cwd, env=environment, check=False, text=True)
     return run([sys.executable, *arguments], stdout=stdout, stderr=subprocess.PIPE)
 
 
@@ -98,84 +99,6 @@ def test_other_errors_are_not_hidden(error: Exception, monkeypatch: pytest.Monke
         cli.main(["table"])
 
 
-ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
-
-
-@pytest.mark.parametrize("number", ENDINGS)
-@interruptible()
-def test_every_signal_that_asks_to_end_acts_as_ctrl_c(
-    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    saved = []
-
-    def work() -> int:
-        try:
-            os.kill(os.getpid(), number)
-            signal.pause()
-        finally:
-            for second in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
-                os.kill(os.getpid(), second)
-            saved.append("all")
-        return 0
-
-    handlers = [signal.getsignal(each) for each in ENDINGS]
-    fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == ENDINGS[number]
-    assert saved == ["all"]
-    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
-    assert [signal.getsignal(each) for each in ENDINGS] == handlers
-
-
-@interruptible()
-def test_commands_that_end_by_themselves_tell_the_signal_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second signal changes nothing, but Ctrl-C acts at once."""
-
-    def work() -> int:
-        with stopping() as is_asked:
-            assert not is_asked()
-            for _ in range(2):
-                os.kill(os.getpid(), signal.SIGTERM)
-            assert is_asked()
-            with pytest.raises(KeyboardInterrupt):
-                os.kill(os.getpid(), signal.SIGINT)
-        return INTERRUPTED
-
-    fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == 143
-
-
-def test_what_the_program_was_started_to_ignore_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    def work() -> int:
-        os.kill(os.getpid(), signal.SIGHUP)
-        with stopping() as is_asked:
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert not is_asked()
-        return 0
-
-    fake_command(monkeypatch, work)
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
-    try:
-        assert cli.main(["table"]) == 0
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-@interruptible()
-def test_ctrl_c_within_an_import_waits_for_its_end(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    done = []
-
-    def importing(name: str) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        done.append(name)
-
-    handler = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(cli, "import_module", importing)
-    assert cli.main(["swarm"]) == 130
-    assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
-    assert done == ["mcp_asdf_tools.cli.swarm"]
-    assert signal.getsignal(signal.SIGINT) is handler
-
-
 def test_a_reader_that_leaves_ends_the_program_quietly() -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)
@@ -198,6 +121,60 @@ def test_output_that_cannot_be_written_is_no_failed_check(line: str, code: int, 
     result = python("-c", f"import os; os.execl('/bin/sh', 'sh', '-c', {command!r})")
     assert (result.returncode, result.stdout, told in result.stderr) == (code, "", True)
     assert result.stderr.count("\n") == bool(told)
+
+
+HIDING = """\
+import sys
+from mcp_asdf_tools.common.extras import EXTRAS
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name.partition(".")[0] in EXTRAS:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Finder())
+from mcp_asdf_tools.cli.main import main
+"""
+
+
+def in_base(folder: Path, lines: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Run commands one after the other in a Python that has none of the extras; exit codes and errors."""
+    code = f"{HIDING}print('codes', *[main(line.split()) for line in {[*lines]}])"
+    done = python("-c", code, cwd=folder)
+    return done.stdout.splitlines()[-1].split()[1:], done.stderr.splitlines()
+
+
+def test_the_base_runs_robots_and_knows_all_options(tmp_path: Path) -> None:
+    """The options of commands, too, that need more to run."""
+    lines = [
+        "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
+        "swarm --robots 4 --steps 5 --topology dynamic --quiet",
+        "replay run.log",
+        "view run.log --export run.html",
+        "table --output tables --neighbours 4",
+        "radio --id 3 --robots 3 --steps 1 --steps-per-second 500",
+        "firmware vendor",
+        "dbc --output mcp_asdf.dbc",
+        "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
+        *(f"{name} --help" for name in cli.COMMANDS),
+    ]
+    codes, errors = in_base(tmp_path, lines)
+    assert codes == ["0"] * len(lines), errors
+
+
+def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
+    needed = {
+        "simulate --steps 1000 --trials 1": ("pyarrow", "study"),
+        "sweep physical --output physical.parquet": ("pyarrow", "study"),
+        "score x.parquet": ("pyarrow", "study"),
+        "plot x.parquet x.png": ("matplotlib", "study"),
+        "reproduce --quick": ("pyarrow", "study"),
+        "swarm --steps 3 --view": ("uvicorn", "view"),
+    }
+    codes, errors = in_base(tmp_path, needed)
+    assert codes == ["2"] * len(needed) and len(errors) == len(needed)
+    for told, (module, extra) in zip(errors, needed.values(), strict=True):
+        assert module in told and f"pip install 'mcp-asdf[{extra}]'" in told
 
 
 def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
@@ -238,3 +215,41 @@ def test_every_command_explains_itself_with_examples_that_it_accepts(name: str, 
     assert name in {words[0] for words in called}
     for command, *options in called:
         cli._parser_for(command, cli._load(command)).parsed(options)
+
+
+SHORT = "--robots 4 --steps 30 --filter-period 10"
+EXPERIMENT = "robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "settled"),
+    [
+        (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
+        (f"swarm {SHORT} --seed=7 --set true-accuracy=0.30000000000000004 --set latency=1 --compare", ""),
+        ("radio --id 3 --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3", "--seed=1"),
+        (f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5", "--seed=1"),
+        ("simulate --output results.parquet one.toml --seed 3", ""),
+        ("sweep grid.toml --output 'two words.parquet'", "--seed=1"),
+        ("table --output tables --omega 0.10 --neighbours 3", ""),
+        ("table --output tables", "--omega=0.05 --neighbours=127"),
+    ],
+)
+def test_the_line_is_the_same_run(
+    line: str,
+    settled: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It needs no more words the second time, and machines get JSON alone."""
+    monkeypatch.chdir(tmp_path)
+    Path("one.toml").write_text(EXPERIMENT)
+    Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
+    command, *options = shlex.split(line)
+    again = [command, *settled.split(), *options]
+    for words in ([command, *options], again):
+        assert cli.main(words) == 0
+        told = [each for each in capsys.readouterr().out.splitlines() if each.startswith("again: ")]
+        assert told == [f"again: mcp-asdf {shlex.join(again)}"]
+    assert cli.main([*again, "--json"]) == 0
+    assert "again: " not in capsys.readouterr().out

@@ -6,10 +6,6 @@ import json
 import os
 import resource
 import shlex
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -28,7 +24,6 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.recording import Recording
 from robots import ALPHA_ONE
-from support import PATIENCE, ROOT
 from wire import record
 
 HEADER = InputLogHeader((record(5),), None, FrameFormat())
@@ -190,9 +185,6 @@ def test_what_cannot_be_recorded_is_told_beforehand(name: str, words: str, tmp_p
     assert names(tmp_path) == ["run.LOG"]
 
 
-# The whole way
-
-
 @contextmanager
 def disk_with_room_for(size: int) -> Iterator[None]:
     """Let no file become larger, which fails like a full disk."""
@@ -233,24 +225,3 @@ def test_a_full_disk_ends_the_log_but_not_the_swarm(
         f"No such file or directory; its run was cut off, partial data is in {log}.part"
         in capsys.readouterr().err
     )
-
-
-def test_a_run_that_is_killed_is_replayed_up_to_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Killed when the first part of it is on disk."""
-    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
-    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "swarm", "--robots", "5", "--log", str(log)]
-    faults = ["--fault", "liar=0.1", "--fault", "collide=0.1,id=2,robots=1", "--fault", "crash=0.01"]
-    with subprocess.Popen([*command, *faults, "--steps", "1000000", "--quiet"], cwd=ROOT) as running:
-        deadline = time.monotonic() + PATIENCE
-        while not (part.exists() and part.stat().st_size):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        running.send_signal(signal.SIGKILL)
-    assert not log.exists()
-    assert main(["replay", str(part), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["incomplete"]
-    assert report["verdict"]["reproduced"] > 100
-    assert report["verdict"]["difference"] is None

@@ -11,6 +11,7 @@ from can.interfaces import virtual
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import FixedPointRobot
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmHook, SwarmRun, run_swarm
@@ -31,24 +32,25 @@ ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
 
 def small(*faults: str, **changes: Any) -> SwarmSettings:
     """Settings of a short run with several filter periods, in which these faults strike."""
-    plain: dict[str, Any] = {
-        "robots": 5,
-        "flawed": 0.4,
-        "steps": 60,
-        "filter_period": 20,
-        "seed": 11,
-        "faults": faults,
-    }
-    return SwarmSettings(**(plain | changes))
+    plain: dict[str, Any] = {"robots": 5, "flawed": 0.4, "steps": 60, "filter_period": 20, "seed": 11}
+    return SwarmSettings(**(plain | changes), faults=faults)
 
 
 def record(
-    settings: SwarmSettings, wiring: Wiring = ON_ONE_BUS, hooks: Sequence[SwarmHook] = ()
+    settings: SwarmSettings,
+    wiring: Wiring = ON_ONE_BUS,
+    hooks: Sequence[SwarmHook] = (),
+    events: list[str] | None = None,
 ) -> tuple[SwarmRun, list[can.Message]]:
-    """A run that nothing ended early, and the frames it sent."""
+    """A run that nothing ended early, and the frames it sent; ``events`` gets the lines of its input log."""
     frames: list[can.Message] = []
-    with Swarm(settings, wiring, frames.append) as swarm:
+    header = InputLogHeader(settings.records(), settings.seed, settings.frames)
+    lines = [] if events is None else events
+    lines.append(header.line())
+    input_log = InputLogWriter(header, lines.append)
+    with Swarm(settings, wiring, frames.append, input_log) as swarm:
         run = run_swarm(swarm, hooks)
+    input_log.finish()
     assert run.failure is None
     return run, frames
 

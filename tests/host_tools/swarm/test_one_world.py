@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from host_tools.swarm.swarms import record
-from host_tools.swarm.test_swarm_faults import MIX
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -42,32 +38,3 @@ def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> Non
     assert images == images_by_message(experiment, 0)
     if native.can_run(experiment):
         assert images == native.run(experiment, 0, 1).images()
-
-
-FAULTS = " ".join(f"--fault {fault}" for fault in MIX)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        "",
-        "--topology dynamic",
-        f"--set latency=1 {FAULTS}",
-        f"--set comms-period=3 {FAULTS}",
-        f"--topology dynamic --firmware mirror {FAULTS}",
-    ],
-)
-def test_a_run_without_a_bus_has_the_files_of_a_run_over_one(options: str, tmp_path: Path) -> None:
-    """Time stamps that the user asks for make the tool use python-can's virtual bus."""
-    common = (
-        f"swarm --robots 6 --steps 120 --filter-period 21 --set telemetry-period=7 --quiet {options}".split()
-    )
-    over_a_bus = ["--bus-kwargs", "preserve_timestamps=True"]
-    for name, more in (("without", []), ("with", over_a_bus)):
-        assert main([*common, *more, "--log", str(tmp_path / f"{name}.log")]) == 0
-    for suffix in (".log", ".log.events"):
-        without, over = (tmp_path / f"{name}{suffix}" for name in ("without", "with"))
-        assert without.read_bytes() == over.read_bytes()
-    results = [json.loads((tmp_path / f"{name}.log.json").read_text()) for name in ("without", "with")]
-    assert results[0] == results[1]
-    assert main(["replay", str(tmp_path / "without.log")]) == 0

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import count, islice
-from typing import cast
+from typing import Any
+from unittest.mock import Mock
 
 import can
 import numpy as np
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import Track, content, record, small
+from host_tools.swarm.swarms import Track, content, one_bus, record, small
 from mcp_asdf.fixed_point import alpha_units, word_to_alpha
-from mcp_asdf.robot import FixedPointRobot, Robot, Status
+from mcp_asdf.robot import FixedPointRobot, Status
 from mcp_asdf_tools.bus.frames import (
     ONE,
     FrameFormat,
@@ -32,6 +33,7 @@ from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import Connection, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import SentFrame
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -93,25 +95,15 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
         assert found == {sum(products) // sum(weights) if sum(weights) else ONE // 2}
 
 
-class Confidant:
-    """A robot's outside that notes its calls."""
-
-    x_hat, alpha = 0.3, 2.0 / 3
-
-    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        self.told = (sender, x_hat, alpha)
-        return Status.OK
-
-
 def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
-    robot = Confidant()
-    port = RoundingPort(cast(Robot, robot))
+    robot = Mock(x_hat=0.3, alpha=2 / 3, receive=Mock(return_value=Status.OK))
+    port = RoundingPort(robot)
     assert abs(Fraction(port.x_hat_raw, ONE) - Fraction(robot.x_hat)) <= Fraction(1, 2 * ONE)
     assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
     robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
     assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
     assert port.receive_all(np.array([(3, ONE // 4, 0xA0000002)], np.uint32)) == 1
-    assert robot.told == (3, 0.25, 2.5)
+    robot.receive.assert_called_once_with(3, 0.25, 2.5)
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
@@ -143,18 +135,20 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
     assert figures["rejected"] == {}
 
 
-def test_settings_that_cannot_be() -> None:
-    with pytest.raises(UsageError, match="subject 3001 is that of telemetry"):
-        small(frames=FrameFormat(3001), telemetry_period=1)
-    small(frames=FrameFormat(3001))
-    with pytest.raises(UsageError, match="clock is 'none'; choose lockstep or real-time"):
-        small(clock="none")
-    with pytest.raises(UsageError, match="faults is 'loss'; give several in a list"):
-        small(faults="loss")
-    small("loss,robots=4,receivers=4")
-    for text in ("loss,robots=5", "loss,receivers=5"):
-        with pytest.raises(UsageError, match="names robot 5, but the ids of 5 robots are 0 to 4"):
-            small(text)
+@pytest.mark.parametrize(
+    ("faults", "settings", "reason"),
+    [
+        ((), {"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
+        ((), {"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
+        ("loss", {}, "faults is .*; give several in a list"),
+        (("loss,robots=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
+        (("loss,receivers=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
+    ],
+)
+def test_settings_that_cannot_be(faults: Any, settings: dict[str, Any], reason: str) -> None:
+    small("loss,robots=4,receivers=4", frames=FrameFormat(3001))
+    with pytest.raises(UsageError, match=reason):
+        SwarmSettings(robots=5, faults=faults, **settings)
 
 
 def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,19 +215,14 @@ def test_what_comes_late_is_had_with_the_next() -> None:
     assert strangers == []
 
 
-class Local(virtual.VirtualBus):
-    """Marks frames as SocketCAN marks those of this computer: as sent."""
+@pytest.mark.parametrize("is_local", [False, True])
+def test_foreign_traffic_is_counted_and_changes_nothing(
+    is_local: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Garbage, and legal messages from outside the swarm or of another round.
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame, is_filtered = super()._recv_internal(timeout)
-        if frame is not None:
-            frame.is_rx = False
-        return frame, is_filtered
-
-
-@pytest.mark.parametrize("kind", [virtual.VirtualBus, Local])
-def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.VirtualBus]) -> None:
-    """Garbage, and legal messages from outside the swarm or of another round."""
+    SocketCAN marks frames of this computer as sent.
+    """
     undisturbed, told = Track(small()), Track(small())
     _, clean = record(small(), hooks=[undisturbed])
     junk = [
@@ -247,12 +236,20 @@ def test_foreign_traffic_is_counted_and_changes_nothing(kind: type[virtual.Virtu
 
     def disturb(swarm: Swarm) -> None:
         if swarm.ticks == 5:
-            with kind("foreign") as other:
+            with one_bus() as other:
                 for frame in junk:
                     other.send(frame, timeout=1)
 
-    wiring = Wiring(lambda robot: kind("foreign", preserve_timestamps=True))
-    disturbed, frames = record(small(), wiring, [disturb, told])
+    usual = virtual.VirtualBus.recv
+
+    def recv(bus: virtual.VirtualBus, timeout: float) -> can.Message | None:
+        frame = usual(bus, timeout)
+        if frame is not None:
+            frame.is_rx = not is_local
+        return frame
+
+    monkeypatch.setattr(virtual.VirtualBus, "recv", recv)
+    disturbed, frames = record(small(), hooks=[disturb, told])
     foreign = content(junk)
     assert [each for each in content(frames) if each in foreign] == foreign
     assert [each for each in content(frames) if each not in foreign] == content(clean)

@@ -17,16 +17,15 @@ from hypothesis import strategies as st
 
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, Track, content, own_bus, record, small, states
 from host_tools.swarm.test_faults import any_fault
-from input_logs import input_log_in
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
+from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.summary import load_warning, summary
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun
 from multicast import multicast
 from support import slow
 
@@ -67,16 +66,23 @@ def injected(run: SwarmRun) -> list[int]:
 @pytest.mark.parametrize("medium", list(MEDIA)[1:])
 @pytest.mark.parametrize(
     ("faults", "world"),
-    [((), {}), (MIX, {}), (MIX, {"topology": "dynamic", "density": 2.0, "latency": 1})],
+    [
+        ((), {}),
+        (MIX, {"telemetry_period": 7, "comms_period": 4}),
+        (MIX, {"topology": "dynamic", "density": 2.0, "latency": 1, "firmware": "mirror"}),
+    ],
     ids=["lossless", "mix", "moving"],
 )
 def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...], world: dict[str, Any]) -> None:
-    settings = small(*faults, **world)
-    reference, sent = record(settings)
-    run, frames = record(settings, MEDIA[medium])
+    """Frames, what robots make of them, results and the input log; time stamps where a medium keeps them."""
+    settings, logs = small(*faults, **world), (list[str](), list[str]())
+    reference, sent = record(settings, events=logs[0])
+    run, frames = record(settings, MEDIA[medium], events=logs[1])
     assert content(frames) == content(sent)
     assert states(run) == states(reference)
     assert run.results == reference.results
+    assert logs[0] == logs[1]
+    assert "group" in medium or [f.timestamp for f in frames] == [f.timestamp for f in sent]
     assert all(injected(run))
 
 
@@ -125,13 +131,9 @@ def test_what_a_fault_does(
     fault: str, injected_in_all: int, expected: dict[str, Any], replayed: tuple[int, ...], tmp_path: Path
 ) -> None:
     """To the swarm, and to a replay: broadcasts reproduced, falsified and foreign, and frames of no robot."""
-    settings, path, frames = small(fault), tmp_path / "run.events", list[can.Message]()
-    header = InputLogHeader(settings.records(), settings.seed, settings.frames)
-    with (
-        input_log_in(path, header) as input_log,
-        Swarm(settings, ON_ONE_BUS, frames.append, input_log) as swarm,
-    ):
-        run = run_swarm(swarm)
+    path, events = tmp_path / "run.events", list[str]()
+    run, frames = record(small(fault), events=events)
+    path.write_text("".join(events))
     assert injected(run) == [injected_in_all]
     assert {name: figures(run)[name] for name in expected} == expected
     assert figures(run)["on_the_bus"] == len(frames)

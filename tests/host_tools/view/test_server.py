@@ -93,7 +93,11 @@ def test_no_text_of_a_film_ends_its_script() -> None:
     assert "Permission is hereby granted" in text
 
 
-def test_a_port_that_is_taken_is_named() -> None:
+def test_a_port_is_free_again_at_once_and_one_that_is_taken_is_named() -> None:
+    with serving(OVER) as url:
+        answer(url, Connection="close")
+    with serving(OVER, urlsplit(url).port or 0) as again:
+        assert again == url
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageError, match=rf"127.0.0.1:{port}: Address already in use; choose another"):
