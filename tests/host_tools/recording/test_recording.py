@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import shlex
+import subprocess
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,6 +28,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.recording import Recording
 from robots import ALPHA_ONE
+from support import ROOT, require
 from wire import record
 
 HEADER = InputLogHeader((record(5),), None, FrameFormat())
@@ -129,11 +134,16 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
         write(frame(1))
         (tmp_path / "lost.log").mkdir()  # so that the part cannot take its name
     assert "cannot write" in said[1] and "lost.log: it is not a regular file" in said[1]
-    with pytest.raises(ZeroDivisionError), recorded(tmp_path / "other.log"):
+    with pytest.raises(ZeroDivisionError), recorded(tmp_path / "empty.log"):
         raise ZeroDivisionError
-    assert names(tmp_path) == [
-        *("lost.log", "lost.log.part", "run.log", "run.log.events.part", "saved.log.part")
-    ]
+    full = Recording(tmp_path / "full.log", None, said.append)
+    with disk_with_room_for(0), pytest.raises(ZeroDivisionError), full as (write, _):
+        assert write is not None
+        write(frame(1))
+        raise ZeroDivisionError
+    assert len(said) == 3 and "full.log is not complete: File too large; partial data" in said[2]
+    left = ("full.log.part", "lost.log", "lost.log.part", "run.log", "run.log.events.part", "saved.log.part")
+    assert names(tmp_path) == [*left]
 
 
 @pytest.mark.parametrize("calls", range(5))
@@ -169,11 +179,7 @@ def test_a_kill_between_the_renames_splits_nothing(
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [
-        ("run.blf", "choose .log, candump's"),
-        ("run.log.gz", "choose .log"),
-        ("no/run.log", "make it"),
-    ],
+    [("run.blf", "choose .log, candump's"), ("run.log.gz", "choose .log"), ("no/run.log", "make it")],
 )
 def test_what_cannot_be_recorded_is_told_beforehand(name: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=words):
@@ -196,16 +202,6 @@ def disk_with_room_for(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_what_goes_wrong_is_told_once(tmp_path: Path) -> None:
-    log, said = tmp_path / "run.log", list[str]()
-    recording = Recording(log, None, said.append)
-    with disk_with_room_for(0), pytest.raises(ZeroDivisionError), recording as (write, _):
-        assert write is not None
-        write(frame(1))
-        raise ZeroDivisionError
-    assert said == [f"the log {log} is not complete: File too large; partial data is in {log}.part"]
-
-
 def test_a_full_disk_ends_the_log_but_not_the_swarm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -225,3 +221,18 @@ def test_a_full_disk_ends_the_log_but_not_the_swarm(
         f"No such file or directory; its run was cut off, partial data is in {log}.part"
         in capsys.readouterr().err
     )
+
+
+def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's commands: one writes a log, one converts it, one reads it."""
+    tshark, page = require("tshark", "tshark"), (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    found = re.search(r"```text\nmcp-asdf (swarm .*)\ncan_logconvert (.*)\ntshark (.*)\n```", page)
+    assert found is not None
+    swarm, converting, reading = map(shlex.split, found.groups())
+    assert main(swarm) == 0
+    subprocess.run([sys.executable, "-m", "can.logconvert", *converting], check=True)
+    done = subprocess.run([tshark, *reading], capture_output=True, text=True, check=True)
+    kinds = Counter(re.findall(r"Message: (\d+)", done.stdout))
+    assert kinds == {"3000": 3 * 50, "7509": 3 * 5}
+    assert "Heartbeat.1.0" in done.stdout

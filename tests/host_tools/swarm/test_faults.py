@@ -8,6 +8,7 @@ import re
 import struct
 from collections import Counter
 from fractions import Fraction
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -41,20 +42,10 @@ ROBOTS, TICKS = 4, 12
 # Texts
 
 
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("loss", Fault(FaultKind.LOSS)),
-        (
-            "delay=0.5, from=100,to=500, ticks=3,robots=0+7-8,receivers=1",
-            Fault(FaultKind.DELAY, 0.5, 100, 500, frozenset({0, 7, 8}), frozenset({1}), ticks=3),
-        ),
-        ("crash=1e-3,ticks=50,rejoin=restored", Fault(FaultKind.CRASH, 0.001, ticks=50, rejoin="restored")),
-        ("liar,x=0.25,alpha=1e9", Fault(FaultKind.LIAR, x=0.25, alpha=1e9)),
-    ],
-)
-def test_texts(text: str, fault: Fault) -> None:
-    assert parse_fault(text) == fault
+def test_a_text_may_have_spaces_and_lists_of_ids() -> None:
+    fault = Fault(FaultKind.DELAY, 0.5, 100, 500, frozenset({0, 7, 8}), frozenset({1}), ticks=3)
+    assert parse_fault("delay=0.5, from=100,to=500, ticks=3,robots=0+7-8,receivers=1") == fault
+    assert parse_fault("loss") == Fault(FaultKind.LOSS, 1.0)
 
 
 BAD = {
@@ -258,12 +249,6 @@ EVERY_KIND = (
 )
 
 
-class World:
-    """Robots of which some hear each other, others in every tick."""
-
-    hears = np.zeros((ROBOTS, ROBOTS), np.bool_)
-
-
 @settings(max_examples=draws(400), derandomize=True, database=None, deadline=None)
 @given(st.lists(any_fault(ROBOTS - 1, TICKS), max_size=6), st.integers(0, 2**128 - 1), st.booleans())
 @example([parse_fault(text) for text in EVERY_KIND], 7, False)
@@ -273,7 +258,8 @@ def test_every_frame_meets_the_fate_that_the_reference_says(
     """All that is sent, all that each robot hears in each tick, in order, and all counts."""
     replay = f"{[str(fault) for fault in kinds]}, seed {seed}, late {is_late}"
     chance = np.random.default_rng(seed % 2**32)
-    faults, reference, world = Faults(kinds, seed, FORMAT), Reference(kinds, seed), World()
+    faults, reference = Faults(kinds, seed, FORMAT), Reference(kinds, seed)
+    world: Any = SimpleNamespace()
     delivery = Delivery(world, faults, int(is_late))
     under_way: list[tuple[int, int, tuple[int, ...], int, int, Frame]] = []
     last: list[tuple[SentFrame, Frame]] = []

@@ -1,4 +1,4 @@
-"""The swarm on a bus: exactness, what is on the bus and in the results, and trouble with the bus."""
+"""The swarm on a bus is trial 0 of the experiment; what is on the bus, in the results, and trouble."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ from mcp_asdf_tools.bus.frames import (
     encode,
 )
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots.bus_robot import RoundingPort
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
@@ -35,26 +37,37 @@ from mcp_asdf_tools.swarm.carrier import Connection, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import SentFrame
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from trials import images_by_message
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 
-@pytest.mark.parametrize(
-    ("firmware", "robots"), [("native", 5), ("mirror", 2), ("reference", 5), ("native", 1)]
-)
-def test_every_message_reaches_every_neighbour_once(firmware: str, robots: int) -> None:
-    outcome, frames = record(small(firmware=firmware, robots=robots))
-    figures = outcome.results["frames"]
-    assert figures["sent"] == 60 * robots
-    assert figures["delivered"] == 60 * robots * (robots - 1)
-    assert figures["heartbeats_sent"] == 6 * robots
-    assert figures["heartbeats_heard"] == 6 * robots * (robots - 1)
-    assert (figures["refused"], figures["strays"], figures["rejected"]) == (0, 0, {})
-    assert figures["id_conflicts"] == {}
-    assert len(frames) == figures["on_the_bus"] == 66 * robots
-    for node in outcome.nodes:
-        assert node.robot.counters.accepted == 60 * (robots - 1)
-        assert node.robot.t == 60
+COMMON: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_period": 20, "seed": 7}
+CASES: dict[str, dict[str, Any]] = {
+    "fully connected": {},
+    "no filter": {"filter": "none"},
+    "always, drifting": {"activation": "always", "drift": "wiener", "drift_diffusion": 1e-3},
+    "dynamic": {"topology": "dynamic"},
+    "dynamic, late, rare broadcasts": {"topology": "dynamic", "latency": 1, "comms_period": 5},
+    "dynamic, rare observations": {"topology": "dynamic", "observation_period": 3, "memory": 64},
+    "two sensors' accuracies": {"topology": "dynamic", "white_offset": -0.1, "filter": "asdf-minus"},
+    "graph": {"topology": "graph", "graph": "0 1; 1 2; 2 > 3; 4 > 0"},
+    "late": {"latency": 1},
+    "alone": {"robots": 1, "flawed": 0},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("firmware", ["native", "mirror"])
+def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> None:
+    """Through frames on a bus, by the engine in C where it can, and message by message in Python."""
+    parameters = COMMON | CASES[case] | {"firmware": firmware}
+    experiment = Experiment(**parameters, trials=1)
+    run, _ = record(SwarmSettings(**parameters))
+    images = [node.robot.save() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
+    assert images == images_by_message(experiment, 0)
+    if native.can_run(experiment):
+        assert images == native.run(experiment, 0, 1).images()
 
 
 @pytest.mark.parametrize("comms_period", [1, 4])
