@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.experiments.pictures import PLOTS
 from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -40,6 +39,7 @@ def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
     assert m.simulate(SHORT).equals(expected)
     assert m.simulate([SHORT], output, workers=2).equals(expected)
     assert m.score(m.read_table(output)).equals(expected)
+    assert isinstance(m.plot(m.read_table(output)), Figure)
     monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store, interval: iter([]))
     assert m.simulate(SHORT, str(output)).equals(expected), "nothing was left to run"
     with pytest.raises(m.UsageError, match="results of other experiments"):
@@ -63,11 +63,3 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
         assert len(images(alone)) == 4
         whole = m.emulate(SETTINGS)
         assert [each["x"] for each in whole.results["robots"]] == [node.robot.x for node in alone.nodes]
-
-
-@pytest.mark.parametrize("kind", PLOTS)
-def test_every_kind_of_picture_is_drawn(kind: str) -> None:
-    experiment = m.Experiment(topology="dynamic", robots=12, steps=60, filter_period=20, trials=2)
-    table = m.simulate(experiment, record=20)
-    for results in (table, m.experiments_in(table)):
-        assert isinstance(m.plot(results, kind, trial=1, x="omega"), Figure)

@@ -6,12 +6,11 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.experiment_files import read_experiments
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -40,6 +39,7 @@ def experiments_of(folder: Path, text: str) -> list[Experiment]:
 
 def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     assert experiments_of(tmp_path, "") == [Experiment()]
+    assert read_experiments(Path("physical")) == read_experiments(STUDIES / "physical.toml")
     found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
     assert [(each.flawed, each.filter) for each in found] == [
         (flawed, mode) for flawed in (1, 3) for mode in ("none", "asdf-plus")
@@ -84,17 +84,3 @@ def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> 
 def test_other_files_are_refused(name: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):
         read_experiments(Path(name))
-
-
-def test_the_physical_experiment_comes_with_the_program() -> None:
-    found = read_experiments(Path("physical"))
-    assert len(set(found)) == 2 * 3 * 4
-    assert {each.flawed for each in found} == {0, 2, 4, 8}
-    assert {(each.sides, each.fill_ratio, each.floor, each.speed) for each in found} == {
-        ((3.0353, 3.0226), 0.448, "code", 0.1)
-    }
-    first = found[0]
-    assert first.steps_per_second / first.observation_period == 2, "observations a second"
-    assert first.steps / first.steps_per_second == 1000, "seconds"
-    density = first.robots * np.pi * first.radio_range**2 / np.prod(first.sides)
-    assert density == pytest.approx(1.3, abs=0.05)

@@ -50,15 +50,7 @@ def test_native_has_the_scores_of_the_authors_simulation(every: int) -> None:
     assert_alike(PHYSICS[1::every], trials=20)
 
 
-CHANGES: list[dict[str, Any]] = [
-    {"true_accuracy": 0.75},
-    {"filter_period": 2000},
-    {"flawed": 1},
-    {"filter": "asdf-plus"},
-]
-
-
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("change", [{"true_accuracy": 0.75}, {"filter_period": 2000}, {"flawed": 1}])
 def test_the_comparison_notices_another_experiment(change: dict[str, Any]) -> None:
     wanted = replace(
         Experiment(robots=10, steps=40_000, filter="asdf-minus"),

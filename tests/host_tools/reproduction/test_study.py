@@ -82,6 +82,9 @@ def test_the_study_is_the_papers() -> None:
         (8, 10_000, 300),
     ]
     assert swarms[1].sides[0] == pytest.approx(0.7 * np.sqrt(20 * np.pi))
+    physical = swarms[2]
+    assert (physical.sides, physical.floor, physical.speed) == ((3.0353, 3.0226), "code", 0.1)
+    assert physical.steps_per_second / physical.observation_period == 2, "observations a second"
     for cell in cells_of(PHYSICAL):
         assert (cell.fill_ratio, cell.true_accuracy) == (0.448, 1.0)
         assert experiment_of(cell, Scale()).flawed == cell.percent * 8 // 100
