@@ -50,7 +50,6 @@ RARE: dict[str, Any] = {
     **{"steps": 200_000, "filter_period": 200_000},
 }
 EDGES: dict[str, dict[str, Any]] = {
-    "eight robots fill their lanes": {"robots": 8},
     "128 robots": {"robots": 128, "flawed": 40, "steps": 60},
     "only black": {"fill_ratio": 1.0, "true_accuracy": 1.0},
     "barely informative": {"flawed_accuracy": 0.5 + 2**-13},
@@ -58,9 +57,7 @@ EDGES: dict[str, dict[str, Any]] = {
     "low accuracy at its end": {"true_accuracy": 0.0, "flawed_accuracy": B_HAT_MARGIN},
     "memory ends a period": {"memory": 200},
     "filter every step": {"filter_period": 1, "steps": 60},
-    "longer period than the trial": {"filter_period": 1000},
     "one step": {"steps": 1},
-    "memory and rare observations": {"memory": 64, "observation_period": 3, "filter_period": 51},
     "no observation": {"observation_period": 900},
     "linear drift": {"drift": "linear", "drift_rate": -5e-4},
     "stepped drift": {"drift": "stepped", "drift_rate": -5e-4, "drift_period": 150},

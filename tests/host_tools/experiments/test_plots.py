@@ -41,6 +41,8 @@ GRID = [
     for mode, period in MODES
 ]
 
+MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
+
 
 def results_of(experiment: Experiment, sampling_interval: int = 0) -> Trials:
     return run_trials(experiment, 0, experiment.trials, sampling_interval)
@@ -137,18 +139,8 @@ def test_what_does_not_fit_a_picture_is_refused(results: list[Trials]) -> None:
 def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
     """A curve for each density, a point for each omega, however they are ordered."""
     omegas, densities = [0.05, 0.9, 0.02], [2.0, 0.5]
-    swept = [
-        results_of(each)
-        for each in grid(
-            robots=6,
-            steps=200,
-            trials=7,
-            filter_period=50,
-            topology="dynamic",
-            density=densities,
-            omega=omegas,
-        )
-    ]
+    many = grid(**MOVING, density=densities, omega=omegas)
+    swept = [results_of(each) for each in many]
     figure = curve(swept, "omega", "density", y)
     (axes,) = figure.axes
     for line, band, density in zip(axes.lines, axes.collections, sorted(densities), strict=True):
@@ -170,7 +162,7 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
     ],
 )
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
-    many = grid(**{"robots": 6, "steps": 200, "trials": 3, "filter_period": 50, x: values})
+    many = grid(**MOVING | {x: values})
     (axes,) = curve([results_of(each) for each in many], x).axes
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == expected
 
