@@ -19,14 +19,12 @@ from mcp_asdf_tools.bus.frames import (
     FrameFormat,
     Heartbeat,
     Message,
+    Rejection,
     Telemetry,
     decode,
     decode_heartbeat,
     decode_telemetry,
     encode,
-    encode_command,
-    encode_heartbeat,
-    encode_telemetry,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
@@ -35,6 +33,7 @@ from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate
+from messages import encoded
 from robots import ALPHA_ONE
 from wire import record
 
@@ -104,7 +103,7 @@ def test_nodes_do_what_the_plain_firmware_does(comms: int, tau: int) -> None:
 
 
 def command(tick: int, action: Action) -> can.Message:
-    return encode_command(Command(126, tick, 5, action, 0))
+    return encoded(Command(126, tick, 5, action, 0))
 
 
 def counting(comms_period: int, **counters: int) -> BusRobot:
@@ -168,16 +167,9 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
 
 
 def test_flawed_robots_are_a_count_or_a_share() -> None:
-    counts = {
-        6: (6, "6"),
-        4: (np.int64(4), "44.9%"),
-        0: (0,),
-        10: (10, 1.0),
-        3: ("30%", 0.25),
-        5: ("45%", "0.5"),
-    }
-    for count, ways in counts.items():
-        assert {Population(robots=10, flawed=way).flawed for way in ways} == {count}
+    ways = (6, "6", np.int64(4), "44.9%", 0, 10, 1.0, "30%", 0.25, "45%", "0.5")
+    counts = [Population(robots=10, flawed=way).flawed for way in ways]
+    assert counts == [6, 6, 4, 4, 0, 10, 10, 3, 3, 5, 5]
     for wrong in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None):
         with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
             Population(robots=10, flawed=wrong)
@@ -232,44 +224,35 @@ def test_each_kind_is_numbered_anew_only_when_a_crash_loses_the_state(loses_stat
 
 def frames_of_all_kinds() -> list[can.Message]:
     """An estimate, one under the own id, one cut short, a heartbeat, telemetry, and an error frame."""
-    other, own, cut = (encode(Message(sender, 9, ALPHA_ONE, 0), ESTIMATES) for sender in (6, 5, 7))
+    other, own, cut = (encoded(Message(sender, 9, ALPHA_ONE, 0)) for sender in (6, 5, 7))
     cut.data, cut.dlc = cut.data[:7], 7
-    heartbeat, telemetry = (
-        encode_heartbeat(Heartbeat(8, 1, 0)),
-        encode_telemetry(Telemetry(9, 1, 1 << 20, 3, 0)),
-    )
-    return [other, own, cut, heartbeat, telemetry, can.Message(arbitration_id=8, is_error_frame=True)]
+    others = [encoded(Heartbeat(8, 1, 0)), encoded(Telemetry(9, 1, 1 << 20, 3, 0))]
+    return [other, own, cut, *others, can.Message(arbitration_id=8, is_error_frame=True)]
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
-    source, one = random.Random(2), BusRobot(record(5, firmware), ESTIMATES)
+    """Those of strangers do not reach the firmware, and the dead hear nothing."""
+    source, one, other, dead = random.Random(2), *(BusRobot(record(5, firmware), ESTIMATES) for _ in range(3))
+    dead.die(loses_state=False)
     for _ in range(50):
         one.broadcast(None, 0)
         frames = frames_of_all_kinds()
         source.shuffle(frames)
         half = source.randrange(len(frames))
-        one.listen(frames[:half])
-        one.listen(frames[half:])
+        for part in (frames[:half], frames[half:]):
+            one.listen(part)
+            dead.listen(part)
+        for frame in frames:
+            other.hear_stranger(frame)
+            dead.hear_stranger(frame)
         one.end()
-    heard = one.reception
-    assert (heard.delivered, heard.refused, heard.id_conflicts) == (100, 50, 50)
-    assert (heard.heartbeats, heard.telemetry, heard.errors, heard.rejected.total()) == (50, 50, 50, 50)
-    assert heard.strays == 0
-
-
-def test_a_stranger_is_counted_but_does_not_reach_the_firmware_and_the_dead_hear_nothing() -> None:
-    one, dead = BusRobot(record(5), ESTIMATES), BusRobot(record(5), ESTIMATES)
-    dead.die(loses_state=False)
-    for frame in frames_of_all_kinds():
-        one.hear_stranger(frame)
-        dead.hear_stranger(frame)
-        dead.listen([frame])
-    heard = one.reception
-    assert (heard.strays, heard.id_conflicts, heard.delivered, heard.refused) == (2, 1, 0, 0)
-    assert (heard.heartbeats, heard.telemetry, heard.errors, heard.rejected.total()) == (1, 1, 1, 1)
+    everything = Reception(heartbeats=50, telemetry=50, errors=50, id_conflicts=50)
+    everything.rejected[Rejection.LENGTH] = 50
+    assert one.reception == replace(everything, delivered=100, refused=50)
+    assert other.reception == replace(everything, strays=100)
     assert dead.reception == Reception()
-    assert one.counters == dead.counters == Counters()
+    assert other.counters == dead.counters == Counters()
 
 
 def test_events_tell_what_happened_to_a_robot() -> None:
