@@ -36,34 +36,28 @@ TABLE = Table(omega_word=214748365, entries=(9 << 26, 4 << 26, 2 << 26, (1 << 26
 """q = 4, entries 9, 4, 2 and just above 1 for every larger m: easy to tell from each other."""
 
 LAYOUT = {
-    **dict.fromkeys(("magic", "b_hat", "t", "n", "x_hat", "alpha", "filter_left"), 32),
-    **dict.fromkeys(("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high"), 64),
-    **dict.fromkeys(("open_alpha", "open_alpha_x_low", "open_alpha_x_high", "open_x_squared"), 64),
-    **dict.fromkeys(("open_x", "open_count", "heard_0", "heard_1", "heard_2", "heard_3"), 32),
-    **dict.fromkeys(("accepted", "repeated", "rejected", "tests", "updates"), 16),
-    **dict.fromkeys(("updated", "id"), 8),
+    **dict.fromkeys(("magic", "b_hat", "t", "n", "x_hat", "alpha", "filter_left"), "I"),
+    **dict.fromkeys(("closed_alpha", "closed_alpha_x_low", "closed_alpha_x_high"), "Q"),
+    **dict.fromkeys(("open_alpha", "open_alpha_x_low", "open_alpha_x_high", "open_x_squared"), "Q"),
+    **dict.fromkeys(("open_x", "open_count", "heard_0", "heard_1", "heard_2", "heard_3"), "I"),
+    **dict.fromkeys(("accepted", "repeated", "rejected", "tests", "updates"), "H"),
+    **dict.fromkeys(("updated", "id"), "B"),
 }
-"""Fields of an image and their bits in order, little-endian; a checksum follows (docs/design.md)."""
+"""Fields of an image in order, as struct writes them; a checksum follows (docs/design.md)."""
 
-IMAGE_SIZE = sum(LAYOUT.values()) // 8 + 4
+BODY = struct.Struct("<" + "".join(LAYOUT.values()))
+IMAGE_SIZE = BODY.size + 4
 
 
 def unpack(image: bytes) -> dict[str, int]:
     """An image's fields by name."""
-    whole, fields = int.from_bytes(image[:-4], "little"), {}
-    for name, bits in LAYOUT.items():
-        fields[name], whole = whole & (1 << bits) - 1, whole >> bits
-    return fields
+    return dict(zip(LAYOUT, BODY.unpack(image[:-4]), strict=True))
 
 
 def pack(fields: dict[str, int]) -> bytes:
     """The image of fields by name, with the checksum that belongs to it."""
-    whole, at = 0, 0
-    for name, bits in LAYOUT.items():
-        assert 0 <= fields[name] < 1 << bits, (name, fields[name])
-        whole, at = whole | fields[name] << at, at + bits
-    body = whole.to_bytes(at // 8, "little")
-    return body + struct.pack("<I", checksum(struct.unpack(f"<{at // 32}I", body)))
+    body = BODY.pack(*map(fields.__getitem__, LAYOUT))
+    return body + struct.pack("<I", checksum([word for (word,) in struct.iter_unpack("<I", body)]))
 
 
 def rewritten(image: bytes, **fields: int) -> bytes:

@@ -1,9 +1,12 @@
-"""A bus without time or threads: its nodes hear and answer while a frame is sent."""
+"""Buses of tests: one without time or threads, whose nodes answer at once, and a node in a thread."""
 
 from __future__ import annotations
 
+import os
+import shlex
+import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import Any
@@ -12,10 +15,12 @@ import can
 import pytest
 
 from mcp_asdf_tools.bus.frames import Heartbeat, encode_heartbeat
+from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from support import PATIENCE
 
 TABLE = generate(parse_omega("0.05"), 20)
 
@@ -115,3 +120,47 @@ def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: A
 def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
     """A node in lockstep with a heartbeat every 10 ticks."""
     return RobotNode(record(robot, firmware, b_hat, **config))
+
+
+def join() -> can.BusABC:
+    """Join the bus that commands use by default."""
+    return can.Bus(interface="virtual", channel="vcan0", ignore_config=True)
+
+
+@contextmanager
+def meanwhile(work: Callable[[], object]) -> Iterator[None]:
+    """Do ``work`` in another thread; what it raises is raised here at the end."""
+    raised: list[BaseException] = []
+
+    def guarded() -> None:
+        try:
+            work()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=guarded)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+    if raised:
+        raise raised[0]
+
+
+@contextmanager
+def node_in_a_thread(options: str) -> Iterator[can.BusABC]:
+    """A node that obeys commands, up before the block begins; it ends with the block, which gets its bus."""
+    reading, writing = os.pipe()
+
+    def run() -> None:
+        assert main(["node", *shlex.split(options), "--quiet", "--until-eof"]) == 0
+
+    with join() as bus, pytest.MonkeyPatch.context() as patch, os.fdopen(reading) as stdin:
+        patch.setattr("sys.stdin", stdin)
+        with meanwhile(run):
+            try:
+                assert bus.recv(PATIENCE) is not None
+                yield bus
+            finally:
+                os.close(writing)

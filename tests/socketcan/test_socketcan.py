@@ -23,7 +23,6 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import BusLink, run_node
-from node_thread import meanwhile
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
 from socketcan.vcan import connect, ip, making
@@ -40,6 +39,7 @@ from targets.c_node import (
     drive,
     twin,
 )
+from wire import meanwhile
 
 pytestmark = pytest.mark.socketcan
 

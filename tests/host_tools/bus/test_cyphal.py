@@ -6,7 +6,7 @@ import asyncio
 import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import can
 import pytest
@@ -62,27 +62,20 @@ def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[type, Any]]
         }
 
 
-class Seen(NamedTuple):
-    """A message transfer as pycyphal found it in a frame."""
-
-    subject: int
-    sender: int | None
-    transfer_id: int
-    payload: bytes
-
-
-def seen_by_pycyphal(frame: can.Message) -> Seen | None:
-    """Transfer that a fresh receiver finds in one frame; None unless it holds a complete message."""
+def seen_by_pycyphal(frame: can.Message) -> Any:
+    """Message transfer that a fresh receiver finds in one frame; None unless it is complete."""
     data = media.DataFrame(media.FrameFormat.EXTENDED, frame.arbitration_id, bytearray(frame.data))
     capture = cyphal_can.CANCapture(transport.Timestamp.now(), data, own=False)
     trace = cyphal_can.CANTransport.make_tracer().update(capture)
-    if not isinstance(trace, transport.TransferTrace):
-        return None
-    metadata, session = trace.transfer.metadata, trace.transfer.metadata.session_specifier
-    if not isinstance(session.data_specifier, transport.MessageDataSpecifier):
-        return None
-    payload = b"".join(map(bytes, trace.transfer.fragmented_payload))
-    return Seen(session.data_specifier.subject_id, session.source_node_id, metadata.transfer_id, payload)
+    is_transfer = isinstance(trace, transport.TransferTrace)
+    is_message = is_transfer and isinstance(session_of(trace.transfer)[0], transport.MessageDataSpecifier)
+    return trace.transfer if is_message else None
+
+
+def session_of(transfer: Any) -> tuple[Any, int | None, int]:
+    """Data specifier, sender and transfer id."""
+    session = transfer.metadata.session_specifier
+    return session.data_specifier, session.source_node_id, transfer.metadata.transfer_id
 
 
 def members(message: Any) -> tuple[Any, ...]:
@@ -104,10 +97,10 @@ def plain(value: Any) -> Any:
 @example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
 def test_pycyphal_reads_our_frames(types: dict[type, Any], message: Any) -> None:
-    seen, subject = seen_by_pycyphal(encoded(message)), KINDS[type(message)].subject
-    assert seen is not None
-    assert (seen.subject, seen.sender, seen.transfer_id) == (subject, message.sender, message.transfer_id)
-    found = pycyphal.dsdl.deserialize(types[type(message)], [memoryview(seen.payload)])
+    seen = seen_by_pycyphal(encoded(message))
+    subject = transport.MessageDataSpecifier(KINDS[type(message)].subject)
+    assert session_of(seen) == (subject, message.sender, message.transfer_id)
+    found = pycyphal.dsdl.deserialize(types[type(message)], seen.fragmented_payload)
     assert tuple(map(plain, vars(found).values())) == members(message)
 
 
@@ -128,11 +121,11 @@ def test_a_flipped_bit_is_seen_alike(message: Message, bit: int) -> None:
     else:
         frame.data[(bit - 29) // 8] ^= 1 << (bit - 29) % 8
     ours, seen = frames.decode(frame, DEFAULT), seen_by_pycyphal(frame)
-    is_theirs = seen is not None and seen.subject == 3000 and seen.sender is not None
+    subject, sender, transfer_id = (None, None, None) if seen is None else session_of(seen)
+    is_theirs = subject == transport.MessageDataSpecifier(3000) and sender is not None
     assert is_theirs == (isinstance(ours, Message) or ours in (Rejection.X_HAT, Rejection.ALPHA))
     if isinstance(ours, Message):
-        assert seen is not None
-        assert (seen.sender, seen.transfer_id) == (ours.sender, ours.transfer_id)
+        assert (sender, transfer_id) == (ours.sender, ours.transfer_id)
 
 
 async def sent_by_pycyphal(channel: str, subject: int, contents: Sequence[Any]) -> list[can.Message]:

@@ -23,8 +23,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.world import World
-from node_thread import join
-from wire import Wire, record
+from wire import Wire, join, record
 from wrong_robots import ID, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")

@@ -28,9 +28,8 @@ from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import NodeProcesses
 from messages import encoded
 from multicast import multicast
-from node_thread import node_in_a_thread
 from support import PATIENCE, slow
-from wire import EndlessWire, Wire, record, still
+from wire import EndlessWire, Wire, node_in_a_thread, record, still
 from wrong_robots import B_HAT, ID, WRONG, Wrong, right, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")

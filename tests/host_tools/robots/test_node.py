@@ -22,9 +22,8 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, filters_for, run_node, send_all
-from node_thread import join, meanwhile
 from support import PATIENCE, ROOT, interruptible
-from wire import node, record
+from wire import join, meanwhile, node, record
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
