@@ -196,10 +196,8 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
     [
         SHORT,
         LATE,
-        replace(SHORT, true_accuracy=0.55, flawed_accuracy=0.95, steps=2000),
         replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5),
         replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always"),
-        replace(LATE, flawed_accuracy=0.75, observation_period=3, steps=1000),
     ],
 )
 def test_float64_follows_the_firmware(experiment: Experiment) -> None:

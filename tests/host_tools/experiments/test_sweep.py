@@ -219,8 +219,6 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
         ("simulate --output results.csv", "ends in .parquet"),
         ("simulate --steps 10 --k-max 0", "K_max is 0"),
         ("simulate dynamic", "run it with mcp-asdf sweep"),
-        ("sweep absent.toml", "cannot read"),
-        ("score absent.parquet", "cannot read"),
         ("plot absent.parquet x.gif", "ends in"),
     ],
 )

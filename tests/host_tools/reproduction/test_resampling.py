@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import spearmanr  # type: ignore[import-untyped]
+from scipy.stats import iqr, spearmanr  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.reproduction.resampling import (
     BEST_OF_30,
@@ -28,11 +28,6 @@ def sample(seed: int, level: float = 0.0, trials: int = 30) -> Sample:
 def difference(left: Sample, right: Sample, confidence: float = 0.95) -> Estimate:
     one, other = summarized(left, MEDIAN), summarized(right, MEDIAN)
     return interval(one.value - other.value, one.again - other.again, confidence)
-
-
-def iqr(values: Sample, axis: int = -1) -> Sample:
-    upper, lower = np.percentile(values, [75, 25], axis=axis)
-    return np.asarray(upper - lower)
 
 
 def best(values: Sample, axis: int = -1) -> Sample:
