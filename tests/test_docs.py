@@ -43,7 +43,7 @@ NOT_RUN = {
     r"can0\b|modprobe": "wants a CAN interface or root; tests/socketcan has both in a guest",
     "udp_multicast": "wants two terminals; test_remote_robot.py and test_verification.py in tests/host_tools",
     "golden_vectors": "writes the project's own files; tests/targets/test_targets.py",
-    "can_logconvert|tshark": "tests/host_tools/cli/test_wireshark.py",
+    "can_logconvert|tshark": "tests/host_tools/recording/test_recording.py",
     r"--slcan|:2000\d": "waits for a program; tests/host_tools/bus/test_yakut.py and tests/targets have some",
     r"mcp-asdf view \S+$|--view$": "ends with Ctrl-C; tests/host_tools/view/test_browser.py",
     "reproduce(?!.*--quick)": "takes minutes",

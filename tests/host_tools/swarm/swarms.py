@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmHook, SwarmRun, run_swarm
@@ -77,12 +78,6 @@ def content(frames: Sequence[can.Message]) -> list[tuple[int, bytes]]:
     return [(frame.arbitration_id, bytes(frame.data)) for frame in frames]
 
 
-def state(robot: Any) -> dict[str, int]:
-    """All that the firmware of a robot holds."""
-    assert isinstance(robot, FixedPointRobot)
-    return robot.state()
-
-
-def states(run: SwarmRun) -> list[dict[str, int]]:
-    """All that the firmwares of a run hold."""
-    return [state(node.robot) for node in run.nodes]
+def states(nodes: Sequence[BusRobot]) -> list[bytes]:
+    """All that the firmwares of robots hold."""
+    return [node.robot.save() for node in nodes if isinstance(node.robot, FixedPointRobot)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import Track, content, one_bus, record, small
+from host_tools.swarm.swarms import Track, content, one_bus, record, small, states
 from mcp_asdf.fixed_point import alpha_units, word_to_alpha
 from mcp_asdf.robot import FixedPointRobot, Status
 from mcp_asdf_tools.bus.frames import (
@@ -64,10 +64,9 @@ def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> Non
     parameters = COMMON | CASES[case] | {"firmware": firmware}
     experiment = Experiment(**parameters, trials=1)
     run, _ = record(SwarmSettings(**parameters))
-    images = [node.robot.save() for node in run.nodes if isinstance(node.robot, FixedPointRobot)]
-    assert images == images_by_message(experiment, 0)
+    assert states(run.nodes) == images_by_message(experiment, 0)
     if native.can_run(experiment):
-        assert images == native.run(experiment, 0, 1).images()
+        assert states(run.nodes) == native.run(experiment, 0, 1).images()
 
 
 @pytest.mark.parametrize("comms_period", [1, 4])
@@ -122,27 +121,25 @@ def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> None:
     """A frame of each robot every 7 ticks, with what the robots held at that moment."""
-    updates = {0: [0] * 5}
+    held: list[list[tuple[int, ...]]] = []
 
     def note(swarm: Swarm) -> None:
-        updates[swarm.ticks] = [node.robot.counters.updates for node in swarm.nodes]
+        robots = [node.robot for node in swarm.nodes]
+        held.append([(int(r.x * ONE), int(r.b_hat * 2**24), r.counters.updates) for r in robots])
 
-    quiet, talkative = small(firmware=firmware), small(firmware=firmware, telemetry_period=7)
-    silent, track = Track(quiet), Track(talkative)
-    record(quiet, hooks=[silent])
-    outcome, frames = record(talkative, hooks=[note, track])
+    talkative = small(firmware=firmware, telemetry_period=7)
+    with Swarm(talkative, Wiring()) as fresh:
+        note(fresh)
+    outcome, frames = record(talkative, hooks=[note])
+    quiet, _ = record(small(firmware=firmware))
+    assert [node.robot.x for node in outcome.nodes] == [node.robot.x for node in quiet.nodes]
     decoded = [decode_telemetry(frame) for frame in frames]
     found = [each for each in decoded if isinstance(each, Telemetry)]
-    x, b_hat = track["x"], track["b_hat"]
-    assert np.array_equal(x, silent["x"])
     assert [(each.sender, each.transfer_id) for each in found] == [
         (robot, turn % 32) for turn in range(9) for robot in range(5)
     ]
     for each in found:
-        tick = 7 * each.transfer_id
-        assert each.x == int(x[tick, each.sender] * ONE)
-        assert each.b_hat == int(b_hat[tick, each.sender] * 2**24)
-        assert each.updates == updates[tick][each.sender]
+        assert (each.x, each.b_hat, each.updates) == held[7 * each.transfer_id][each.sender]
     figures = outcome.results["frames"]
     assert (figures["telemetry_sent"], figures["telemetry_heard"]) == (9 * 5, 9 * 5 * 4)
     assert figures["rejected"] == {}

@@ -22,13 +22,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 SETTINGS = SwarmSettings(
-    robots=8,
-    topology="dynamic",
-    filter="asdf-minus",
-    flawed="50%",
-    steps=300,
-    filter_period=50,
-    density=4,
+    robots=8, flawed="50%", steps=300, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
 )
 STATE = "document.getElementById('state').textContent"
 IS_SHOWN = "window.view && view.arena.places.length > 0 && view.charts.drawn > 0"
