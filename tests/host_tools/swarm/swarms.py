@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import can
-import numpy as np
 from can.interfaces import virtual
-from numpy.typing import NDArray
 
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter
@@ -54,23 +52,6 @@ def record(
     input_log.finish()
     assert run.failure is None
     return run, frames
-
-
-class Track:
-    """Hook that keeps b_hat, x_hat and x of every robot, as made and after each tick."""
-
-    def __init__(self, settings: SwarmSettings) -> None:
-        self._rows: list[dict[str, list[float]]] = []
-        with Swarm(settings, Wiring()) as fresh:
-            self(fresh)
-
-    def __call__(self, swarm: Swarm) -> None:
-        names = ("b_hat", "x_hat", "x")
-        self._rows.append({name: [getattr(node.robot, name) for node in swarm.nodes] for name in names})
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Values of shape (ticks + 1, robots)."""
-        return np.array([row[name] for row in self._rows])
 
 
 def content(frames: Sequence[can.Message]) -> list[tuple[int, bytes]]:

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -49,8 +48,7 @@ def with_buses(*robots: int) -> Wiring:
     return Wiring(own_bus, False, frozenset(robots))
 
 
-def with_one_bus(*robots: int) -> Wiring:
-    return Wiring(lambda robot: Orderly("one", preserve_timestamps=True), True, frozenset(robots))
+ORDERLY = Wiring(lambda robot: Orderly("one", preserve_timestamps=True), True, frozenset(range(4)))
 
 
 @contextmanager
@@ -97,7 +95,7 @@ def run_elsewhere(
 @pytest.mark.parametrize(
     ("wiring", "faults"),
     [
-        (with_one_bus(*range(4)), ()),
+        (ORDERLY, ()),
         (with_buses(*range(4)), ()),
         (with_buses(*range(4)), FAULTS),
         (with_buses(1), ()),
@@ -145,16 +143,7 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
     assert run.results["steps"] == 1
 
 
-# The command
-
-SMALL = ("--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5")
-
-
-def command(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[dict[str, Any], list[float]]:
-    """Report of a run, and x of its robots."""
-    assert main(["swarm", *SMALL, "--json", *arguments]) == 0
-    report = json.loads(capsys.readouterr().out)
-    return report, [robot["x"] for robot in report["results"]["robots"]]
+SMALL = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]
 
 
 def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -164,14 +153,15 @@ def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_
     bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
     faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1")
-    elsewhere, x = command(capsys, *bus, *faults)
-    here, same_x = command(capsys, *faults, "--log", str(other))
-    assert x == same_x
+    assert main([*SMALL, *bus, *faults]) == 0
+    elsewhere = json.loads(capsys.readouterr().out)
+    assert main([*SMALL, *faults, "--log", str(other)]) == 0
+    here = json.loads(capsys.readouterr().out)
     for robot, known in enumerate(here["results"]["robots"]):
         report = elsewhere["processes"][str(robot)]["results"]
         assert report["steps"] == 25
         assert report["robot"]["b_hat"] == known["b_hat"]
-        assert report["robot"]["x"] == known["x"]
+        assert report["robot"]["x"] == known["x"] == elsewhere["results"]["robots"][robot]["x"]
         assert report["robot"]["counters"]["tests"] == known["tests"]
     assert main(["replay", str(log)]) == 0
     with InputLogReader(input_log_path(log)) as one, InputLogReader(input_log_path(other)) as two:
@@ -182,5 +172,5 @@ def test_a_device_that_is_not_there_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
-    assert main(["swarm", *SMALL, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
+    assert main([*SMALL, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
     assert "mcp-asdf swarm: robot 1 did not send a heartbeat within 0.05 s" in capsys.readouterr().err
