@@ -48,9 +48,7 @@ def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
 
 def _shift(shifted: Callable[[Any, Any], Any]) -> Contract:
     """A shift by a count of 0 to 31, and what it gives."""
-    return Contract(
-        lambda found, value, count: found == shifted(value, count), requires=_counts, safe=_counts
-    )
+    return Contract(lambda found, value, count: found == shifted(value, count), requires=_counts)
 
 
 SHIFTS = {
@@ -71,36 +69,34 @@ def _are_leading_zeros(found: Any, value: Any) -> Any:
     return z3.And(z3.ULE(found, 31), _word(31, shifted) >> 31 == -1, z3.LShR(shifted, found) == positive)
 
 
-WORDS["leading_zeros"] = Contract(_are_leading_zeros, result_matters=True)
+WORDS["leading_zeros"] = Contract(_are_leading_zeros)
 
 
-def _products_of_halves(a: Any, b: Any) -> list[Any]:
-    """Upper by upper, upper by lower, lower by upper, lower by lower; each as a word."""
-    a0, a1, b0, b1 = a & 0xFFFF, z3.LShR(a, 16), b & 0xFFFF, z3.LShR(b, 16)
-    return [a1 * b1, a1 * b0, a0 * b1, a0 * b0]
+def _halves(number: Any) -> tuple[Any, Any]:
+    """The upper and the lower half of a word."""
+    return number / 2**16, number % 2**16
 
 
-def _sum_of_halves(a: Any, b: Any) -> Any:
-    """a b: (2^16 a1 + a0) (2^16 b1 + b0), multiplied out."""
-    upper, first, second, lower = (_wide(each) for each in _products_of_halves(a, b))
-    return (upper << 32) + ((first + second) << 16) + lower
+def _halves_fit(_: Any, a: Any, b: Any) -> Any:
+    """Each product of halves is (2^16 - 1)^2 at most."""
+    products = [x * y for x in _halves(a) for y in _halves(b)]
+    return z3.And([z3.And(each >= 0, each <= (2**16 - 1) ** 2) for each in products])
 
 
-def _halves_fit(*arguments: Any) -> Any:
-    """(2^16 - 1)^2 at most."""
-    a, b = arguments[-2:]
-    return z3.And([z3.ULE(each, (2**16 - 1) ** 2) for each in _products_of_halves(a, b)])
+def _multiplied_out(_: Any, a: Any, b: Any) -> Any:
+    """(2^16 a1 + a0) (2^16 b1 + b0)."""
+    (a1, a0), (b1, b0) = _halves(a), _halves(b)
+    return a * b == 2**32 * (a1 * b1) + 2**16 * (a1 * b0 + a0 * b1) + a0 * b0
 
 
-def _products(product: Callable[[Any, Any], Any], **how: Any) -> dict[str, Contract]:
-    return {
-        "multiply": Contract(lambda found, a, b: found == product(a, b), **how),
-        "multiply_high": Contract(lambda found, a, b: found == _word(63, product(a, b)), **how),
-    }
+def _product(ensures: Callable[..., Any]) -> Contract:
+    return Contract(ensures, Integers, steps=(_halves_fit, _multiplied_out))
 
 
-PRODUCTS = _products(lambda a, b: _wide(a) * _wide(b))
-SPLIT_PRODUCTS = _products(_sum_of_halves, steps=(_halves_fit,), is_opaque=True)
+PRODUCTS = {
+    "multiply": _product(lambda found, a, b: found == a * b),
+    "multiply_high": _product(lambda found, a, b: _is_floor(found, a * b, 2**32)),
+}
 
 # --- Quotients: in whole numbers ------------------------------------------------------------------------
 
@@ -186,7 +182,6 @@ def _estimate(divide: int) -> Contract:
         by_hardware if divides else by_reciprocal,
         Integers,
         requires=lambda rest, prepared, _: prepared > 0 if divides else rest / 2**15 * prepared < 2**32,
-        safe=lambda _, prepared, bits: z3.And(z3.ULE(bits, 12), *([prepared != 0] if divides else [])),
         cases=("bits", (7, 12)),
     )
 
@@ -202,12 +197,10 @@ def _digit(divide: int, least: int) -> Contract:
         requires=lambda rest, d, prepared, bits: z3.And(
             _divisible(least)(rest, d), _is_prepared(divide)(prepared, d)
         ),
-        safe=lambda rest, d, prepared, bits: z3.And(prepared != 0, z3.ULE(bits, 12)),
         steps=(
             lambda digit, after, rest, d, prepared, bits: digit * d <= rest * 2 ** known(bits),
             lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d,
         ),
-        is_opaque=True,
         cases=("bits", (7, 12)),
         uses={"estimate_digit": estimate.stands_in("estimate_digit")},
     )
@@ -215,12 +208,7 @@ def _digit(divide: int, least: int) -> Contract:
 
 def _by_digits(divide: int) -> dict[str, Contract]:
     least = 2**29 if divide == HARDWARE else PREPARED[divide][0]
-    prepare = Contract(
-        _is_prepared(divide),
-        Integers,
-        requires=lambda d: z3.And(least <= d, d <= 2**31),
-        result_matters=divide == HARDWARE,
-    )
+    prepare = Contract(_is_prepared(divide), Integers, requires=lambda d: z3.And(least <= d, d <= 2**31))
     digit = _digit(divide, least)
     uses = {"prepare": prepare.stands_in("prepare"), "take_digit": digit.stands_in("take_digit")}
     return {
@@ -248,7 +236,6 @@ def _by_bits() -> dict[str, Contract]:
         lambda found, a, d, bits: _is_floor(found, 2 ** known(bits) * a, d),
         Integers,
         requires=lambda a, d, bits: z3.And(a < 2 * d, d <= 2**31),
-        safe=lambda a, d, bits: z3.ULT(bits, 32),
         cases=("bits", (24, 31)),
         invariant=Remainder,
     )
@@ -329,5 +316,4 @@ def contracts(variant: Variant) -> dict[str, Contract]:
         requires=lambda a, d: z3.And(d > 0, a <= d),
         uses=uses,
     )
-    products = SPLIT_PRODUCTS if variant.digits[1] == "1" else PRODUCTS
-    return {**WORDS, **SHIFTS, **products, **quotients, "ratio": RATIO, "quotient": quotient}
+    return {**WORDS, **SHIFTS, **PRODUCTS, **quotients, "ratio": RATIO, "quotient": quotient}

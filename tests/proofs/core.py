@@ -90,8 +90,6 @@ def _of_alpha(lower: dict[str, Contract]) -> dict[str, Contract]:
 
 
 def contracts(variant: Variant) -> dict[str, Contract]:
-    """All of them, for one variant. The last three are shown to be safe here; ``accuracy`` shows what
-    they compute, and that they keep what they owe the functions they call."""
-    names = ("mean", "informed_estimate", "square_of_ratio", "estimate", "reestimate")
-    safe = dict.fromkeys(names, Contract(None))
-    return {"units": Contract(_are_units), **_of_alpha(arithmetic_contracts(variant)), **safe}
+    """All of them, for one variant. ``accuracy`` shows what the other functions compute, and that they keep
+    what they owe those they call."""
+    return {"units": Contract(_are_units), **_of_alpha(arithmetic_contracts(variant))}

@@ -23,8 +23,6 @@ INTEGERS = {
     **{f"uint{bits}_t": Type(bits) for bits in (8, 16, 32, 64)},
     **{f"int{bits}_t": Type(bits, signed=True) for bits in (8, 16, 32, 64)},
 }
-TURNS_MOST = 256
-"""A loop without a stated bound is given up after so many turns."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +215,7 @@ class Machine:
         most = stated_turns(node)
         if z3.is_false(condition):
             return
-        if made == (TURNS_MOST if most is None else most):
+        if made == most:
             self.claim(z3.Not(condition), f"at most {made} turns of the loop in line {node.coord.line}")
             return
 
@@ -299,19 +297,7 @@ class Machine:
 
     def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
         index = self.value(node.subscript)
-        if isinstance(node.name, c_ast.ID) and node.name.name in self.program.arrays:
-            return self._element(self.program.arrays[node.name.name], index)
         return self.value(node.name)[known(index.term)]
-
-    def _element(self, array: list[int], index: Number) -> Number:
-        byte = INTEGERS["uint8_t"]
-        limit = self.arithmetic.constant(len(array), index.type)
-        self.claim(self.arithmetic.compare("<", index, limit), "index beyond the array")
-        values = [self.arithmetic.constant(each, byte).term for each in array]
-        found = values[-1]
-        for i, each in enumerate(values):
-            found = z3.If(index.term == self.arithmetic.constant(i, index.type).term, each, found)
-        return Number(found, byte)
 
     def _value_Cast(self, node: Any) -> Any:  # noqa: N802
         kind, value = self._resolve(node.to_type.type), self.value(node.expr)
@@ -331,10 +317,9 @@ class Machine:
 
     def _value_UnaryOp(self, node: Any) -> Any:  # noqa: N802
         if node.op == "&":
-            return node.expr if isinstance(node.expr, c_ast.ArrayRef) else self._place(node.expr)
+            return self._place(node.expr)
         if node.op == "*":
-            pointer = self.value(node.expr)
-            return self.value(pointer) if isinstance(pointer, c_ast.ArrayRef) else self.load(pointer)
+            return self.load(self.value(node.expr))
         if node.op in ("++", "--", "p++", "p--"):
             return self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
         number = self._promoted(self.value(node.expr))

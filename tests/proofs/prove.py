@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
-from operator import mul
 from typing import Any
 
 import z3
@@ -14,7 +12,7 @@ from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Integers, Number, Words
 from proofs.source import Program
 
-EFFORTS = (1, 4, 16, 64)
+EFFORTS = (1, 8, 64)
 """Millions of the solver's steps for one query, in one attempt after the other. With ten seeds none needed
 more than 5: the last attempt gives twelve times as many."""
 SOLVERS = (z3.SimpleSolver, z3.Solver)
@@ -52,36 +50,6 @@ def _answer(*formulas: Any) -> tuple[Any, Any]:
     return answer, solver
 
 
-def prove_opaque(claim: Any, *known: Any, about: str = "") -> None:
-    """The same, whatever the products of unknown numbers are: all that is known of them stands in ``known``.
-    What holds of any numbers in their place holds of the products, and takes no time."""
-    formulas = [z3.simplify(each, som=True) if _has_integers(each) else each for each in (claim, *known)]
-    names: dict[tuple[int, ...], Any] = {}
-    named = [_with_names(each, names, {}) for each in formulas]
-    prove(*named, about=about)
-
-
-def _with_names(term: Any, names: dict[tuple[int, ...], Any], done: dict[int, Any]) -> Any:
-    """The term, with a name for each product of unknown factors."""
-    if term.get_id() not in done:
-        children = [_with_names(each, names, done) for each in term.children()]
-        if term.decl().kind() in (z3.Z3_OP_MUL, z3.Z3_OP_BMUL):
-            unknown = [each for each in children if not (z3.is_int_value(each) or z3.is_bv_value(each))]
-            key = tuple(sorted(each.get_id() for each in unknown))
-            if len(unknown) > 1:
-                name = names.setdefault(key, z3.Const(f"product_{len(names)}", term.sort()))
-                children = [each for each in children if each.get_id() not in key] + [name]
-            done[term.get_id()] = reduce(mul, children)
-        else:
-            done[term.get_id()] = term.decl()(*children) if children else term
-    return done[term.get_id()]
-
-
-def _has_integers(term: Any) -> bool:
-    """Multiplied out, products of whole numbers are alike where they are equal; those of words are not."""
-    return term.sort() == z3.IntSort() or any(_has_integers(each) for each in term.children())
-
-
 def require_possible(known: Iterable[Any], about: str) -> None:
     """That something satisfies all that a proof takes for known: from a contradiction anything follows."""
     if _answer(*known)[0] != z3.sat:
@@ -117,36 +85,28 @@ class Contract:
 
     Attributes:
         ensures: What holds of the result, the first argument, if ``requires`` did. Of a pointer, the argument
-            is what it pointed to, and what it then points to stands behind the result. None: it is safe, and
-            that is all.
+            is what it pointed to, and what it then points to stands behind the result.
         arithmetic: In which integers this is shown.
         requires: What a caller owes for it.
-        safe: What a caller owes for the function to end without a trap; by default nothing.
-        result_matters: Whether callers are safe only for what it returns: to them its code is then known.
         cases: The values of a parameter that is a constant wherever the function is called.
         uses: What stands for called functions in the proof of ``ensures``.
         steps: What leads to ``ensures``, each proved with what was proved before.
-        is_opaque: Whether ``ensures`` follows whatever products are, from what steps said of them.
         invariant: Makes what follows the turns of its loops, for one run: ``after_turn(machine)`` claims what
             a turn left, and knows nothing else of that; ``at_end(machine, result)`` makes known what follows.
     """
 
-    ensures: Formula | None
+    ensures: Formula
     arithmetic: type[Words | Integers] = Words
     requires: Formula = always
-    safe: Formula = always
-    result_matters: bool = False
     cases: tuple[str, Iterable[int]] = ("", (0,))
     uses: Mapping[str, Summary] = field(default_factory=dict)
     steps: tuple[Formula, ...] = ()
-    is_opaque: bool = False
     invariant: Callable[[], Any] | None = None
 
     def stands_in(self, name: str) -> Summary:
         """The function as its callers may see it."""
 
         def summary(machine: Machine, *arguments: Any) -> Any:
-            assert self.ensures is not None
             before = [_seen(machine, each) for each in arguments]
             machine.claim(self.requires(*before), f"what {name} requires")
             result = any_result(name)(machine, *arguments)
@@ -158,8 +118,6 @@ class Contract:
 
 def prove_contract(program: Program, name: str, contract: Contract) -> None:
     """That the function keeps its contract, and what its code relies on."""
-    if contract.ensures is None:
-        return
     constant, values = contract.cases
     for value in values:
         machine = Machine(program, contract.arithmetic, contract.uses)
@@ -172,40 +130,17 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
         require_possible(machine.facts, name)
         shown: list[Any] = []
         for number, step in enumerate((*contract.steps, contract.ensures), 1):
-            formula, is_last = step(*results, *before), number > len(contract.steps)
-            settle = prove_opaque if is_last and contract.is_opaque else prove
-            settle(formula, *machine.facts, *shown, about=f"{name}: step {number}")
+            formula = step(*results, *before)
+            prove(formula, *machine.facts, *shown, about=f"{name}: step {number}")
             shown.append(formula)
 
 
-def prove_safe(program: Program, name: str, contracts: Mapping[str, Contract]) -> None:
-    """That the function traps nowhere, and no loop makes more turns than its comment says, whatever it is
-    given."""
-    machine = Machine(program, Words, safe_callees(name, contracts))
-    _run(machine, name, contracts[name].safe, {})
-    prove_obligations(machine, name)
-
-
-def prove_lemma(program: Program, name: str, contracts: Mapping[str, Contract], done: set[str]) -> None:
-    """That the function is safe and keeps its contract, unless the same text is among those done."""
-    contract = contracts[name]
-    parts = {"safe": safe_callees(name, contracts), "kept": contract.uses}
-    for part, known in parts.items():
-        text = f"{part}\n{program.text(name, known)}"
-        if text not in done and part == "safe":
-            prove_safe(program, name, contracts)
-        elif text not in done:
-            prove_contract(program, name, contract)
-        done.add(text)
-
-
-def safe_callees(name: str, contracts: Mapping[str, Contract]) -> dict[str, Summary]:
-    """Functions that are safe for any arguments by their own lemmas: to this one, any of their results is."""
-    return {
-        each: any_result(each)
-        for each, contract in contracts.items()
-        if each != name and contract.safe is always and not contract.result_matters
-    }
+def prove_lemma(program: Program, name: str, contract: Contract, done: set[str]) -> None:
+    """That the function keeps its contract, unless the same text is among those done."""
+    text = program.text(name, contract.uses)
+    if text not in done:
+        prove_contract(program, name, contract)
+    done.add(text)
 
 
 def any_result(name: str) -> Summary:

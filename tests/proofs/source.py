@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,10 @@ ARITHMETIC = (HEADER, *sorted(SOURCES.glob("mcp_asdf_target*.h")))
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
 """What the experiments' engine divides with: it includes the core and brings this."""
 INCLUDE = Path(__file__).parent / "include"
-CHOICES = {"DIVIDE": (1, 2, 3, 4), "SPLIT_MULTIPLY": (0, 1), "SHIFT_BYTES": (0, 1), "HAS_CLZ": (0, 1)}
-"""The macros, without their prefix, and their legal values."""
-HARDWARE, TABLE, BITS, LANES = CHOICES["DIVIDE"]
+CHOICES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
+"""The macros, without their prefix."""
+HARDWARE, TABLE, BITS, LANES = range(1, 5)
+"""Values of the first; the others are 0 or 1."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,11 @@ class Variant:
         return [*flags, f"-D{self.target}"] if self.target else flags
 
 
-VARIANTS = (
-    *(Variant("".join(map(str, digits))) for digits in product(*CHOICES.values())),
-    Variant("3010", "__AVR__"),
-    Variant("1000", "__riscv"),
-)
-"""Every combination of choices; and the two targets that have code of their own, with what they choose."""
+HERE = tuple(Variant(digits) for digits in ("1001", "2100", "1000", "3010", "4000", "2000"))
+"""What targets choose: together they have every variant of every function that a compiler for this machine
+takes."""
+VARIANTS = (*HERE, Variant("3010", "__AVR__"), Variant("1000", "__riscv"))
+"""The same, and the two targets that have code of their own, with what they choose."""
 
 
 class Program:
@@ -66,7 +65,6 @@ class Program:
     Attributes:
         functions: Definitions by name.
         types: What each typedef stands for, by name.
-        arrays: Constant arrays of numbers, by name.
     """
 
     def __init__(self, path: Path, variant: Variant) -> None:
@@ -78,11 +76,6 @@ class Program:
         tree = c_parser.CParser().parse(re.sub(r"^# .*pragma.*$", "", text, flags=re.MULTILINE), str(path))
         self.functions = {each.decl.name: each for each in tree.ext if isinstance(each, c_ast.FuncDef)}
         self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
-        self.arrays = {
-            each.name: [int(item.value, 0) for item in each.init.exprs]
-            for each in tree.ext
-            if isinstance(each, c_ast.Decl) and isinstance(each.init, c_ast.InitList)
-        }
 
     def defined_in(self, *paths: Path) -> list[str]:
         """Names of the functions that these files define."""
@@ -133,9 +126,11 @@ def _lines(path: str) -> list[str]:
     return Path(path).read_text(encoding="utf-8").splitlines()
 
 
-def stated_turns(loop: Any) -> int | None:
+def stated_turns(loop: Any) -> int:
     """The bound in the comment beside a loop, ``at most 3 turns``."""
-    return _stated(loop, r"at most (\d+)")
+    most = _stated(loop, r"/\* at most (\d+)")
+    assert most is not None, f"the loop in line {loop.coord.line} states no bound"
+    return most
 
 
 def stated_shift(node: Any) -> int | None:

@@ -9,16 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from proofs.source import INCLUDE, LANES, SOURCES, Variant
+from proofs.source import INCLUDE, LANES, SOURCES, VARIANTS, Variant
 from support import CORE, require, run
 
 CALLS = Path(__file__).with_name("any_calls.c")
-TARGETS = (
-    *(Variant(digits) for digits in ("1001", "2100", "1000", "3010", "4000", "2000")),
-    Variant("3010", "__AVR__"),
-    Variant("1000", "__riscv"),
-)
-"""The choices of each target, and the two targets with code of their own."""
 PRECISION = ("-eva-precision", "3", "-eva-split-return", "auto")
 DOMAINS = ("-eva-domains", "equality,symbolic-locations")
 ALARM = re.compile(r"^\[eva:alarm\] .*: Warning: *\n  (.*?)(?:assert.*)?$", re.MULTILINE)
@@ -31,7 +25,7 @@ FRAGILE = ("accuracy->g_shift & 31U", "accuracy->g_shift")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", TARGETS, ids=str)
+@pytest.mark.parametrize("variant", VARIANTS, ids=str)
 def test_any_call_is_safe(variant: Variant) -> None:
     said = eva(variant)
     assert alarms(said) == ASSUMED.get(variant.divide, [])
@@ -49,7 +43,7 @@ def test_a_trap_is_found(tmp_path: Path) -> None:
     text = CORE.read_text(encoding="utf-8")
     assert FRAGILE[0] in text
     (tmp_path / CORE.name).write_text(text.replace(*FRAGILE), encoding="utf-8")
-    assert any("shift" in alarm for alarm in alarms(eva(TARGETS[0], tmp_path)))
+    assert any("shift" in alarm for alarm in alarms(eva(VARIANTS[0], tmp_path)))
 
 
 def alarms(said: str) -> list[str]:
