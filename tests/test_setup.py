@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import shutil
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from support import ROOT, require, run
+from support import ROOT, blocks, require, run
 
 PAGE = ROOT / "docs/development.md"
 PYTHON = """#!/bin/sh
@@ -63,29 +62,17 @@ def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
     assert made[1:] == ["-m", "venv", "--clear", ".venv"]
     assert all("install" in call for call in installed) and len(installed) == 2
     assert (clone / ".venv/ready-to-run").exists()
-
-
-def test_an_environment_with_pip_is_kept(clone: Path) -> None:
-    set_up(clone, "run")
-    assert all("venv" not in call[1:] for call in set_up(clone, "run"))
-
-
-def told(lines: list[str]) -> list[str]:
-    return [line.removeprefix("setup: ") for line in lines if line.startswith("setup: ")]
+    assert set_up(clone, "run") == installed, "what has pip is kept"
 
 
 def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
     program(clone / "bin/avr-gcc", "#!/bin/sh\nexit 1\n")
     program(clone / "bin/apt-get", '#!/bin/sh\necho "apt-get $*" >>"$CALLS"\n')
     done = history(clone, "test")
-    assert "apt-get install" in told(done)[0] and "gcc-avr avr-libc" in told(done)[0]
+    told = next(line for line in done if line.startswith("setup: "))
+    assert "apt-get install" in told and "gcc-avr avr-libc" in told
     assert not any(line.startswith("apt-get") for line in done)
     assert (clone / ".venv/ready-to-test").exists()
-
-
-def after_announcing(done: list[str]) -> list[str]:
-    """The lines after the announcement of the Python packages."""
-    return done[next(i for i, line in enumerate(done) if "installing the Python packages" in line) + 1 :]
 
 
 def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> None:
@@ -93,21 +80,17 @@ def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> No
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
     asks = f'[ "$5" != install ] || exec {sys.executable} -m pip download {nowhere}\n'
     program(clone / ".venv/bin/python", f"#!/bin/sh\n{asks}")
-    said = after_announcing(history(clone, "run", status=1))
-    assert said == [
-        "setup: no connection to the index of Python packages; connect to the network and run the same again"
-    ]
+    said = history(clone, "run", status=1)
+    assert said[-1].startswith("setup: no connection to the index of Python packages; connect to the network")
+    assert "installing the Python packages" in said[-2], "and nothing of pip's"
     assert not (clone / ".venv/ready-to-run").exists()
 
 
 def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
     """The page's commands are what made the environment of these tests; only how much pip says may differ."""
-    (block,) = (
-        block for block in re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL) if "venv" in block
-    )
+    (block,) = (block for block in blocks(PAGE, "sh") if "venv" in block)
     shown = [shlex.split(line) for line in block.splitlines()]
-    purpose = "test" if "dev" in shown[-1] else "run"
     quiet = {"-qq", "--disable-pip-version-check"}
-    done = [[word for word in call if word not in quiet] for call in set_up(clone, purpose)]
+    done = [[word for word in call if word not in quiet] for call in set_up(clone, "test")]
     assert [call[1:] for call in shown] == [call[1:] for call in done]
     assert [Path(call[0]).name for call in shown] == [Path(call[0]).name for call in done]
