@@ -1,7 +1,14 @@
 /* The firmware under measurement; main() is the least that a robot uses of it, and with WHOLE all there is.
  */
 #include "mcp_asdf_image.h"
-#include "robot.h"
+
+/* Make a robot with id 5. */
+void bench_start(uint32_t b_hat);
+/* Let it filter every filter_period rounds and halve t when it reaches memory, and set the numbers of
+ * observations and of black ones among them. */
+void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
+/* Times that b_hat was re-estimated since the start. */
+uint32_t bench_updates(void);
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import random
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 
 from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths, division
-from .robots import UPDATED, Robot, Seen
+from .robots import BLACK, UPDATED, Robot, Seen
 
 TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
@@ -51,13 +53,23 @@ class Figures:
         return max(self.stack[name] for name in TICK_CALLS)
 
 
-def robot_image(target: Target, level: str, folder: Path, baseline: str = "") -> Image:
-    """The firmware, or the baseline in this type of floating point, ready to be called."""
-    prefix = "plain_robot" if baseline else "mcp_asdf"
-    kept = [f"{prefix}_{name}" for name in (TICK_CALLS if baseline else STACK_CALLS)]
-    kept += [f"bench_{name}" for name in ("start", "set", "updates")]
-    sources = [HERE / "plain.c"] if baseline else [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
-    return build(target, folder, sources, level, f"-DREAL={baseline}", *(f"-Wl,-u,{name}" for name in kept))
+def robot_image(target: Target, level: str, folder: Path) -> Image:
+    """The firmware, ready to be called."""
+    kept = [*(f"mcp_asdf_{name}" for name in STACK_CALLS), "bench_start", "bench_set", "bench_updates"]
+    sources = [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
+    return build(target, folder, sources, level, *(f"-Wl,-u,{name}" for name in kept))
+
+
+def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
+    """Mean instructions of step and x of the baseline in this type of floating point."""
+    kept = (f"-Wl,-u,plain_{name}" for name in ("hear", "step", "x"))
+    machine = load(build(target, folder, [HERE / "plain.c"], level, f"-DREAL={kind}", *kept))
+    rng, costs = random.Random(10), []
+    for _ in range(240):
+        machine.call("plain_hear")
+        step = machine.call("plain_step", (int(rng.random() < BLACK), 2))
+        costs.append(step.instructions + machine.call("plain_x").instructions)
+    return fmean(costs)
 
 
 def measure(target: Target, level: str, folder: Path) -> Figures:
@@ -71,10 +83,7 @@ def measure(target: Target, level: str, folder: Path) -> Figures:
         bound = {name: paths.longest(f"mcp_asdf_{name}") for name in ("receive", "x")}
         bound["step"] = paths.longest("mcp_asdf_step", without="filter")
         bound[UPDATED] = paths.longest("mcp_asdf_step")
-    times = {}
-    for kind in ("float",) if target == AVR else ("double", "float"):  # avr-gcc 5 has no double of 64 bits
-        plain = Robot(load(robot_image(target, level, folder / kind, kind)), "plain_robot").live()
-        times[kind] = (plain["step"] + plain["x"]) / (mean["step"] + mean["x"])
+    kinds = ("float",) if target == AVR else ("double", "float")  # avr-gcc 5 has no double of 64 bits
     return Figures(
         mean=mean,
         seen=robot.seen,
@@ -86,7 +95,10 @@ def measure(target: Target, level: str, folder: Path) -> Figures:
             code_bytes(target, level, folder / "whole", "-DWHOLE"),
         ),
         ram=int(image.symbols["robot"]["st_size"]),
-        times=times,
+        times={
+            kind: plain_cost(target, level, folder / kind, kind) / (mean["step"] + mean["x"])
+            for kind in kinds
+        },
     )
 
 

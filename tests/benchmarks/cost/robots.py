@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import random
-import struct
 from dataclasses import dataclass
 from statistics import mean
 
 from mcp_asdf import Config, Filter, NativeRobot, Observation
-from mcp_asdf.fixed_point import alpha_units, word_to_alpha
+from mcp_asdf.fixed_point import alpha_units
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 from .machines import Argument, Cost, Machine
@@ -21,7 +20,7 @@ ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
 SAMPLES = 40
 """Random situations of every age."""
-_BLACK = 0.545
+BLACK = 0.545
 """p(z = 1) for a fill ratio of 0.55 and sensors right 95 times out of 100."""
 _ONE = 2**23
 
@@ -96,23 +95,23 @@ class Seen:
 
 
 class Robot:
-    """The robot of an image, of the firmware ("mcp_asdf") or of the baseline ("plain_robot").
+    """The robot of an image.
 
     Attributes:
         machine: Where it runs.
         seen: All calls so far.
     """
 
-    def __init__(self, machine: Machine, prefix: str = "mcp_asdf") -> None:
-        self.machine, self._prefix = machine, prefix
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
         self.seen: list[Seen] = []
         self._t = self._m = 0
 
-    def call(self, name: str, *arguments: Argument, kind: str = "") -> Cost:
-        """Call one of the robot's functions, which counts as of this kind, or as itself."""
+    def call(self, name: str, *arguments: Argument) -> Cost:
+        """Call one of the robot's functions."""
         own = self.machine.image.address("robot"), 2
-        cost = self.machine.call(f"{self._prefix}_{name}", own, *arguments)
-        self.seen.append(Seen(kind or name, self._t, self._m, cost))
+        cost = self.machine.call(f"mcp_asdf_{name}", own, *arguments)
+        self.seen.append(Seen(name, self._t, self._m, cost))
         return cost
 
     def start(self, b_hat: int, period: int, t: int = 0, n: int = 0, memory: int = MEMORY) -> None:
@@ -122,10 +121,8 @@ class Robot:
         self._t, self._m = t, 0
 
     def receive(self, message: Message) -> None:
-        """Take a message, whose confidence the baseline takes as the frame has it."""
+        """Take a message."""
         sender, x_hat, alpha = message
-        if self._prefix != "mcp_asdf":
-            alpha = int.from_bytes(struct.pack("<f", word_to_alpha(alpha)), "little")
         self.call("receive", (sender, 1), (x_hat, 4), (alpha, 4))
         self._m += 1
 
@@ -149,13 +146,13 @@ class Robot:
         self.start(int(0.55 * 2**32), period)
         for number in range(1, ticks + 1):
             for sender, other in swarm.items():
-                other.step(Observation(int(rng.random() < _BLACK)))
+                other.step(Observation(int(rng.random() < BLACK)))
                 self.receive((sender, other.x_hat_raw, other.alpha_raw))
                 twin.receive_raw(sender, other.x_hat_raw, other.alpha_raw)
-            z = Observation(int(rng.random() < _BLACK))
+            z = Observation(int(rng.random() < BLACK))
             self.step(z, number % period == 0, len(swarm))
             twin.step(z)
-            if self.call("x").value != twin.x_raw and self._prefix == "mcp_asdf":
+            if self.call("x").value != twin.x_raw:
                 raise RuntimeError(f"{self.machine.image.target.name} has other bits in tick {number}")
         kinds = {each.kind for each in self.seen}
         return {kind: mean(s.cost.instructions for s in self.seen if s.kind == kind) for kind in kinds}
