@@ -152,6 +152,8 @@ def _expressions(statement: ast.stmt) -> Iterator[ast.AST]:
         ]
         if isinstance(node, ast.AnnAssign):
             children = [each for each in children if each is not node.annotation]
+        if isinstance(node, ast.keyword) and node.arg == "strict":
+            children = []  # zip(strict=True) states what holds in any case
         waiting.extend(reversed(children))
 
 
