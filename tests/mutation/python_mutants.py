@@ -152,7 +152,7 @@ def _expressions(statement: ast.stmt) -> Iterator[ast.AST]:
         ]
         if isinstance(node, ast.AnnAssign):
             children = [each for each in children if each is not node.annotation]
-        if isinstance(node, ast.keyword) and node.arg == "strict":
+        if isinstance(node, ast.keyword) and ast.unparse(node) == "strict=True":
             children = []  # zip(strict=True) states what holds in any case
         waiting.extend(reversed(children))
 
