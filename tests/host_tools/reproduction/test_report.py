@@ -96,6 +96,7 @@ def test_numbers_are_the_best_and_the_worst() -> None:
         (found, "3 of 4 hold, 1 fail; best 9.0, worst -9.0"),
         (found[1:], "2 of 3 hold, 1 fail; best -4.0, worst -9.0"),
         ([unsure], "0 of 1 hold; 0.1 [-0.25, 3]"),
+        ([found[0], Comparison(place, exactly(3), Expectation.ABOVE, 0.2)], "2 of 2 hold; best 3, worst 9.0"),
         ([unsure, found[3]], "1 of 2 hold, 1 open; best 0.1 [-0.25, 3], worst 1.0"),
     ):
         assert report.numbers(Finding(each)).replace("\N{MINUS SIGN}", "-") == words
