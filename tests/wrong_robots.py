@@ -9,11 +9,9 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from math import sqrt
 from typing import Any
 
 import can
-from scipy.stats import t as student_t  # type: ignore[import-untyped]
 
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
 from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, rejects
@@ -130,22 +128,20 @@ def firmware(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> W
     return set_up(phase, config, firmware=_replaced(Firmware, acts))
 
 
-def node(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> Wrong:
+def node(phase: str, **acts: Act) -> Wrong:
     """A controller whose node has other methods."""
-    return set_up(phase, config, _replaced(RobotNode, acts))
+    return set_up(phase, kind=_replaced(RobotNode, acts))
 
 
 WRONG: dict[str, Wrong] = {}
 """Wrong controllers, by what is wrong with them."""
 
 
-def wrong(
-    kind: Callable[..., Wrong], method: str, phase: str, name: str, **config: Any
-) -> Callable[[Act], Act]:
+def wrong(kind: Callable[..., Wrong], method: str, phase: str, name: str) -> Callable[[Act], Act]:
     """Adds a controller of which one ``method`` does what is decorated; ``kind`` is firmware or node."""
 
     def add(act: Act) -> Act:
-        WRONG[name] = kind(phase, config, **{method: act})
+        WRONG[name] = kind(phase, **{method: act})
         return act
 
     return add
@@ -253,11 +249,10 @@ def with_alpha(wrong: Callable[[int], int]) -> Act:
     return lambda robot, right, sender, x_hat, alpha: right(sender, x_hat, wrong(alpha))
 
 
-def table_of_m_degrees() -> Table:
-    """The t-table with m degrees of freedom instead of m - 1."""
-    scores = {m: student_t.ppf(0.525, m) for m in range(2, 21)}
-    entries = [round((t / sqrt(m) + 1) ** 2 * m / (m - 1) * 2**26) for m, t in scores.items()]
-    return Table(TABLE.omega_word, (*entries, TABLE.entries[-1]))
+def table_wrong_at(m: int) -> Table:
+    """The t-table with one entry that is a thousandth too large."""
+    entries = [entry + (entry >> 10) * (each == m) for each, entry in enumerate(TABLE.entries, 2)]
+    return Table(TABLE.omega_word, tuple(entries))
 
 
 # --- Wrong frames ---
@@ -416,8 +411,11 @@ WRONG |= {
     "memory 8192": set_up("long run", memory=8192),
     "memory 64": set_up("alone", memory=64),
     "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 20)),
-    "t-table of q = 9": set_up("threshold of 10 messages", table=generate(parse_omega("0.05"), 9)),
-    "t-table with m degrees of freedom": set_up("threshold of 2 messages", table=table_of_m_degrees()),
+    **{
+        f"threshold of {m} messages wrong": set_up(f"threshold of {m} messages", table=table_wrong_at(m))
+        for m in (2, 3, 5, 10)
+    },
+    "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(21)),
     # The method
     "rejects its own estimate": firmware(
         "own estimate",
