@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-
 import can
 import pytest
 
-from mcp_asdf_tools.bus.interfaces import BusChoice, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.errors import UsageError
 
 
 def multicast(group: int) -> BusChoice:
     """Bus number ``group`` of this machine; each test has one of its own. Skips the test if there is none."""
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    port = 43200 + group
-    words = ["--interface=udp_multicast", f"--channel=239.74.163.{group}", "--bus-kwargs", f"port={port}"]
-    choice = choose_bus(parser.parse_args(words))
+    settings = {"hop_limit": 0, "channel": f"239.74.163.{group}", "port": 43200 + group}
+    choice = BusChoice("udp_multicast", settings)
     if not _works(choice):
         pytest.skip("IP multicast does not reach other processes of this machine")
     return choice

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -25,17 +26,9 @@ from support import PATIENCE
 TABLE = generate(parse_omega("0.05"), 20)
 
 
-class Clock:
-    """Time that stands still unless somebody waits."""
-
-    now = 0.0
-
-    def monotonic(self) -> float:
-        """The time."""
-        return self.now
-
-
-CLOCK = Clock()
+CLOCK = Mock(now=0.0)
+"""Time that stands still unless somebody waits."""
+CLOCK.monotonic.side_effect = lambda: CLOCK.now
 
 
 @contextmanager

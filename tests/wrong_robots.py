@@ -397,7 +397,6 @@ def numbers_of(bits: int) -> Wrong:
 
 
 HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
-UNFILTERED = {"filter": Filter.OFF, "table": None, "filter_period": 1}
 
 WRONG |= {
     # How it is set up
@@ -407,7 +406,11 @@ WRONG |= {
     "has run before": node("alone", start=has_run),
     "another filter period": set_up("messages and silence", filter_period=9),
     "filters always": set_up("rounds without a test", filter=Filter.ALWAYS),
-    "filters though it should not": set_up("messages and silence", UNFILTERED, filter=Filter.ALWAYS),
+    "filters though it should not": set_up(
+        "messages and silence",
+        {"filter": Filter.OFF, "table": None, "filter_period": 1},
+        filter=Filter.ALWAYS,
+    ),
     "memory 8192": set_up("long run", memory=8192),
     "memory 64": set_up("alone", memory=64),
     "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 20)),

@@ -7,13 +7,14 @@ import random
 import socket
 import struct
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import msgpack  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
-from mcp_asdf_tools.bus.interfaces import BusChoice, WithoutEcho, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, WithoutEcho, add_arguments, choose_bus
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
 from multicast import multicast
@@ -73,13 +74,8 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
 
 
 def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
-    echoing: dict[str, Any] = {
-        "interface": "virtual",
-        "channel": "echo",
-        "receive_own_messages": True,
-        "ignore_config": True,
-    }
-    connections = [WithoutEcho(can.Bus(**echoing)) for _ in range(3)]
+    echoing: dict[str, Any] = {"receive_own_messages": True, "ignore_config": True}
+    connections = [WithoutEcho(can.Bus("echo", "virtual", **echoing)) for _ in range(3)]
     draw = random.Random(2)
     heard: list[list[tuple[int, bytes]]] = [[], [], []]
     due: list[list[tuple[int, bytes]]] = [[], [], []]
@@ -96,6 +92,22 @@ def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
     for place, connection in enumerate(connections):
         assert sorted(heard[place]) == sorted(due[place]), "replay: random.Random(2)"
         connection.shutdown()
+
+
+def test_frames_of_other_programs_on_socketcan_are_received() -> None:
+    """The kernel filters, and leaving an adapter that is unplugged is no error."""
+    bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
+    bus._recv_internal.side_effect = [(can.Message(is_rx=False), True), (None, True)]
+    connection = AllReceived(bus)
+    frame = connection.recv(0)
+    assert frame is not None and frame.is_rx and connection.recv(0) is None
+    connection.set_filters(filters_for(FrameFormat()))
+    bus.set_filters.assert_called_with(filters_for(FrameFormat()))
+    assert (connection.protocol, connection.channel_info) == (bus.protocol, "can0")
+    assert connection.fileno() is bus.fileno()
+    bus.shutdown.side_effect = can.CanOperationError("unplugged")
+    connection.shutdown()
+    bus.shutdown.assert_called_once_with()
 
 
 def chosen(*words: str) -> BusChoice:
@@ -116,6 +128,7 @@ def test_another_process_joins_the_bus_by_its_arguments() -> None:
     assert {name: str(value) for name, value in own.settings.items()} == again.settings
     assert chosen("-i", "udp_multicast", "-c", "g{robot}").of_robot(2).settings["port"] == 43115
     assert own.of_robot(3) is own
+    assert chosen("-i", "socketcan", "-c", "vcan{robot}").of_robot(2).settings == {"channel": "vcan2"}
 
 
 def test_only_a_bus_of_this_process_without_settings_is_private() -> None:

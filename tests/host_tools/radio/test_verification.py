@@ -92,16 +92,10 @@ def test_a_right_controller_passes_every_phase(memory: int) -> None:
 
 OFF: dict[str, Any] = {"filter": Filter.OFF, "table": None}
 ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
+PERIODS = ((5, 10), (10, 10), (1, 1), (1, 2), (40, 600))
 CONFIGS: list[dict[str, Any]] = [
-    {"comms_period": 5},
-    {"comms_period": 10},
-    ALWAYS,
-    ALWAYS | {"comms_period": 5},
-    OFF,
-    {"filter_period": 1},
-    {"filter_period": 2},
-    {"filter_period": 997, "memory": 2048},
-    {"filter_period": 600, "comms_period": 40},
+    *(OFF, ALWAYS, ALWAYS | {"comms_period": 5}, {"filter_period": 997, "memory": 2048}),
+    *({"comms_period": comms, "filter_period": tau} for comms, tau in PERIODS),
     *({"robot": robot} for robot in (0, 1, 125, 127)),
     *({"b_hat": b_hat} for b_hat in (2**-20, 0.02, 0.4999, 0.5, 0.75, 1 - 2**-20)),
 ]

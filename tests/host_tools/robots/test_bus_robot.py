@@ -167,9 +167,9 @@ def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint
 
 
 def test_flawed_robots_are_a_count_or_a_share() -> None:
-    ways = (6, "6", np.int64(4), "44.9%", 0, 10, 1.0, "30%", 0.25, "45%", "0.5")
+    ways = (6, "6", np.int64(4), "44.9%", 0, 0.0, 10, 1.0, "30%", 0.25, "45%", "0.5")
     counts = [Population(robots=10, flawed=way).flawed for way in ways]
-    assert counts == [6, 6, 4, 4, 0, 10, 10, 3, 3, 5, 5]
+    assert counts == [6, 6, 4, 4, 0, 0, 10, 10, 3, 3, 5, 5]
     for wrong in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None):
         with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
             Population(robots=10, flawed=wrong)

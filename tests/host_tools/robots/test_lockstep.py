@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import random
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -11,7 +10,7 @@ import can
 import pytest
 
 from mcp_asdf.fixed_point import word_to_alpha
-from mcp_asdf.robot import Filter, Observation, Robot
+from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
     EVERY_ROBOT,
@@ -26,7 +25,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_telemetry,
     encode_command,
 )
-from mcp_asdf_tools.bus.interfaces import add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import RobotNode, Subjects, state_of
@@ -34,7 +33,7 @@ from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
 from support import PATIENCE
-from wire import EndlessWire, Wire, node, record, still
+from wire import CLOCK, EndlessWire, Wire, node, record, still
 
 COLOURS = (*Observation, None)
 """The possible observations of a tick."""
@@ -42,12 +41,6 @@ COLOURS = (*Observation, None)
 
 def command(tick: int, target: int, action: Action) -> can.Message:
     return encode_command(Command(126, tick, target, action, 0))
-
-
-def see(robot: Robot, z: Observation | None) -> None:
-    """Let the firmware observe, if there is something to see."""
-    if z is not None:
-        robot.observe(z)
 
 
 def kind(frame: can.Message) -> str:
@@ -155,7 +148,8 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
         estimates = lockstep.estimates((0, 1)) | lockstep.estimates((2, 3))
         answers = lockstep.settle(ids)
         for robot, twin in enumerate(twins):
-            see(twin, z[robot])
+            if (colour := z[robot]) is not None:
+                twin.observe(colour)
             said = estimates[robot]
             assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
         for robot, twin in enumerate(twins):
@@ -234,6 +228,14 @@ def test_the_driver_asks_whether_to_wait_on_also_on_a_bus_that_is_never_quiet(
     for wait in (lambda: lockstep.wait_until_up({3}, 1e9), lambda: lockstep.settle({2})):
         with pytest.raises(ZeroDivisionError):
             wait()
+
+
+@still()
+def test_a_bus_that_is_never_quiet_is_listened_to_for_twice_the_time() -> None:
+    wire, before = EndlessWire(node(1)), CLOCK.now
+    with pytest.raises(LockstepError, match="robot 3 did not send a heartbeat within 1 s"):
+        Lockstep(wire).wait_until_up({3}, 1.0)
+    assert 2 <= CLOCK.now - before < 2.1
 
 
 @pytest.mark.parametrize(
@@ -336,9 +338,7 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
 def test_only_processes_on_socketcan_keep_to_one_processor(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parser, kept = argparse.ArgumentParser(), list[set[int]]()
-    add_arguments(parser)
-    choice = choose_bus(parser.parse_args([f"--interface={interface}", "--channel=vcan0"]))
+    choice, kept = BusChoice(interface, {"channel": "vcan0"}), list[set[int]]()
     monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 1, 2})
     monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some))
     NodeProcesses([record(3)], lambda robot: choice, Subjects(), 10)
