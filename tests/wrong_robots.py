@@ -407,9 +407,7 @@ WRONG |= {
     "another filter period": set_up("messages and silence", filter_period=9),
     "filters always": set_up("rounds without a test", filter=Filter.ALWAYS),
     "filters though it should not": set_up(
-        "messages and silence",
-        {"filter": Filter.OFF, "table": None, "filter_period": 1},
-        filter=Filter.ALWAYS,
+        "messages and silence", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
     ),
     "memory 8192": set_up("long run", memory=8192),
     "memory 64": set_up("alone", memory=64),

@@ -6,6 +6,7 @@ import json
 import shlex
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import can
@@ -34,7 +35,7 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm() -> None:
     """Robot 3 lives outside; all five end with the same bits as in an emulated swarm, where robots crash."""
     crashes = ("crash=0.1,robots=1,ticks=5,rejoin=new", "crash=0.1,robots=2,ticks=5,rejoin=restored")
-    population = {"robots": 5, "flawed": 0.6, "filter_period": 20}
+    population: dict[str, Any] = {"robots": 5, "flawed": 0.6, "filter_period": 20}
     world = SwarmSettings(**population, steps=120, seed=9, fill_ratio=0.9, faults=crashes)
     records = world.records()
     others = tuple(each for each in records if each.id != ID)
