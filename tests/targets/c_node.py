@@ -26,7 +26,6 @@ from support import PATIENCE, ROOT, made_once, require, run
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""
 
-PROGRAM = "mcp_asdf_node"
 SOURCES = ROOT / "c_ref/ports/linux"
 WARNINGS = (
     "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wdouble-promotion -Wundef -Werror"
@@ -41,45 +40,43 @@ class Kind:
     """A build of the node.
 
     Attributes:
-        name: Of the build.
         compiler: Its compiler, and the Debian packages that have it.
-        runner: What runs the program, and the Debian packages that have it; empty if it runs by itself.
-        flags: For the compiler.
-        toolchain: CMake's toolchain file, if there is one.
+        runner: What runs the program, if it does not run by itself.
+        settings: For CMake.
     """
 
     name: str
-    compiler: tuple[str, str]
-    runner: tuple[str, ...] = ()
+    compiler: tuple[str, str] = ("gcc", "gcc")
     flags: str = ""
-    toolchain: str = ""
+    runner: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
 
-    def build(self, folder: Path) -> list[str]:
-        """Build the node and return the command that runs it; skips the test where tools are missing."""
+    def build(self, folder: Path) -> None:
+        """Build the node; skips the test where tools are missing."""
         require("ninja")
         require(*self.compiler)
-        settings = ["-DCMAKE_BUILD_TYPE=RelWithDebInfo"]
-        if self.toolchain:
-            settings.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake' / self.toolchain}")
-        run("cmake", "-G", "Ninja", "-S", SOURCES, "-B", folder, *settings, CFLAGS=WARNINGS + self.flags)
+        words = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", *self.settings)
+        run("cmake", "-G", "Ninja", "-S", SOURCES, "-B", folder, *words, CFLAGS=WARNINGS + self.flags)
         run("cmake", "--build", folder)
-        return self.command(folder)
-
-    def command(self, folder: Path) -> list[str]:
-        """Command of the node built in ``folder``; skips the test where tools are missing."""
-        for tool in self.runner[:1]:
-            require(tool, "qemu-user")
-        return [*self.runner, str(folder / PROGRAM)]
 
 
-HOST = Kind("host", ("gcc", "gcc"), flags=SANITIZERS)
-PLAIN = Kind("plain", ("gcc", "gcc"))
+HOST = Kind("host", flags=SANITIZERS)
+PLAIN = Kind("plain")
 CORTEX_A8 = Kind(
     "cortex-a8",
     ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
-    ("qemu-arm", "-cpu", "cortex-a8"),
-    toolchain="cortex-a8.cmake",
+    runner=("qemu-arm", "-cpu", "cortex-a8"),
+    settings=(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake/cortex-a8.cmake'}",),
 )
+
+
+def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The command of a build that is made once, unless it is there already."""
+    for tool in kind.runner[:1]:
+        require(tool, "qemu-user")
+    ready = Path(os.environ.get(NODES, "none"), kind.name)
+    folder = ready if ready.exists() else made_once(tmp_path_factory, f"node {kind.name}", kind.build)
+    return [*kind.runner, str(folder / "mcp_asdf_node")]
 
 
 class CNode:
@@ -93,14 +90,9 @@ class CNode:
         self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
     ) -> None:
         """Start it with the options given; ``streams`` are those of subprocess.Popen."""
-        arguments = ["--interface", interface, "--id", robot_id, *options]
-        self.process = subprocess.Popen(
-            [*command, *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            **streams,
-        )
+        words = [*command, *map(str, ("--interface", interface, "--id", robot_id, *options))]
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
+        self.process = subprocess.Popen(words, text=True, **pipes)
 
     def summary(self, status: int = 0) -> dict[str, Any]:
         """Its last line, when it has ended by itself with ``status``.
@@ -153,23 +145,11 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
     robot = node.robot
     assert isinstance(robot, MirrorRobot)
     numbers = {
-        "t": robot.t,
-        "n": robot.n,
-        "b_hat": robot.b_hat_raw,
-        "x_hat": robot.x_hat_raw,
-        "alpha": robot.alpha_raw,
-        "x_bar": robot.x_bar_raw,
-        "beta": robot.beta_raw,
-        "x": robot.x_raw,
+        **{name: getattr(robot, f"{name}_raw") for name in ("b_hat", "x_hat", "alpha", "x_bar", "beta", "x")},
+        **{name: getattr(node, name) for name in ("ticks", "obeyed", "disobeyed", "unsettled")},
+        **{"t": robot.t, "n": robot.n, "heard": node.reception.delivered},
         **vars(robot.counters),
-        "ticks": node.ticks,
-        "estimates": node.sent.estimates,
-        "heartbeats": node.sent.heartbeats,
-        "telemetry": node.sent.telemetry,
-        "heard": node.reception.delivered,
-        "obeyed": node.obeyed,
-        "disobeyed": node.disobeyed,
-        "unsettled": node.unsettled,
+        **vars(node.sent),
     }
     assert {name: figures[name] for name in numbers} == numbers
 
@@ -188,16 +168,3 @@ def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> li
         lockstep.estimates(robots)
         lockstep.settle(robots)
     return [frame for frame in frames if frame.is_rx]
-
-
-def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The command of a build that is made once, unless it is there already."""
-    if kind not in _BUILT:
-        ready = Path(os.environ.get(NODES, ""), kind.name, PROGRAM)
-        is_ready = NODES in os.environ and ready.exists()
-        folder = ready.parent if is_ready else made_once(tmp_path_factory, f"node {kind.name}", kind.build)
-        _BUILT[kind] = kind.command(folder)
-    return _BUILT[kind]
-
-
-_BUILT: dict[Kind, list[str]] = {}

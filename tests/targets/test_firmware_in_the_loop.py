@@ -13,7 +13,6 @@ from pathlib import Path
 from socket import create_server
 from typing import Any
 
-import can
 import pytest
 
 from benchmarks.cost.images import TARGETS, Image
@@ -213,17 +212,10 @@ class Talk:
         )
 
     def _other_frame(self) -> bytes:
-        is_long, is_remote = self._draw.random() < 0.5, self._draw.random() < 0.2
-        data = self._draw.randbytes(self._draw.randrange(9))
-        return line_of(
-            can.Message(
-                arbitration_id=self._draw.getrandbits(29 if is_long else 11),
-                is_extended_id=is_long,
-                is_remote_frame=is_remote,
-                dlc=len(data),
-                data=None if is_remote else data,
-            )
-        )
+        draw, kind, length = self._draw, self._draw.choice("tTrR"), self._draw.randrange(9)
+        number = f"{draw.getrandbits(11):03X}" if kind in "tr" else f"{draw.getrandbits(29):08X}"
+        data = draw.randbytes(length).hex().upper() if kind in "tT" else ""
+        return f"{kind}{number}{length}{data}\r".encode()
 
 
 @pytest.mark.parametrize(

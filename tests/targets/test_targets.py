@@ -22,8 +22,7 @@ def test_a_file_is_what_the_mirror_gives(name: str) -> None:
 
 @pytest.mark.parametrize("cell", CELLS, ids=str)
 def test_the_target_computes_the_mirror_s_bits(cell: Cell, tmp_path: Path) -> None:
-    if reason := cell.missing():
-        pytest.skip(reason)
+    cell.require_tools()
     printed = matrix.play(cell, tmp_path, *(HERE / name for name in cell.vectors()))
     if wrong := re.search(r"scenario (\d+) expected", printed):
         assert re.findall(r"call .*", printed) == Player(scenarios()[int(wrong[1])]).lines, printed
