@@ -244,6 +244,7 @@ def test_the_other_run_is_the_same_swarm_without_a_filter(
     error, without = (report[name]["mean_error"] for name in ("results", "without_filter"))
     assert f"the mean error is {error:.3f}; without it, on the same seed, {without:.3f}." in said
     assert main(["replay", str(log)]) == 0
+    assert main([*COMPARED, "--flawed", "0", "--compare", "--quiet"]) == 0
 
 
 def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:

@@ -130,6 +130,10 @@ def test_robots_elsewhere_end_in_the_same_bits(
             assert run.results["frames"][figure] == here.results["frames"][figure]
 
 
+def test_126_robots_and_the_tool_have_ids() -> None:
+    remote_robot.check_remote(small(robots=126), with_buses(1))
+
+
 def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings = small()

@@ -151,7 +151,6 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
         ((), {"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
         ((), {"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
         ("loss", {}, "faults is .*; give several in a list"),
-        (("loss,robots=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
         (("loss,receivers=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
     ],
 )
@@ -265,14 +264,14 @@ def test_foreign_traffic_is_counted_and_changes_nothing(
 
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
 def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
-    outcome, _ = record(small(seed=seed))
+    outcome, _ = record(small("loss=0.5", seed=seed))
     results = outcome.results
     assert (results["mean_x"] < 0.55) == is_low
     x = [Fraction(node.robot.x) for node in outcome.nodes]
     error = sum(abs(each - Fraction(0.55)) for each in x) / 5
     assert results["mean_x"] == pytest.approx(float(sum(x) / 5), abs=1e-15)
     assert results["mean_error"] == pytest.approx(float(error), abs=1e-15)
-    assert results["spread_x"] == float(max(x) - min(x))
+    assert results["spread_x"] == float(max(x) - min(x)) > 0
     x_hat = [node.robot.x_hat for node in outcome.nodes]
     assert results["spread_x_hat"] == max(x_hat) - min(x_hat)
     for group, start, b_hat in (

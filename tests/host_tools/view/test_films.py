@@ -69,6 +69,7 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
     logged, trial = film_of_log(log), film_of_trial(trials_of(**world), 0)
     assert plain(live.stage) == plain(logged.stage) == plain(trial.stage)
+    assert live.stage.title.endswith(", seed 3")
     assert logged.has_ended and trial.has_ended and not live.has_ended
     assert list(states(logged)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
@@ -143,11 +144,11 @@ def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The film takes a state every 0.1 s; frames come between."""
+    """The film takes a state every 1/8 s; frames come between."""
     frames = {
         0.0: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
-        0.15: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
-        0.25: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
+        0.1875: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
+        0.3125: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
     }
     now = [0.0]
 
@@ -157,9 +158,10 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
         return None if due is None else frames.pop(due)
 
     bus: Any = SimpleNamespace(recv=recv)
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: 1000 + now[0])
+    monkeypatch.setattr("mcp_asdf_tools.view.films.STATES_PER_SECOND", 8)
     watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
-    watch.record(lambda: now[0] >= 0.4)
+    watch.record(lambda: now[0] >= 0.5)
     generation, stage, taken = watch.film.since()
     assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
     unknown = [np.nan, np.nan]
