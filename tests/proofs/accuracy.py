@@ -17,6 +17,7 @@ from typing import Any
 
 import z3
 
+from proofs.arithmetic import are_leading_zeros
 from proofs.core import C_MOST, ONE
 from proofs.formulas import Claim, call, formed
 from proofs.source import Program
@@ -89,13 +90,33 @@ def of_set_b_hat(program: Program) -> Iterator[Claim]:
     g = -2 * c
     g_shift, c_shift = call("leading_zeros", g), call("leading_zeros", c)
     shifted = call("shift_left", g, g_shift)
+    says_nothing = z3.UGT(c, C_MOST)
     members = {
+        **{"b_hat": b_hat, "c": z3.If(says_nothing, z3.BitVecVal(2**32 - 1, 32), c)},
         "common": call("square_of_ratio", shifted, -c),
         "rare": call("square_of_ratio", shifted, call("shift_left", c, c_shift)),
         **{"g_shift": g_shift, "rare_shift": 2 * c_shift},
     }
     for name, value in members.items():
-        yield name, held[name] == value, [given["b_hat"] == b_hat]
+        yield name, held[name] == value, [given["b_hat"] == b_hat, *_ranges_of_b_hat(b_hat)]
+
+
+def _ranges_of_b_hat(b_hat: Any) -> list[Any]:
+    return [z3.UGE(b_hat, 2**12), z3.ULE(b_hat, 2**32 - 2**12)]
+
+
+def of_shifts() -> Iterator[Claim]:
+    """What of_lengths takes for known of a b_hat that says something, and what square_of_ratio() is given for
+    one that is not 1/2, by the lemma of leading_zeros()."""
+    b_hat, g_shift, c_shift = z3.BitVecs("b_hat g_shift c_shift", 32)
+    c = z3.If(z3.ULT(b_hat, 2**31), b_hat, -b_hat)
+    g = -2 * c
+    known = [*_ranges_of_b_hat(b_hat), b_hat != 2**31]
+    known += [are_leading_zeros(g_shift, g), are_leading_zeros(c_shift, c)]
+    yield "g_shift", z3.ULE(g_shift, 11) == z3.ULE(c, C_MOST), known
+    yield "rare_shift", z3.And(z3.UGE(2 * c_shift, 2), z3.ULE(2 * c_shift, 38)), known
+    long = [z3.UGE(each, 2**31) for each in (g << g_shift, -c, c << c_shift)]
+    yield "32 bits", z3.And(long), known
 
 
 def of_square_of_ratio(program: Program) -> Iterator[Claim]:
@@ -358,4 +379,13 @@ def _of_exponents() -> Iterator[Claim]:
 
 
 OF_THE_CODE = (of_estimate, of_reestimate, of_set_b_hat, of_square_of_ratio)
-OF_THE_NUMBERS = (of_lengths, of_x_hat, of_alpha, of_squares, of_alpha_at_an_end, of_quotient, of_b_hat)
+OF_THE_NUMBERS = (
+    of_lengths,
+    of_shifts,
+    of_x_hat,
+    of_alpha,
+    of_squares,
+    of_alpha_at_an_end,
+    of_quotient,
+    of_b_hat,
+)

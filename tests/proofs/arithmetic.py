@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import z3
@@ -33,13 +34,22 @@ def _word(high: int, value: Any) -> Any:
     return z3.Extract(high, high - 31, value)
 
 
-WORDS = {
-    "join": Contract(lambda found, high, low: found == z3.Concat(high, low)),
-    "high_word": Contract(lambda found, value: found == _word(63, value)),
-    "low_word": Contract(lambda found, value: found == _word(31, value)),
-    "add": Contract(lambda after, before, term: after == before + term),
-    "hash_word": Contract(lambda found, hash_, word: found == (hash_ ^ word) * 0x01000193),
+EXACT: dict[str, Callable[..., Any]] = {
+    "join": z3.Concat,
+    "high_word": partial(_word, 63),
+    "low_word": partial(_word, 31),
+    "add": lambda sum_, term: sum_ + term,
+    "hash_word": lambda hash_, word: (hash_ ^ word) * 0x01000193,
+    "shift_right_64": lambda value, count: z3.LShR(value, _wide(count & 63)),
 }
+"""What these functions give for any arguments, to the bit."""
+
+
+def _gives(exact: Callable[..., Any]) -> Contract:
+    return Contract(lambda found, *given: found == exact(*given))
+
+
+WORDS = {name: _gives(exact) for name, exact in EXACT.items()}
 
 
 def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
@@ -56,20 +66,19 @@ SHIFTS = {
     "shift_right_by": _shift(lambda value, count: z3.LShR(value, _wide(count, 32))),
     "shift_left": _shift(lambda value, count: value << count),
     "shift_right": _shift(z3.LShR),
-    "shift_right_64": Contract(lambda found, value, count: found == z3.LShR(value, _wide(count & 63))),
     "shift_left_wide": Contract(_is_shifted_wide),
     "upper": _shift(lambda value, count: _word(63, value << _wide(count))),
 }
 
 
-def _are_leading_zeros(found: Any, value: Any) -> Any:
+def are_leading_zeros(found: Any, value: Any) -> Any:
     """The value, or 1 for 0, has its highest bit in front after a shift by them, and lost none."""
     positive = z3.If(value == 0, z3.BitVecVal(1, 32), value)
     shifted = positive << found
     return z3.And(z3.ULE(found, 31), _word(31, shifted) >> 31 == -1, z3.LShR(shifted, found) == positive)
 
 
-WORDS["leading_zeros"] = Contract(_are_leading_zeros)
+WORDS["leading_zeros"] = Contract(are_leading_zeros)
 
 
 def _halves(number: Any) -> tuple[Any, Any]:

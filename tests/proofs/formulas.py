@@ -7,6 +7,7 @@ from typing import Any
 
 import z3
 
+from proofs.arithmetic import EXACT
 from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Number, Type, Words
 from proofs.prove import terms
@@ -46,10 +47,12 @@ def _in_words(_: Machine, alpha: Number) -> dict[str, Number]:
     }
 
 
+def _exactly(name: str) -> Summary:
+    return lambda _, *given: Number(EXACT[name](*(each.term for each in given)), Type(RESULTS[name]))
+
+
 BY_LEMMA: dict[str, Summary] = {
-    "join": lambda _, high, low: Number(z3.Concat(high.term, low.term), Type(64)),
-    "high_word": lambda _, value: Number(z3.Extract(63, 32, value.term), Type(32)),
-    "low_word": lambda _, value: Number(z3.Extract(31, 0, value.term), Type(32)),
+    **{name: _exactly(name) for name in ("join", "high_word", "low_word")},
     "units": _in_words,
 }
 """Functions that are known by their lemmas, where they are not opaque."""

@@ -1,4 +1,4 @@
-"""Sums' quotients, the form of alpha, and that every loop of the firmware ends: for all inputs, any memory
+"""The form of alpha, and that every loop of the firmware ends: for all inputs, any memory
 contents, every variant."""
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ import pytest
 import z3
 from pycparser import c_ast
 
-from proofs.core import CORE, contracts
+from proofs.core import CONTRACTS, CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
 from proofs.prove import (
     Contract,
-    UnprovenError,
     always,
     prove,
     prove_contract,
@@ -25,15 +24,14 @@ from proofs.prove import (
 )
 from proofs.source import SOURCES, VARIANTS, Program, nodes, program
 
-LEMMAS = sorted(contracts(VARIANTS[0]))
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
-@pytest.mark.parametrize("name", LEMMAS)
+@pytest.mark.parametrize("name", CONTRACTS)
 def test_lemma(name: str) -> None:
     done: set[str] = set()
     for variant in VARIANTS:
-        prove_lemma(program(variant, CORE), name, contracts(variant)[name], done)
+        prove_lemma(program(variant, CORE), name, CONTRACTS[name], done)
     assert done
 
 
@@ -90,12 +88,3 @@ def test_a_table_that_is_read_has_at_most_129_words() -> None:
     refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
     assert refusal < text.index("for (uint8_t i = 0; i < end; ++i)")
     assert "const uint8_t end = (uint8_t)(head + 2U);" in text[:refusal]
-
-
-def test_a_loop_that_turns_more_often_than_stated_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / CORE.name
-    path.write_text(CORE.read_text(encoding="utf-8").replace("at most 129", "at most 128"), encoding="utf-8")
-    code = Program(path, VARIANTS[0])
-    (loop,) = loops_in(code, "table_valid")
-    with pytest.raises(UnprovenError, match="at most 128"):
-        prove_ends(code, "table_valid", loop)
