@@ -14,7 +14,7 @@ import z3
 
 from proofs.machine import Machine, Summary
 from proofs.numbers import Integers, Type, known
-from proofs.prove import Contract, prove
+from proofs.prove import Contract
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
 
 PREPARED = {TABLE: (2**30, Fraction(710, 1000)), LANES: (2**29, Fraction(252, 1000))}
@@ -120,49 +120,32 @@ def _divisible(least: int) -> Callable[..., Any]:
 
 class Remainder:
     """Invariant of divide_by_bits() after i turns, with the quotient q so far and the present a < 2 d:
-    2^i dividend = 2 d q + a. The product d q is a number of its own, so that all claims are linear."""
+    2^i dividend = 2 d q + a."""
 
     def __init__(self) -> None:
         self.turns = self.turns_in_byte = 0
-        self.quotient: Any = z3.IntVal(0)
-        self.product: Any = z3.IntVal(0)
-        self.a: Any = None
         self.facts: list[Any] = []
 
     def after_turn(self, machine: Machine) -> None:
-        """The turn took the divisor out where it fitted; the quotient's new bit says so."""
-        if self.a is None:
-            self.a, self.facts = machine.given["a"], list(machine.facts)
+        """What follows knows nothing else of the turn."""
+        self.facts = self.facts or list(machine.facts)
         self.turns, self.turns_in_byte = self.turns + 1, self.turns_in_byte + 1
-        fits, d = self.a >= machine.given["d"], machine.given["d"]
-        self.quotient = 2 * self.quotient + z3.If(fits, 1, 0)
-        self.product = 2 * self.product + z3.If(fits, d, 0)
         machine.claim(self._holds(machine), f"turn {self.turns}")
         for name in ("a", "byte", "quotient"):
             place = machine.variable(name)
             machine.store(place, machine.unknown(name, machine.load(place).type))
-        self.quotient, self.product = z3.Ints(f"q_{self.turns} product_{self.turns}")
-        self.a = machine.load(machine.variable("a")).term
         machine.facts[:] = [*self.facts, self._holds(machine)]
         if known(machine.load(machine.variable("turns")).term) == 1:
             self.turns_in_byte = 0
 
     def _holds(self, machine: Machine) -> Any:
         a, byte, bytes_ = (machine.load(machine.variable(name)).term for name in ("a", "byte", "quotient"))
+        quotient, d = bytes_ * 2**self.turns_in_byte + byte, machine.given["d"]
         return z3.And(
-            *(a >= 0, a < 2 * machine.given["d"], byte >= 0, byte < 2**self.turns_in_byte),
+            *(a >= 0, a < 2 * d, byte >= 0, byte < 2**self.turns_in_byte),
             *(bytes_ >= 0, bytes_ < 2 ** (self.turns - self.turns_in_byte)),
-            self.quotient == bytes_ * 2**self.turns_in_byte + byte,
-            2**self.turns * machine.given["a"] == 2 * self.product + a,
+            2**self.turns * machine.given["a"] == 2 * (d * quotient) + a,
         )
-
-    def at_end(self, machine: Machine, found: Any) -> None:
-        """The result is q, and the product is d q, as it was before the first turn and after each."""
-        machine.claim(found == self.quotient, "all bits are in the result")
-        d, q, product = z3.Ints("d q product")
-        for bit in (0, 1):
-            prove(2 * product + bit * d == d * (2 * q + bit), product == d * q, about="product")
-        machine.facts.append(found * machine.given["d"] == self.product)
 
 
 def _is_prepared(divide: int) -> Callable[[Any, Any], Any]:
@@ -246,7 +229,7 @@ def _by_bits() -> dict[str, Contract]:
         Integers,
         requires=lambda a, d, bits: z3.And(a < 2 * d, d <= 2**31),
         cases=("bits", (24, 31)),
-        invariant=Remainder,
+        invariant=lambda: Remainder().after_turn,
     )
     uses = {"divide_by_bits": one_by_one.stands_in("divide_by_bits")}
     return {"divide_by_bits": one_by_one, **_quotients(uses)}

@@ -41,10 +41,7 @@ def units(alpha: Any) -> Any:
 
 def _in_words(_: Machine, alpha: Number) -> dict[str, Number]:
     whole = units(alpha.term)
-    return {
-        "high": Number(z3.Extract(63, 32, whole), Type(32)),
-        "low": Number(z3.Extract(31, 0, whole), Type(32)),
-    }
+    return {name: Number(EXACT[f"{name}_word"](whole), Type(32)) for name in ("high", "low")}
 
 
 def _exactly(name: str) -> Summary:

@@ -91,8 +91,8 @@ class Contract:
         cases: The values of a parameter that is a constant wherever the function is called.
         uses: What stands for called functions in the proof of ``ensures``.
         steps: What leads to ``ensures``, each proved with what was proved before.
-        invariant: Makes what follows the turns of its loops, for one run: ``after_turn(machine)`` claims what
-            a turn left, and knows nothing else of that; ``at_end(machine, result)`` makes known what follows.
+        invariant: Makes what is called after each turn of its loops, for one run: it claims what the turn
+            left, and lets nothing else be known of that.
     """
 
     ensures: Formula
@@ -101,7 +101,7 @@ class Contract:
     cases: tuple[str, Iterable[int]] = ("", (0,))
     uses: Mapping[str, Summary] = field(default_factory=dict)
     steps: tuple[Formula, ...] = ()
-    invariant: Callable[[], Any] | None = None
+    invariant: Callable[[], Callable[[Machine], None]] | None = None
 
     def stands_in(self, name: str) -> Summary:
         """The function as its callers may see it."""
@@ -121,11 +121,8 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
     constant, values = contract.cases
     for value in values:
         machine = Machine(program, contract.arithmetic, contract.uses)
-        invariant = contract.invariant() if contract.invariant else None
-        machine.after_turn = invariant.after_turn if invariant else None
+        machine.after_turn = contract.invariant() if contract.invariant else None
         before, results = _run(machine, name, contract.requires, {constant: value})
-        if invariant:
-            invariant.at_end(machine, results[0])
         prove_obligations(machine, name)
         require_possible(machine.facts, name)
         shown: list[Any] = []

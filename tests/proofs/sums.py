@@ -8,17 +8,15 @@ first, and what follows from them for numbers.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import z3
 
+from proofs.arithmetic import EXACT
 from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, units
 from proofs.source import Program
 
-
-def word(value: Any, high: int = 31) -> Any:
-    return z3.Extract(high, high - 31, value)
+high_word, low_word = EXACT["high_word"], EXACT["low_word"]
 
 
 def of_mean(program: Program) -> Iterator[Claim]:
@@ -48,11 +46,11 @@ def of_informed_estimate(program: Program) -> Iterator[Claim]:
     x_hat, own_alpha = given["x_hat"], given["own_alpha"]
     own = units(own_alpha)
     alpha = given["alpha"] + own
-    low = given["alpha_x_low"] + call("multiply", word(own), x_hat)
-    high = given["alpha_x_high"] + call("multiply", word(own, 63), x_hat)
+    low = given["alpha_x_low"] + call("multiply", low_word(own), x_hat)
+    high = given["alpha_x_high"] + call("multiply", high_word(own), x_hat)
     x = z3.LShR(call("mean", alpha, low, high), 9)
-    product = call("multiply", x, word(alpha)) + z3.Concat(x * word(alpha, 63), z3.BitVecVal(0, 32))
-    rest = low + z3.Concat(word(high), z3.BitVecVal(0, 32)) - product
+    product = call("multiply", x, low_word(alpha)) + z3.Concat(x * high_word(alpha), z3.BitVecVal(0, 32))
+    rest = low + z3.Concat(low_word(high), z3.BitVecVal(0, 32)) - product
     one_more = z3.If(z3.UGE(rest, alpha), z3.BitVecVal(1, 32), z3.BitVecVal(0, 32))
     yield "nothing is known", found == x_hat, [alpha == 0]
     yield "x", found == x + one_more, [alpha != 0]

@@ -17,7 +17,6 @@ BROKEN = (
     ("shift_right_64", "1000", "(count & 32U) != 0U", "(count & 16U) != 0U"),
     ("leading_zeros", "1000", "value >> 28 == 0", "value >> 27 == 0"),
     ("shift_left_by", "1010", "count >= 8U;", "count >= 9U;"),
-    ("shift_right_by", "1010", "count >= 8U; count = (uint8_t)(count - 8U)", "count >= 8U; count = count"),
     ("divide_by_bits", "3000", "at most 4 */", "at most 3 */"),
     ("multiply", "1100", "middle2 << 16 |", "middle2 << 15 |"),
     ("prepare", "1000", "(d >> 15) + 1U", "(d >> 15)"),
