@@ -8,11 +8,9 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Collection
 from pathlib import Path
 
 import pytest
-from _pytest.mark import ParameterSet
 
 from mcp_asdf_tools.cli import main as cli
 from support import PAGES, ROOT, blocks, require, run
@@ -53,16 +51,17 @@ NOT_RUN = {
 }
 """Commands that no test runs as they stand, by a part of them, and why."""
 
-SLOW = {
-    "mcp-asdf crosscheck --steps 5000 --seed 7",
-    "mcp-asdf crosscheck --steps 1000 --json",
-    "mcp-asdf reproduce --quick --part physical",
-    "mcp-asdf sweep physical --trials 1",
-}
-"""Commands that are for ``make verify``."""
-
-LONG_PAGES = {"experiments.md", "socketcan.md", "swarm.md", "targets.md", "threats.md", "view.md"}
-"""Pages with so many commands that they are for ``make verify`` as a whole."""
+LONG_PAGES = (
+    "crosscheck.md",
+    "experiments.md",
+    "reproduce.md",
+    "socketcan.md",
+    "swarm.md",
+    "targets.md",
+    "threats.md",
+    "view.md",
+)
+"""Pages whose commands are for ``make verify``: they are many, or take long."""
 
 NEEDED = {
     "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
@@ -103,28 +102,17 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def page_of(page: Path) -> ParameterSet:
-    """A page as a parameter; those whose commands take seconds are for ``make verify``."""
-    return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
-
-
-@pytest.mark.parametrize("page", [page_of(page) for page in PAGES])
-def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
-    run_commands(page, workplace, left_out=SLOW)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if SLOW & set(all_commands(page))], ids=lambda page: page.name
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
+        for page in PAGES
+    ],
 )
-def test_slow_commands_of_the_page_work_among_the_others(page: Path, workplace: Path) -> None:
-    run_commands(page, workplace)
-
-
-def run_commands(page: Path, workplace: Path, left_out: Collection[str] = ()) -> None:
-    """Run the page's blocks of commands, each block in a shell of its own."""
+def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
+    """Each block of commands runs in a shell of its own."""
     for script in scripts(page):
-        lines = [command for command in script if is_run(page, command) and command not in left_out]
+        lines = [command for command in script if is_run(page, command)]
         for tool, packages in NEEDED.items():
             if any(tool in line for line in lines):
                 require(*packages)

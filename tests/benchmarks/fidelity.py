@@ -1,10 +1,9 @@
 """Compare distributions of the native firmware's scores, configuration by configuration, with references.
 
-    python tests/benchmarks/fidelity.py [PART ...] [--trials N]
+    python tests/benchmarks/fidelity.py
 
-Parts, both by default: ``fully_connected`` with an independent float64 program of the paper's conventions, 46
-configurations; ``dynamic``, messages a step late, with the authors' own programs in their physics simulation,
-11 configurations.
+Part ``fully_connected``: with an independent float64 program of the paper's conventions, 46 configurations.
+Part ``dynamic``, messages a step late: with the authors' own programs in their physics simulation, 11.
 
 These are two-sample Kolmogorov-Smirnov tests of h_K, h_e and H by configuration; a part fails at 1 % in all,
 by Holm's correction over its tests. Exit code: 0 all agree, 1 not. The references are in
@@ -13,7 +12,6 @@ tests/data/reference_scores/.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 from collections.abc import Sequence
@@ -36,8 +34,8 @@ REFERENCE, PHYSICS = FOLDER / "fully_connected.csv", FOLDER / "dynamic.csv"
 LIMITS = Limits(k_max=40_000, e_max=0.45)
 LEVEL = 0.01
 SCORES = ("h_K", "h_e", "H")
-TRIALS = {"fully_connected": 320, "dynamic": 120}
-"""Of each configuration, unless given."""
+PARTS = {"fully_connected": (REFERENCE, 320), "dynamic": (PHYSICS, 120)}
+"""References, and trials of each configuration."""
 
 _DIGITS = 7
 """To which the reference's numbers are rounded, so that equal ones are equal here."""
@@ -94,9 +92,10 @@ def smallest(values: Sequence[Sequence[float]]) -> float:
     return min(1.0, np.size(values) * float(np.min(values)))
 
 
-def agrees(part: str, trials: int) -> bool:
+def agrees(part: str) -> bool:
     """Print a part as a table; whether all its tests pass."""
-    cells = read_cells(REFERENCE if part == "fully_connected" else PHYSICS)
+    path, trials = PARTS[part]
+    cells = read_cells(path)
     with ProcessPoolExecutor(default_workers()) as pool:
         samples = list(pool.map(partial(simulate, trials=trials), [cell.experiment for cell in cells]))
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
@@ -112,12 +111,7 @@ def agrees(part: str, trials: int) -> bool:
 
 def main() -> int:
     """Compare and print; returns the exit code."""
-    parser = argparse.ArgumentParser(description="Compare scores with references.")
-    parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(TRIALS)} (default: all)")
-    parser.add_argument("--trials", type=int, help=f"of each configuration (default by part: {TRIALS})")
-    args = parser.parse_args()
-    found = [agrees(part, args.trials or TRIALS[part]) for part in args.parts or TRIALS]
-    return int(not all(found))
+    return int(not all([agrees(part) for part in PARTS]))
 
 
 if __name__ == "__main__":

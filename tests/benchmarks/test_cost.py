@@ -149,15 +149,3 @@ def test_what_has_no_bound_is_refused(target: Target, reason: str, tmp_path: Pat
     for bound in (paths.longest, paths.deepest) if reason != "there is a loop" else (paths.longest,):
         with pytest.raises(ValueError, match=reason):
             bound("known")
-
-
-def test_the_longest_path_is_that_of_the_data_that_take_it(tmp_path: Path) -> None:
-    code = (
-        f"{NOINLINE} other(int y) {{ return y * 7; }}"
-        "int known(unsigned x) { volatile int y = 0; if (x & 1) y *= 5; if (x & 2) y = other(y); return y; }"
-    )
-    image = program(usable(TARGETS[-1]), tmp_path, code)
-    machine, paths = load(image), Paths(image)
-    costs = [machine.call("known", (x, 4)).instructions for x in range(4)]
-    assert paths.longest("known") == max(costs) == costs[3] > costs[0]
-    assert paths.longest("known", without="other") == costs[1]

@@ -12,13 +12,12 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, SourceFileLoader
-from importlib.util import spec_from_file_location
+from importlib.machinery import SourceFileLoader
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import CodeType
+from unittest.mock import patch
 
 import coverage
 import pytest
@@ -149,36 +148,16 @@ class _Sorter:
         items.sort(key=lambda each: self.order.get(each.nodeid, len(self.order)))
 
 
-class _MutatedFile(SourceFileLoader):
-    """Loader of the mutant in the place of its file."""
-
-    def __init__(self, mutant: Mutant) -> None:
-        super().__init__(mutant.module, str(ROOT / mutant.path))
-        self._code = mutant.code
-
-    def get_code(self, fullname: str) -> CodeType:
-        """The mutant's code, never from a cache."""
-        return compile(self._code, self.path, "exec")
-
-
-@dataclass(frozen=True)
-class _Finder(MetaPathFinder):
-    """Finder of the mutant, and of nothing else."""
-
-    mutant: Mutant
-
-    def find_spec(self, fullname: str, *_: object) -> ModuleSpec | None:
-        """The mutant's specification."""
-        if fullname != self.mutant.module:
-            return None
-        return spec_from_file_location(fullname, ROOT / self.mutant.path, loader=_MutatedFile(self.mutant))
-
-
 def _install(mutant: Mutant) -> None:
     """Let the mutant be imported from now on, also by modules that were imported before."""
     for name in [each for each in sys.modules if re.match(r"mcp_asdf(_tools)?(\.(?!_)|$)", each)]:
         del sys.modules[name]
-    sys.meta_path.insert(0, _Finder(mutant))
+    usual = SourceFileLoader.get_code
+
+    def get_code(self: SourceFileLoader, name: str) -> CodeType | None:
+        return compile(mutant.code, self.path, "exec") if name == mutant.module else usual(self, name)
+
+    patch.object(SourceFileLoader, "get_code", get_code).start()
 
 
 def _in_child(act: Callable[[], bool], seconds: float | None) -> bool:

@@ -21,7 +21,7 @@ CONNECTED, PHYSICS = fidelity.read_cells(), fidelity.read_cells(fidelity.PHYSICS
 
 def assert_alike(cells: list[fidelity.Cell], trials: int) -> None:
     values = [fidelity.p_values(fidelity.simulate(cell.experiment, trials), cell.scores) for cell in cells]
-    assert fidelity.smallest(values) >= fidelity.LEVEL, f"{fidelity.__file__} --trials {trials}"
+    assert fidelity.smallest(values) >= fidelity.LEVEL
 
 
 def test_the_references_are_whole() -> None:
