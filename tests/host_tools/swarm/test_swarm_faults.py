@@ -90,12 +90,9 @@ def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...], wor
 
 def test_on_its_own_bus_a_robots_traffic_is_what_it_says_and_hears() -> None:
     """A third connection there sees the robot's frames, and those that are in range and get through."""
-    heard: list[can.Message] = []
-    with Swarm(small("loss,robots=1"), ON_OWN_BUSES) as swarm, own_bus(0) as spy:
-        for _ in range(5):
-            swarm.tick()
-        while (frame := spy.recv(0)) is not None:
-            heard.append(frame)
+    with Swarm(small("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as spy:
+        run_swarm(swarm)
+        heard = [*iter(lambda: spy.recv(0), None)]
     said = [decode(frame, FrameFormat()) for frame in heard]
     assert Counter(each.sender for each in said if isinstance(each, Message)) == {0: 5, 2: 5, 3: 5, 4: 5}
 
