@@ -21,7 +21,7 @@ from mcp_asdf_tools.bus.frames import Action, Command, Heartbeat, Message, Telem
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.phases import PHASES, Phase
+from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
 from mcp_asdf_tools.radio.verification import ControllerVerdict, Verification
 from mcp_asdf_tools.robots.node import RobotNode
 from messages import encoded
@@ -149,13 +149,14 @@ def test_own_faults_are_phases_more() -> None:
     ("config", "faults", "missing"),
     [
         ({}, "loss=0", 'the fault of phase "loss"'),
-        ({"filter_period": 10**6}, "", "the filter: its period is too long for a run"),
+        ({"filter_period": 20_001}, "", "the filter: its period is too long for a run"),
     ],
 )
 def test_what_is_not_put_to_the_test_proves_nothing(
     config: dict[str, Any], faults: str, missing: str
 ) -> None:
     verdict = judge(obedient(**config), surroundings(right(**config), faults=faults), PHASES[:2])
+    assert is_in_reach(right(filter_period=20_000).config)
     assert not verdict.has_passed
     assert verdict.headline.startswith("NOT EXERCISED: ")
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
@@ -367,6 +368,16 @@ def test_a_controller_may_be_started_afterwards() -> None:
     verdict = judge(silent, phases=PHASES[:2], wait=0.05)
     assert "did not send a heartbeat within 0.05 s" in str(verdict.difference)
     assert [phase.outcome for phase in verdict.phases] == ["failed", "not run"]
+
+
+def test_a_wrong_greeting_is_compared_with_the_right_one() -> None:
+    def start(robot: RobotNode, usual: Any) -> list[can.Message]:
+        (greeting,) = usual()
+        greeting.data[5] = 2
+        return [greeting]
+
+    difference = judge(node("", start=start).make(), phases=PHASES[:1]).difference
+    assert "heartbeat, mode: expected 107D5503" in str(difference)
 
 
 @pytest.mark.parametrize("greetings", [0, 1, 3])

@@ -139,7 +139,9 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
 
 def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
+    slowest = record(5, comms_period=2**32 - 1, filter_period=2**32 - 1)
     assert RobotRecord.from_plain(own.plain()) == own
+    assert RobotRecord.from_plain(slowest.plain()) == slowest
     made = own.make()
     assert isinstance(made, MirrorRobot)
     assert made.state() == MirrorRobot(Config(own.config.table, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
