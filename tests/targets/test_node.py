@@ -48,7 +48,7 @@ from targets.c_node import (
 )
 from targets.unix_bus import UnixBus
 
-ID = 5
+ID = 101
 CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 0x100
 FAST = ("--steps-per-second", 1000)
 
@@ -81,6 +81,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Callable[..., CNode]]:
 # ---- What a Python node says ----
 
 
+SENDERS = (ID, *range(7))
 SUBJECTS = Subjects(FrameFormat(7, 4), FrameFormat(8, 6), FrameFormat(9, 3))
 
 
@@ -108,7 +109,7 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, activat
     assert content(answers) == content(bus.said)
     figures = node.stop()
     assert node.complaints == [
-        "mcp_asdf_node: another node sends under this node's own id: 5; give one of them another"
+        f"mcp_asdf_node: another node sends under this node's own id: {ID}; give one of them another"
     ]
     assert_same_robot(figures, expected)
     rejected = figures["refused"] + figures["others"] + figures["error_frames"]
@@ -126,7 +127,7 @@ def any_frame(draw: random.Random) -> can.Message:
     """A frame for the test above: legal, or with something wrong."""
     if draw.random() < 0.5:
         alpha = draw.choice((0, 0xFF, draw.getrandbits(32)))
-        frame = encode(Message(draw.randrange(8), draw.randrange(2**23 + 1), alpha, 0), SUBJECTS.estimates)
+        frame = encode(Message(draw.choice(SENDERS), draw.randrange(2**23 + 1), alpha, 0), SUBJECTS.estimates)
     else:
         frame = command_frame(draw.randrange(2), draw.choice((ID, ID, 255, 4)), draw.choice(list(Action)))
     if draw.random() < 0.7:
@@ -164,6 +165,7 @@ LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
         (ON_A_BUS + f"{LOCKSTEP} --comms-period 3", "--filter-period is 1000; choose a multiple"),
         (ON_A_BUS + f"{LOCKSTEP} --memory 66", "--memory is 66; choose a multiple of 4"),
         (ON_A_BUS + f"{LOCKSTEP} --subject 3002", "choose three different subjects"),
+        (ON_A_BUS + f"{LOCKSTEP} --command-subject 3001", "choose three different subjects"),
         (ON_A_BUS + f"{LOCKSTEP} surplus", "surplus belongs to no option"),
         (ON_A_BUS + "--id 1 --observations /no/such/file", "cannot open /no/such/file: "),
         (LOCKSTEP, "--interface is missing"),
@@ -286,7 +288,7 @@ def test_error_frames_show_in_the_node_s_health(start: Start, bus: UnixBus) -> N
     for kind, controller, _ in (reports[0], *reports):  # what the first tick says is of before
         data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
         bus.send(can.Message(arbitration_id=kind, is_error_frame=True, data=data))
-        lockstep.observe({5: Observation.BLACK})
+        lockstep.observe({ID: Observation.BLACK})
         lockstep.estimates([ID])
         lockstep.settle([ID])
     figures = node.summary()
