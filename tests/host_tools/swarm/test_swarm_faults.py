@@ -26,7 +26,7 @@ from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import summary
+from mcp_asdf_tools.swarm.summary import summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
 from support import ROOT, slow
@@ -174,6 +174,8 @@ def test_the_summary_names_what_went_wrong() -> None:
     rows = {robot["id"]: robot for robot in run.results["robots"]}
     assert [bool(rows[robot]["rejected"]) for robot in range(5)] == [False, False, False, True, False]
     told = dict(summary(run, "virtual", 1.0))
+    columns = [[*map(str, column.cells)] for column in summary_table([*told.items()]).columns]
+    assert columns == [[*told], [*told.values()]]
     assert all(f"{count} {reason}" in told["robot 3"] for reason, count in rows[3]["rejected"].items())
     assert told["b_hat, flawed"] == "no such robots"
     assert told["fault"] == "collide=1.0,robots=4,id=2: 66 injected"
