@@ -8,6 +8,7 @@
 #include <stddef.h>
 
 #include "mcp_asdf_arithmetic.h"
+#include "mcp_asdf_robust.h"
 
 #define ONE_HALF (UINT32_C(1) << 31) /* as Q32 */
 /* |2 p - 1| = 2^-12 as Q32: closer to 1/2, a probability says nothing. */
@@ -15,6 +16,10 @@
 #define TABLE_MAGIC UINT32_C(0x4D435400)     /* its last byte is q */
 #define TABLE_OMEGA_MAX UINT32_C(3865470566) /* 0.9 as Q32 */
 #define K_ONE (UINT32_C(1) << 26)            /* k_m is Q26 in 32 bits: below 64 */
+
+/* The filters that are built. */
+#define FILTER_FIRST ((uint32_t)(MCP_ASDF_WITH_ASDF ? MCP_ASDF_ADAPTIVE : MCP_ASDF_ROBUST))
+#define FILTER_LAST ((uint32_t)(MCP_ASDF_WITH_ROBUST ? MCP_ASDF_ROBUST : MCP_ASDF_OFF))
 
 /* Bounds that the comments rely on, as far as the compiler can see them. */
 #define ASSERT(name, condition) typedef char assert_##name[(condition) ? 1 : -1]
@@ -129,10 +134,25 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     return MCP_ASDF_OK;
 }
 
-/* ---- The social and the informed estimate: eq. 5 to 7 ---- */
+/* ---- The round: eq. 5 to 7, and 12 ---- */
+
+#if MCP_ASDF_WITH_ASDF
 
 /* An alpha in units of 2^-24, below 2^55. */
 ALWAYS_INLINE word_pair_t units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
+
+/* A neighbour's message with alpha > 0 into the sums of the open round. */
+HOT void add_message(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
+{
+    mcp_asdf_open_t *const open = &robot->open;
+    const word_pair_t said = units(alpha);
+    add(&open->alpha, join(said.high, said.low));         /* + 2^55 */
+    add(&open->alpha_x_low, multiply(said.low, x_hat));   /* + 2^55 */
+    add(&open->alpha_x_high, multiply(said.high, x_hat)); /* + 2^46 */
+    add(&open->x_squared, multiply(x_hat, x_hat));        /* + 2^46 */
+    open->x += x_hat;                                     /* + 2^23 */
+    ++open->count;
+}
 
 /* Sum of alpha x_hat over sum of alpha > 0 (eq. 5 and 7), which is at most 1.0, as Q32. */
 HOT uint32_t mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
@@ -164,52 +184,17 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     return x + (uint32_t)(sum - product >= alpha);
 }
 
-uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
+/* The last closed round with an own estimate: eq. 7. Eq. 5 is eq. 7 for a robot that knows nothing. */
+ALWAYS_INLINE uint32_t round_x(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
-    return informed_estimate(&robot->closed, robot->x_hat, robot->alpha);
+    return informed_estimate(&robot->closed, x_hat, alpha);
 }
 
-/* Eq. 5 is eq. 7 for a robot that knows nothing. */
-uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
+/* x_bar of the last closed round as Q32, for eq. 8. */
+ALWAYS_INLINE uint32_t round_mean(const mcp_asdf_t *robot)
 {
-    return informed_estimate(&robot->closed, MCP_ASDF_HALF, 0);
+    return mean(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high);
 }
-
-/* ---- Receive ---- */
-
-mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
-{
-    mcp_asdf_open_t *const open = &robot->open;
-    if (sender > MCP_ASDF_MAX_ID || sender == robot->id) {
-        ++robot->counters.rejected;
-        return MCP_ASDF_ERR_SENDER;
-    }
-    if (x_hat > MCP_ASDF_ONE) {
-        ++robot->counters.rejected;
-        return MCP_ASDF_ERR_X_HAT;
-    }
-    uint8_t *const heard = &robot->heard.of[sender >> 3];
-    const uint32_t before = *heard, after = before | UINT32_C(1) << (sender & 7U);
-    if (before == after) {
-        ++robot->counters.repeated;
-        return MCP_ASDF_REPEATED;
-    }
-    ++robot->counters.accepted;
-    *heard = (uint8_t)after;
-    if (alpha >> 8 == 0U) {
-        return MCP_ASDF_OK;
-    }
-    const word_pair_t said = units(alpha);
-    add(&open->alpha, join(said.high, said.low));         /* + 2^55 */
-    add(&open->alpha_x_low, multiply(said.low, x_hat));   /* + 2^55 */
-    add(&open->alpha_x_high, multiply(said.high, x_hat)); /* + 2^46 */
-    add(&open->x_squared, multiply(x_hat, x_hat));        /* + 2^46 */
-    open->x += x_hat;                                     /* + 2^23 */
-    ++open->count;
-    return MCP_ASDF_OK;
-}
-
-/* ---- The filter: eq. 12 and 8 ---- */
 
 /* Eq. 12 on m >= 2 messages, multiplied out: (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2). An integer
  * compared with a real, so rounding the right side down decides alike. */
@@ -226,81 +211,37 @@ static bool test_rejects(const mcp_asdf_t *robot)
     return multiply(difference, difference) > upper_part + (multiply(k, low_word(spread)) >> 26);
 }
 
-/* Eq. 8 with x_bar = a: b_hat = (n / t + a - 1) / (2a - 1), which is (1 - n / t - a) / (1 - 2a) with both
- * colours exchanged. False where a says nothing. */
-static bool reestimate(mcp_asdf_t *robot)
-{
-    const mcp_asdf_closed_t *const closed = &robot->closed;
-    const uint32_t t = robot->t;
-    uint32_t n = robot->n, a = mean(closed->alpha, closed->alpha_x_low, closed->alpha_x_high);
-    if (a < ONE_HALF) {
-        a = ~a; /* 1 - a, and 2^-32 less */
-        n = t - n;
-    }
-    const uint32_t g = 2U * a; /* 2a - 1 as Q32 */
-    if (g < INFORMATIVE) {
-        return false;
-    }
-    const uint64_t span = multiply(t, g);                         /* t (2a - 1): < 2^63 */
-    const uint64_t difference = join(n, 0) - multiply(t, 0U - a); /* n - t (1 - a): within 2^63 of 0 */
-    const uint64_t above = difference >> 63 == 0U ? difference : 0U;
-    uint32_t b_hat = quotient(above < span ? above : span, span);
-    b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
-    set_b_hat(robot, b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX);
-    return true;
-}
-
-NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
+/* Whether b_hat is to be found anew, with t > 0. */
+ALWAYS_INLINE bool round_rejects(mcp_asdf_t *robot)
 {
     const uint8_t mode = robot->config->filter;
-    if (mode == MCP_ASDF_OFF || robot->t == 0U || robot->open.count < (mode == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
-        return MCP_ASDF_OK;
+    if (mode == MCP_ASDF_OFF || robot->open.count < (mode == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
+        return false;
     }
     if (mode == MCP_ASDF_ADAPTIVE) {
         ++robot->counters.tests;
-        if (!test_rejects(robot)) {
-            return MCP_ASDF_OK;
-        }
+        return test_rejects(robot);
     }
-    if (!reestimate(robot)) {
-        return MCP_ASDF_OK;
-    }
-    ++robot->counters.updates;
-    robot->updated = 1;
-    return MCP_ASDF_UPDATED;
+    return true;
 }
 
-/* ---- Rounds ---- */
-
-HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
+ALWAYS_INLINE void close_round(mcp_asdf_t *robot)
 {
-    mcp_asdf_open_t *const open = &robot->open;
-    mcp_asdf_status_t status = MCP_ASDF_OK;
-    robot->closed.alpha = open->alpha;
-    robot->closed.alpha_x_low = open->alpha_x_low;
-    robot->closed.alpha_x_high = open->alpha_x_high;
-    if (--robot->filter_left == 0U) {
-        robot->filter_left = robot->config->filter_period;
-        status = filter(robot);
-    }
-    open->alpha = 0; /* member by member: cheaper than the library call a compiler makes of a whole struct */
-    open->alpha_x_low = 0;
-    open->alpha_x_high = 0;
-    open->x_squared = 0;
-    open->x = 0;
-    open->count = 0;
-    robot->heard.all[0] = 0;
-    robot->heard.all[1] = 0;
-    return status;
+    robot->closed.alpha = robot->open.alpha;
+    robot->closed.alpha_x_low = robot->open.alpha_x_low;
+    robot->closed.alpha_x_high = robot->open.alpha_x_high;
 }
 
-mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
+/* Member by member: cheaper than the library call a compiler makes of a whole struct. */
+ALWAYS_INLINE void open_round(mcp_asdf_t *robot)
 {
-    const mcp_asdf_status_t status = mcp_asdf_observe(robot, z);
-    return status == MCP_ASDF_OK ? mcp_asdf_settle(robot) : status;
+    robot->open.alpha = 0;
+    robot->open.alpha_x_low = 0;
+    robot->open.alpha_x_high = 0;
+    robot->open.x_squared = 0;
+    robot->open.x = 0;
+    robot->open.count = 0;
 }
-
-/* ---- Init ---- */
 
 /* Words 0 .. q + 1 are magic and q, omega, k_2 .. k_q, and k for m > q; the last is FNV-1a over them, by
  * words. The k fall strictly and stay above 1. */
@@ -324,10 +265,131 @@ static bool table_valid(const uint32_t *table)
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }
 
+#else /* the robust filter alone: calls of what follows disappear */
+
+ALWAYS_INLINE void add_message(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
+{
+    (void)robot, (void)x_hat, (void)alpha;
+}
+ALWAYS_INLINE uint32_t round_x(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
+{
+    return (void)robot, (void)alpha, x_hat;
+}
+ALWAYS_INLINE uint32_t round_mean(const mcp_asdf_t *robot) { return (void)robot, 0; }
+ALWAYS_INLINE bool round_rejects(const mcp_asdf_t *robot) { return (void)robot, false; }
+ALWAYS_INLINE void close_round(const mcp_asdf_t *robot) { (void)robot; }
+ALWAYS_INLINE void open_round(const mcp_asdf_t *robot) { (void)robot; }
+ALWAYS_INLINE bool table_valid(const uint32_t *table) { return (void)table, true; }
+
+#endif
+
+uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
+{
+    return is_robust(robot) ? crowd_x(robot, robot->x_hat) : round_x(robot, robot->x_hat, robot->alpha);
+}
+
+uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
+{
+    return is_robust(robot) ? crowd_x(robot, MCP_ASDF_HALF) : round_x(robot, MCP_ASDF_HALF, 0);
+}
+
+/* ---- Receive ---- */
+
+mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
+{
+    if (sender > MCP_ASDF_MAX_ID || sender == robot->id) {
+        ++robot->counters.rejected;
+        return MCP_ASDF_ERR_SENDER;
+    }
+    if (x_hat > MCP_ASDF_ONE) {
+        ++robot->counters.rejected;
+        return MCP_ASDF_ERR_X_HAT;
+    }
+    uint8_t *const heard = &robot->heard.of[sender >> 3];
+    const uint32_t before = *heard, after = before | UINT32_C(1) << (sender & 7U);
+    if (before == after) {
+        ++robot->counters.repeated;
+        return MCP_ASDF_REPEATED;
+    }
+    ++robot->counters.accepted;
+    *heard = (uint8_t)after;
+    if (alpha >> 8 == 0U) {
+        return MCP_ASDF_OK;
+    }
+    if (is_robust(robot)) {
+        vote(robot, sender, x_hat);
+    } else {
+        add_message(robot, x_hat, alpha);
+    }
+    return MCP_ASDF_OK;
+}
+
+/* ---- The filter: eq. 8 ---- */
+
+/* Eq. 8 with x_bar = a: b_hat = (n / t + a - 1) / (2a - 1), which is (1 - n / t - a) / (1 - 2a) with both
+ * colours exchanged. False where a says nothing. */
+static bool reestimate(mcp_asdf_t *robot, uint32_t a)
+{
+    const uint32_t t = robot->t;
+    uint32_t n = robot->n;
+    if (a < ONE_HALF) {
+        a = ~a; /* 1 - a, and 2^-32 less */
+        n = t - n;
+    }
+    const uint32_t g = 2U * a; /* 2a - 1 as Q32 */
+    if (g < INFORMATIVE) {
+        return false;
+    }
+    const uint64_t span = multiply(t, g);                         /* t (2a - 1): < 2^63 */
+    const uint64_t difference = join(n, 0) - multiply(t, 0U - a); /* n - t (1 - a): within 2^63 of 0 */
+    const uint64_t above = difference >> 63 == 0U ? difference : 0U;
+    uint32_t b_hat = quotient(above < span ? above : span, span);
+    b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
+    set_b_hat(robot, b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX);
+    return true;
+}
+
+NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
+{
+    const bool robust = is_robust(robot);
+    if (robot->t == 0U || !(robust ? crowd_rejects(robot) : round_rejects(robot)) ||
+        !reestimate(robot, robust ? crowd_mean(robot) : round_mean(robot))) {
+        return MCP_ASDF_OK;
+    }
+    ++robot->counters.updates;
+    robot->updated = 1;
+    return MCP_ASDF_UPDATED;
+}
+
+/* ---- Rounds ---- */
+
+HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
+{
+    mcp_asdf_status_t status = MCP_ASDF_OK;
+    close_round(robot);
+    if (--robot->filter_left == 0U) {
+        robot->filter_left = robot->config->filter_period;
+        status = filter(robot);
+    }
+    open_round(robot);
+    robot->heard.all[0] = 0;
+    robot->heard.all[1] = 0;
+    return status;
+}
+
+mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
+{
+    const mcp_asdf_status_t status = mcp_asdf_observe(robot, z);
+    return status == MCP_ASDF_OK ? mcp_asdf_settle(robot) : status;
+}
+
+/* ---- Init ---- */
+
 static mcp_asdf_status_t check(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
     if (config->filter_period == 0U || config->memory < MCP_ASDF_MEMORY_MIN ||
-        config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U || config->filter > MCP_ASDF_OFF) {
+        config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U ||
+        (uint32_t)config->filter - FILTER_FIRST > FILTER_LAST - FILTER_FIRST) {
         return MCP_ASDF_ERR_CONFIG;
     }
     if (config->filter == MCP_ASDF_ADAPTIVE && (config->table == NULL || !table_valid(config->table))) {
@@ -347,6 +409,7 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
     if (status == MCP_ASDF_OK) {
         *robot = (mcp_asdf_t){
             .id = id, .config = config, .x_hat = MCP_ASDF_HALF, .filter_left = config->filter_period};
+        start_crowd(robot);
         set_b_hat(robot, b_hat);
     }
     return status;

@@ -55,6 +55,11 @@ extern "C" {
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
 #define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
+#define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* members of mcp_asdf_crowd_t */
+#define MCP_ASDF_TREND_START (UINT32_C(1) << 15)
+#define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18) /* 2^-12: below what a score or a tile can show */
+#define MCP_ASDF_SPREAD_MAX (UINT32_C(1) << 28) /* 1/4: that of estimates anywhere in [0, 1] */
+#define MCP_ASDF_VOTES_MAX (UINT32_C(1) << 14)
 #define MCP_ASDF_MEMORY_MIN UINT32_C(64)
 #define MCP_ASDF_MEMORY_MAX (UINT32_C(1) << 31)
 
@@ -74,9 +79,28 @@ typedef enum {
 
 typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
 
+/* What is built: the paper's filter and the robust one, unless a project defines one of these as 0, for all
+ * sources alike. Without the robust filter a robot is smaller by 20 bytes, without the paper's by 64. */
+#ifndef MCP_ASDF_WITH_ASDF
+#define MCP_ASDF_WITH_ASDF 1
+#endif
+#ifndef MCP_ASDF_WITH_ROBUST
+#define MCP_ASDF_WITH_ROBUST 1
+#endif
+#if !MCP_ASDF_WITH_ASDF && !MCP_ASDF_WITH_ROBUST
+#error "no filter is left: set MCP_ASDF_WITH_ASDF or MCP_ASDF_WITH_ROBUST to 1"
+#endif
+
 /* When b_hat is re-estimated, every filter_period rounds: if the test of eq. 12 rejects (ASDF); without a
- * test; never. */
-typedef enum { MCP_ASDF_ADAPTIVE = 0, MCP_ASDF_ALWAYS = 1, MCP_ASDF_OFF = 2 } mcp_asdf_filter_t;
+ * test; never. Or the robust filter, which is not the paper's: it has a memory for what it hears in place of
+ * rounds, and needs neither a table nor to know which robots are doubtful (docs/robust.md). Where it alone is
+ * built, it is the only choice. */
+typedef enum {
+    MCP_ASDF_ADAPTIVE = 0,
+    MCP_ASDF_ALWAYS = 1,
+    MCP_ASDF_OFF = 2,
+    MCP_ASDF_ROBUST = 3
+} mcp_asdf_filter_t;
 
 /* Settings, shared by any number of robots and never written: may be const, though on an AVR not in PROGMEM,
  * as they are read like any variable. Both the struct and the table must outlive the robots.
@@ -142,6 +166,22 @@ typedef struct {
     uint32_t count;
 } mcp_asdf_open_t;
 
+/* What a robot with the robust filter knows of the others.
+ *   centre      of the x_hat heard, unit 2^-30              0 .. 2^30; MCP_ASDF_CENTRE_START before any
+ *   spread      their median distance from it, unit 2^-30   2^18 .. 2^28
+ *   voices      who was heard: bit (id mod 32)
+ *   votes       messages that moved them, up to             2^14
+ *   trend       share of the centre's late moves that went up, unit 2^-16
+ *   distrusted  1 once the test has rejected b_hat, which follows the centre from then on, else 0 */
+typedef struct {
+    uint32_t centre;
+    uint32_t spread;
+    uint32_t voices;
+    uint16_t votes;
+    uint16_t trend;
+    uint8_t distrusted;
+} mcp_asdf_crowd_t;
+
 /* A robot. Its members are the state; read them through the functions below. The order keeps them within
  * reach of short instructions: bytes first, then half words, then what a tick touches. */
 typedef struct {
@@ -159,8 +199,13 @@ typedef struct {
     uint32_t x_hat; /* of the last observation */
     uint32_t alpha;
     uint32_t filter_left; /* rounds until the filter runs */
+#if MCP_ASDF_WITH_ROBUST
+    mcp_asdf_crowd_t crowd;
+#endif
+#if MCP_ASDF_WITH_ASDF
     mcp_asdf_open_t open;
     mcp_asdf_closed_t closed;
+#endif
 } mcp_asdf_t;
 
 /* Make a robot: no observations, no messages. Writes every member. O(q) for the table.
@@ -194,12 +239,13 @@ mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot);
  * then nothing is settled. */
 mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z);
 
-/* Social estimate (eq. 5) of the last closed round, unit 2^-23, rounded down; MCP_ASDF_HALF if beta is 0. */
+/* Social estimate (eq. 5) of the last closed round, unit 2^-23, rounded down; MCP_ASDF_HALF if beta is 0.
+ * With the robust filter the centre, rounded down. */
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot);
 
 /* Informed estimate (eq. 7) of the present x_hat and alpha and the last closed round, unit 2^-23: the exact
  * quotient of the sums, rounded down; x_hat if both confidences are 0. Formed when asked for, at the price of
- * one division. */
+ * one division. With the robust filter the centre, rounded down; x_hat before anyone was heard. */
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot);
 
 /* Own id, 0 .. 127. */
@@ -216,8 +262,15 @@ static inline uint32_t mcp_asdf_b_hat(const mcp_asdf_t *robot) { return robot->a
 static inline uint32_t mcp_asdf_x_hat(const mcp_asdf_t *robot) { return robot->x_hat; }
 static inline uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot) { return robot->alpha; }
 
-/* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62. */
+#if MCP_ASDF_WITH_ASDF
+/* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62; 0 with the robust filter. */
 static inline uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return robot->closed.alpha; }
+#endif
+
+#if MCP_ASDF_WITH_ROBUST
+/* What a robot with the robust filter knows of the others. */
+static inline mcp_asdf_crowd_t mcp_asdf_crowd(const mcp_asdf_t *robot) { return robot->crowd; }
+#endif
 
 /* Diagnostics since init. */
 static inline mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot) { return robot->counters; }

@@ -8,7 +8,10 @@
 #include "mcp_asdf_arithmetic.h"
 
 #define IMAGE_MAGIC (UINT32_C(0x4D435300) | MCP_ASDF_IMAGE_VERSION)
+#define ROBUST_IMAGE UINT32_C(0x80)               /* added to it where the filter is the robust one */
 #define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
+
+static bool is_robust(const mcp_asdf_config_t *config) { return config->filter == MCP_ASDF_ROBUST; }
 
 /* ---- Invariants ---- */
 
@@ -40,7 +43,7 @@ static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_accuracy_t *const held = &robot->accuracy;
     mcp_asdf_config_t unfiltered = *robot->config; /* a constant would take RAM on an AVR */
-    unfiltered.filter = MCP_ASDF_OFF;
+    unfiltered.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
     return robot->t < unfiltered.memory && form_anew(robot, &unfiltered, fresh) &&
            held->c == fresh->accuracy.c && held->common == fresh->accuracy.common &&
            held->rare == fresh->accuracy.rare && held->g_shift == fresh->accuracy.g_shift &&
@@ -49,6 +52,8 @@ static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
              is_canonical(robot->alpha)) ||
             (robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
 }
+
+#if MCP_ASDF_WITH_ASDF
 
 /* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0. */
 static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
@@ -74,6 +79,46 @@ static bool open_possible(const mcp_asdf_open_t *open)
            mean_possible(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 
+/* Whether both rounds can have come about; with the robust filter they are empty. */
+static bool rounds_possible(const mcp_asdf_t *robot)
+{
+    return mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
+           open_possible(&robot->open) &&
+           (!is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
+}
+
+static uint32_t messages(const mcp_asdf_t *robot) { return robot->open.count; }
+
+#else
+
+static bool rounds_possible(const mcp_asdf_t *robot) { return robot != NULL; }
+static uint32_t messages(const mcp_asdf_t *robot) { return (void)robot, 0; }
+
+#endif
+#if MCP_ASDF_WITH_ROBUST
+
+/* Whether votes can have made a crowd so; other filters leave it as it was. */
+static bool crowd_possible(const mcp_asdf_t *robot)
+{
+    const mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    const uint32_t without_one = crowd->voices & (crowd->voices - 1U);
+    if (crowd->votes == 0U) {
+        return crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
+               crowd->voices == 0U && crowd->trend == MCP_ASDF_TREND_START && crowd->distrusted == 0U;
+    }
+    return is_robust(robot->config) && crowd->votes <= MCP_ASDF_VOTES_MAX &&
+           crowd->centre <= MCP_ASDF_ONE << 7 && crowd->spread >= MCP_ASDF_SPREAD_MIN &&
+           crowd->spread <= MCP_ASDF_SPREAD_MAX && crowd->voices != 0U &&
+           (crowd->distrusted == 0U ||
+            (crowd->distrusted == 1U && (without_one & (without_one - 1U)) != 0U)); /* three voices */
+}
+
+#else
+
+static bool crowd_possible(const mcp_asdf_t *robot) { return robot != NULL; }
+
+#endif
+
 /* At least as many senders as messages with alpha > 0, none of them the robot itself. */
 static bool senders_possible(const mcp_asdf_t *robot)
 {
@@ -81,16 +126,15 @@ static bool senders_possible(const mcp_asdf_t *robot)
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) { /* at most 128 turns */
         heard += robot->heard.of[id >> 3] >> (id & 7) & 1;
     }
-    return robot->open.count <= heard && (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
+    return messages(robot) <= heard && (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
 }
 
 static bool state_possible(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
     return estimate_current(robot, fresh) && /* checks the id, too */
-           mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
-           open_possible(&robot->open) && senders_possible(robot) && robot->filter_left != 0U &&
-           robot->filter_left <= config->filter_period;
+           rounds_possible(robot) && crowd_possible(robot) && senders_possible(robot) &&
+           robot->filter_left != 0U && robot->filter_left <= config->filter_period;
 }
 
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
@@ -123,12 +167,6 @@ static uint32_t pass(image_t *image, uint32_t value)
     return passed;
 }
 
-static void pass_double(image_t *image, uint64_t *value)
-{
-    const uint32_t low = pass(image, (uint32_t)*value);
-    *value = (uint64_t)pass(image, (uint32_t)(*value >> 32)) << 32 | low;
-}
-
 static void pass_pair(image_t *image, uint16_t *first, uint16_t *second)
 {
     const uint32_t both = pass(image, (uint32_t)*second << 16 | *first);
@@ -149,6 +187,14 @@ static void pass_bytes(image_t *image, uint8_t *bytes)
     }
 }
 
+#if MCP_ASDF_WITH_ASDF
+
+static void pass_double(image_t *image, uint64_t *value)
+{
+    const uint32_t low = pass(image, (uint32_t)*value);
+    *value = (uint64_t)pass(image, (uint32_t)(*value >> 32)) << 32 | low;
+}
+
 static void pass_rounds(image_t *image, mcp_asdf_t *robot)
 {
     pass_double(image, &robot->closed.alpha);
@@ -160,21 +206,61 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot)
     pass_double(image, &robot->open.x_squared);
     robot->open.x = pass(image, robot->open.x);
     robot->open.count = pass(image, robot->open.count);
-    for (uint8_t i = 0; i < 16U; i = (uint8_t)(i + 4U)) { /* at most 4 turns */
-        pass_bytes(image, &robot->heard.of[i]);
-    }
 }
 
-/* The one list of what an image holds, for both directions; what follows from b_hat alone is left out. */
-static void pass_state(image_t *image, mcp_asdf_t *robot)
+#else
+
+static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)robot; }
+
+#endif
+#if MCP_ASDF_WITH_ROBUST
+
+/* The crowd in place of the rounds; what is left of their words is 0. */
+static bool pass_crowd(image_t *image, mcp_asdf_t *robot)
 {
+    mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    uint32_t rest = 0;
+    crowd->centre = pass(image, crowd->centre);
+    crowd->spread = pass(image, crowd->spread);
+    crowd->voices = pass(image, crowd->voices);
+    pass_pair(image, &crowd->votes, &crowd->trend);
+    const uint32_t distrusted = pass(image, crowd->distrusted);
+    crowd->distrusted = (uint8_t)(distrusted < 2U ? distrusted : 2U);
+    for (uint8_t i = 0; i < 11U; ++i) { /* at most 11 turns */
+        rest |= pass(image, 0);
+    }
+    return rest == 0U;
+}
+
+/* Images of other filters hold no crowd: it is as in a new robot. */
+static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crowd = fresh->crowd; }
+
+#else
+
+static bool pass_crowd(image_t *image, mcp_asdf_t *robot) { return (void)image, (void)robot, true; }
+static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
+
+#endif
+
+/* The one list of what an image holds, for both directions; what follows from b_hat alone is left out. False
+ * where an image holds more. */
+static bool pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
+{
+    bool is_all = true;
     robot->accuracy.b_hat = pass(image, robot->accuracy.b_hat);
     robot->t = pass(image, robot->t);
     robot->n = pass(image, robot->n);
     robot->x_hat = pass(image, robot->x_hat);
     robot->alpha = pass(image, robot->alpha);
     robot->filter_left = pass(image, robot->filter_left);
-    pass_rounds(image, robot);
+    if (robust) {
+        is_all = pass_crowd(image, robot);
+    } else {
+        pass_rounds(image, robot);
+    }
+    for (uint8_t i = 0; i < 16U; i = (uint8_t)(i + 4U)) { /* at most 4 turns */
+        pass_bytes(image, &robot->heard.of[i]);
+    }
     pass_pair(image, &robot->counters.accepted, &robot->counters.repeated);
     pass_pair(image, &robot->counters.rejected, &robot->counters.tests);
     const uint32_t rest =
@@ -182,14 +268,18 @@ static void pass_state(image_t *image, mcp_asdf_t *robot)
     robot->counters.updates = (uint16_t)rest;
     robot->updated = (uint8_t)(rest >> 16);
     robot->id = (uint8_t)(rest >> 24);
+    return is_all;
 }
+
+static uint32_t magic(bool robust) { return robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
 
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t out = {NULL, image, HASH_START};
     mcp_asdf_t copy = *robot;
-    (void)pass(&out, IMAGE_MAGIC);
-    pass_state(&out, &copy);
+    const bool robust = is_robust(robot->config);
+    (void)pass(&out, magic(robust));
+    (void)pass_state(&out, &copy, robust);
     (void)pass(&out, out.hash);
 }
 
@@ -198,16 +288,19 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
 {
     image_t in = {image, NULL, HASH_START};
     mcp_asdf_t read = {0}, fresh;
-    const bool magic = pass(&in, 0) == IMAGE_MAGIC;
-    pass_state(&in, &read);
+    const bool robust = is_robust(config), known = pass(&in, 0) == magic(robust);
+    const bool is_all = pass_state(&in, &read, robust);
     const uint32_t hash = in.hash;
-    const bool sound = magic && pass(&in, 0) == hash;
+    const bool sound = known && is_all && pass(&in, 0) == hash;
     const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, read.id, read.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;
     }
     if (!sound || status != MCP_ASDF_OK) {
         return MCP_ASDF_ERR_IMAGE;
+    }
+    if (!robust) {
+        keep_crowd(&read, &fresh);
     }
     read.config = config;
     read.accuracy = fresh.accuracy;

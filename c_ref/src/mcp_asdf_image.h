@@ -10,7 +10,7 @@ extern "C" {
 #endif
 
 #define MCP_ASDF_IMAGE_VERSION 2U
-#define MCP_ASDF_IMAGE_SIZE 124 /* bytes */
+#define MCP_ASDF_IMAGE_SIZE 124 /* bytes, whatever is built */
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
  * O(1). Needs a copy of the robot on the stack (docs/cost.md has the bytes). */
@@ -19,7 +19,8 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 /* Make a robot from an image; it goes on as the saved one would have, bit for bit. O(q) for the table. Needs
  * two copies of the robot on the stack. Fails as init does for config and table (ERR_CONFIG, ERR_TABLE), and
  * if the image is damaged, of another version, or does not fit the config's filter_period and memory
- * (ERR_IMAGE). On failure *robot is unchanged. */
+ * (ERR_IMAGE). An image of a robot with the robust filter fits only such a robot, and the other way round. On
+ * failure *robot is unchanged. */
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 

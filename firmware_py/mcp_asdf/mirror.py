@@ -42,8 +42,13 @@ from mcp_asdf.robot import (
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 
 INFORMATIVE_G = 1 << 20
+SPREAD_LEAST, SPREAD_START = 1 << 18, 1 << 28
+VOTES_MOST, VOTES_MOVED = 1 << 14, 1 << 8
+TREND_SHIFT, MAX_TREND = 8, 0xFFFF
+SIGMAS_SQUARED = 12
 COUNTER_MASK = 0xFFFF
 IMAGE_MAGIC = 0x4D435302
+ROBUST_IMAGE = 1 << 7
 IMAGE_WORDS = 31
 
 
@@ -157,9 +162,8 @@ def upper_quotient(numerator: int, denominator: int) -> int:
     return ((numerator >> shift) << 31) // ((denominator >> shift + 1) + 1)
 
 
-def reestimate(t: int, n: int, closed: Closed) -> int | None:
-    """b_hat from x_bar (eq. 8); None where x_bar is uninformative."""
-    x_bar = upper_quotient(closed.alpha_x(), closed.alpha * ONE)
+def reestimate(t: int, n: int, x_bar: int) -> int | None:
+    """b_hat from x_bar in units of 2**-32 (eq. 8); None where x_bar is uninformative."""
     if x_bar < 1 << 31:
         x_bar, n = MAX_WORD - x_bar, t - n  # the colours exchanged
     g = 2 * x_bar - (1 << 32)
@@ -167,6 +171,41 @@ def reestimate(t: int, n: int, closed: Closed) -> int | None:
         return None
     b_hat = upper_quotient((n << 32) - t * ((1 << 32) - x_bar), t * g)  # may be below 0 or above 1
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
+
+
+def vote(crowd: Crowd, sender: int, x_hat: int) -> None:
+    """A message to a robot with the robust filter moves the crowd's centre towards x_hat, and its spread."""
+    said = x_hat << 7
+    is_above = said > crowd.centre
+    distance = said - crowd.centre if is_above else crowd.centre - said
+    crowd.votes = min(crowd.votes + 1, VOTES_MOST)
+    shift = max(crowd.votes.bit_length() - 3, 3)
+    step = min(distance, crowd.spread) >> shift
+    change = crowd.spread >> shift + 1
+    if step != 0:
+        late = MAX_TREND - crowd.trend if is_above else crowd.trend
+        crowd.trend += late >> TREND_SHIFT if is_above else -(late >> TREND_SHIFT)
+    crowd.voices |= 1 << (sender & 31)
+    crowd.centre += step if is_above else -step
+    spread = crowd.spread + (change if distance > crowd.spread else -change)
+    crowd.spread = min(max(spread, SPREAD_LEAST), SPREAD_START)
+
+
+def crowd_mean(crowd: Crowd) -> int:
+    """The centre in units of 2**-32, 1 as the largest word."""
+    return min(crowd.centre << 2, MAX_WORD)
+
+
+def deviates(crowd: Crowd, t: int, n: int, b_hat: int) -> bool:
+    """The robust filter's test of n black tiles of t > 0 against b_hat and the crowd."""
+    r = crowd_mean(crowd)
+    p = (b_hat * r >> 32) + ((MAX_WORD - b_hat) * (MAX_WORD - r) >> 32)
+    seen = upper_quotient(n, t)
+    variance = max((1 << 32) * value - value * value >> 32 for value in (seen, p))
+    g = (1 << 32) - 2 * min(b_hat, (1 << 32) - b_hat)
+    g_spread = g * (crowd.spread << 2) >> 32
+    square, least = (seen - p) * (seen - p), SIGMAS_SQUARED * (g_spread * g_spread)
+    return square > least and t * (square - least) >> 32 > SIGMAS_SQUARED * variance
 
 
 def estimate_possible(s: State) -> bool:
@@ -198,6 +237,30 @@ class Closed:
 
 
 @dataclass
+class Crowd:
+    """What the robust filter knows of the others; see ``mcp_asdf_crowd_t``."""
+
+    centre: int = 1 << 29
+    spread: int = SPREAD_START
+    voices: int = 0
+    votes: int = 0
+    trend: int = 1 << 15
+    distrusted: int = 0
+
+    def is_possible(self) -> bool:
+        """True if votes can have made it so."""
+        return (
+            self == Crowd()
+            if self.votes == 0
+            else self.centre <= ONE << 7
+            and SPREAD_LEAST <= self.spread <= SPREAD_START
+            and self.voices != 0
+            and self.votes <= VOTES_MOST
+            and self.distrusted <= (self.voices.bit_count() >= 3)
+        )
+
+
+@dataclass
 class State:
     """The members of ``mcp_asdf_t``, by the same names."""
 
@@ -209,6 +272,7 @@ class State:
     x_hat: int = HALF
     alpha: int = 0
     heard: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
+    crowd: Crowd = field(default_factory=Crowd)
     open: Sums = field(default_factory=Sums)
     closed: Closed = field(default_factory=Closed)
     accepted: int = 0
@@ -262,7 +326,10 @@ class MirrorRobot(FixedPointView):
             return Status.REPEATED
         s.heard[sender >> 5] |= 1 << (sender & 31)
         s.accepted = s.accepted + 1 & COUNTER_MASK
-        sums_add(s.open, x_hat, alpha)
+        if self.config.filter != Filter.ROBUST:
+            sums_add(s.open, x_hat, alpha)
+        elif alpha >> 8:
+            vote(s.crowd, sender, x_hat)
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: int) -> Status:
@@ -287,21 +354,42 @@ class MirrorRobot(FixedPointView):
         return self.settle() if status == Status.OK else status
 
     def _filter(self) -> bool:
-        s, mode = self.s, self.config.filter
-        if mode == Filter.OFF or s.t == 0 or s.open.count < (2 if mode == Filter.ADAPTIVE else 1):
+        s, is_robust = self.s, self.config.filter == Filter.ROBUST
+        if s.t == 0 or not (self._crowd_rejects() if is_robust else self._round_rejects()):
             return False
-        if mode == Filter.ADAPTIVE:
-            s.tests = s.tests + 1 & COUNTER_MASK
-            assert self.config.table is not None
-            if not rejects(self.config.table, s.open, s.x_hat):
-                return False
-        b_hat = reestimate(s.t, s.n, s.closed)
+        x_bar = crowd_mean(s.crowd) if is_robust else upper_quotient(s.closed.alpha_x(), s.closed.alpha * ONE)
+        b_hat = reestimate(s.t, s.n, x_bar)
         if b_hat is None:
             return False
         s.accuracy = accuracy_of(b_hat)
         s.updates = s.updates + 1 & COUNTER_MASK
         s.updated = 1
         return True
+
+    def _round_rejects(self) -> bool:
+        """Whether the paper's filter finds b_hat anew."""
+        s, mode = self.s, self.config.filter
+        if mode == Filter.OFF or s.open.count < (2 if mode == Filter.ADAPTIVE else 1):
+            return False
+        if mode == Filter.ALWAYS:
+            return True
+        s.tests = s.tests + 1 & COUNTER_MASK
+        assert self.config.table is not None
+        return rejects(self.config.table, s.open, s.x_hat)
+
+    def _crowd_rejects(self) -> bool:
+        """Whether the robust filter does: not while the crowd moves, and not before three voices were heard."""
+        s, crowd = self.s, self.s.crowd
+        if not 1 << 13 <= crowd.trend < 7 << 13:
+            crowd.votes = min(crowd.votes, VOTES_MOVED)
+            return False
+        without_one = crowd.voices & crowd.voices - 1
+        if without_one & without_one - 1 == 0:
+            return False
+        s.tests = s.tests + 1 & COUNTER_MASK
+        if deviates(crowd, s.t, s.n, s.accuracy.b_hat):
+            crowd.distrusted = 1
+        return crowd.distrusted == 1
 
     id = reading(lambda robot: robot.s.id, "Own id.")
     t = reading(lambda robot: robot.s.t, "Observations counted.")
@@ -313,13 +401,18 @@ class MirrorRobot(FixedPointView):
 
     @property
     def x_bar_raw(self) -> int:
-        """x_bar in units of 2**-23; HALF where beta is 0."""
-        return informed_estimate(self.s.closed, HALF, 0)
+        """x_bar in units of 2**-23; HALF where nothing was heard."""
+        return self._estimate(HALF, 0)
 
     @property
     def x_raw(self) -> int:
         """x in units of 2**-23."""
-        return informed_estimate(self.s.closed, self.s.x_hat, self.s.alpha)
+        return self._estimate(self.s.x_hat, self.s.alpha)
+
+    def _estimate(self, x_hat: int, alpha: int) -> int:
+        if self.config.filter == Filter.ROBUST:
+            return self.s.crowd.centre >> 7 if self.s.crowd.votes else x_hat
+        return informed_estimate(self.s.closed, x_hat, alpha)
 
     @property
     def counters(self) -> Counters:
@@ -332,7 +425,7 @@ class MirrorRobot(FixedPointView):
         flat: dict[str, int] = {}
         for member in fields(State):
             value = getattr(self.s, member.name)
-            if isinstance(value, (Sums, Accuracy, Closed)):
+            if isinstance(value, (Sums, Accuracy, Closed, Crowd)):
                 flat.update({f"{member.name}_{m.name}": getattr(value, m.name) for m in fields(value)})
             elif isinstance(value, list):
                 flat.update({f"{member.name}_{i}": word for i, word in enumerate(value)})
@@ -343,6 +436,7 @@ class MirrorRobot(FixedPointView):
     def holds_invariants(self) -> bool:
         """True if the state could have come from calls alone (``docs/invariants.md``)."""
         s, config = self.s, self.config
+        is_robust = config.filter == Filter.ROBUST
         heard = sum(word.bit_count() for word in s.heard)
         return (
             s.id <= MAX_ID
@@ -352,6 +446,8 @@ class MirrorRobot(FixedPointView):
             and estimate_possible(s)
             and mean_possible(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
             and sums_possible(s.open)
+            and s.crowd.is_possible()
+            and (s.open.count == s.closed.alpha == 0 if is_robust else s.crowd.votes == 0)
             and s.open.count <= heard
             and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
             and 1 <= s.filter_left <= config.filter_period
@@ -360,12 +456,9 @@ class MirrorRobot(FixedPointView):
     def save(self) -> bytes:
         """The state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum."""
         s = self.s
-        words = [IMAGE_MAGIC, s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
-        doubles = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
-        doubles += [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
-        for value in doubles:
-            words += [value & MAX_WORD, value >> 32]
-        words += [s.open.x, s.open.count, *s.heard]
+        words = [_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
+        words += _crowd_words(s.crowd) if self.config.filter == Filter.ROBUST else _round_words(s)
+        words += s.heard
         words += [s.repeated << 16 | s.accepted, s.tests << 16 | s.rejected]
         words += [s.updates | s.updated << 16 | s.id << 24]
         return struct.pack(f"<{IMAGE_WORDS}I", *words, checksum(words))
@@ -376,15 +469,36 @@ class MirrorRobot(FixedPointView):
         plain = bytes(memoryview(image))
         check_config(config)
         words = struct.unpack(f"<{IMAGE_WORDS}I", plain) if len(plain) == 4 * IMAGE_WORDS else (0,)
-        if words[0] != IMAGE_MAGIC or checksum(words[:-1]) != words[-1]:
+        if words[0] != _magic(config) or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
         if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
         robot = cls.__new__(cls)
         robot.config, robot.s = config, _state_from(words)
-        if not robot.holds_invariants():
+        if config.filter == Filter.ROBUST:
+            robot.s.crowd = Crowd(*words[7:10], words[10] & MAX_TREND, words[10] >> 16, words[11])
+            robot.s.open, robot.s.closed = Sums(), Closed()
+        if not robot.holds_invariants() or (config.filter == Filter.ROBUST and any(words[12:23])):
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
         return robot
+
+
+def _magic(config: Config) -> int:
+    """The first word of an image."""
+    return IMAGE_MAGIC | (ROBUST_IMAGE if config.filter == Filter.ROBUST else 0)
+
+
+def _round_words(s: State) -> list[int]:
+    """Both rounds in an image."""
+    doubles = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
+    doubles += [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
+    return [*(word for value in doubles for word in (value & MAX_WORD, value >> 32)), s.open.x, s.open.count]
+
+
+def _crowd_words(crowd: Crowd) -> list[int]:
+    """What stands in their place with the robust filter."""
+    words = [crowd.centre, crowd.spread, crowd.voices, crowd.votes | crowd.trend << 16, crowd.distrusted]
+    return words + [0] * 11
 
 
 def _state_from(words: tuple[int, ...]) -> State:

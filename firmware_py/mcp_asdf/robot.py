@@ -53,6 +53,9 @@ class Filter(IntEnum):
     """Without a test."""
     OFF = 2
     """Never: plain collective perception."""
+    ROBUST = 3
+    """This project's own, not the paper's: when the own count of black tiles differs from what the centre of all
+    estimates heard predicts, and from then on always (``docs/robust.md``)."""
 
 
 class Status(IntEnum):
@@ -185,15 +188,18 @@ class Robot(Protocol):
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0."""
+        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. Robust: the crowd's centre."""
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round; 0 without neighbours."""
+        """Social confidence (eq. 6) of the last closed round; 0 without neighbours, and in robust mode."""
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1]."""
+        """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1].
+
+        Robust: the crowd's centre, or x_hat while nobody was heard.
+        """
 
     @property
     def counters(self) -> Counters:

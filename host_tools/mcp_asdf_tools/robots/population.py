@@ -16,11 +16,17 @@ from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
-Filtering = Literal["none", "asdf-minus", "asdf-plus"]
-"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+)."""
+Filtering = Literal["none", "asdf-minus", "asdf-plus", "robust"]
+"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+), or all
+by the robust filter, which is not the paper's."""
 
-FILTER_NAMES: dict[Filtering, str] = {"none": "no filter", "asdf-minus": "ASDF-", "asdf-plus": "ASDF+"}
-"""The paper's names, in ASCII."""
+FILTER_NAMES: dict[Filtering, str] = {
+    "none": "no filter",
+    "asdf-minus": "ASDF-",
+    "asdf-plus": "ASDF+",
+    "robust": "robust",
+}
+"""Names in ASCII, the first three the paper's."""
 TYPESET_FILTER_NAMES = {key: name.replace("-", "\N{MINUS SIGN}") for key, name in FILTER_NAMES.items()}
 """The same for pictures and pages."""
 
@@ -80,6 +86,8 @@ class Population(WorldSettings):
         """Parameters without effect here, with the reason."""
         if self.filter == "none":
             return dict.fromkeys(("omega", "activation"), "filter is none")
+        if self.filter == "robust":
+            return dict.fromkeys(("omega", "activation"), "filter is robust, with a test of its own")
         if self.activation == "always":
             return {"omega": "activation is always, without a test"}
         return {}
@@ -95,7 +103,7 @@ class Population(WorldSettings):
 
     def filters(self, robot: int) -> bool:
         """True if a robot re-estimates its accuracy."""
-        return self.filter == "asdf-plus" or (self.filter == "asdf-minus" and self.is_flawed(robot))
+        return self.filter in ("asdf-plus", "robust") or (self.filter == "asdf-minus" and self.is_flawed(robot))
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
@@ -106,7 +114,9 @@ class Population(WorldSettings):
     def config(self, robot: int) -> TickConfig:
         """Settings of a robot's firmware. The table covers N - 1 neighbours."""
         kind = Filter.OFF
-        if self.filters(robot):
+        if self.filter == "robust":
+            kind = Filter.ROBUST
+        elif self.filters(robot):
             kind = Filter.ADAPTIVE if self.activation == "adaptive" else Filter.ALWAYS
         table = generate(self.omega, max(2, self.robots - 1)) if kind is Filter.ADAPTIVE else None
         return TickConfig(table, kind, self.comms_period, self.filter_period, self.memory)

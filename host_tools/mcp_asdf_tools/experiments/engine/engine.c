@@ -301,7 +301,11 @@ static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
 
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
-    return experiment->comms_period == 1 && experiment->sampling_interval == 0;
+    bool has_lanes = experiment->comms_period == 1 && experiment->sampling_interval == 0;
+    for (uint32_t j = 0; j < experiment->robots && has_lanes; ++j) {
+        has_lanes = !trial_is_robust(experiment, j);
+    }
+    return has_lanes;
 }
 
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,

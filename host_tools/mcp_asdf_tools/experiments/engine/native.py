@@ -150,7 +150,8 @@ def _config(ticked: TickConfig) -> tuple[Any, Any]:
 
 def _allocate(experiment: Experiment, trials: int, sampling_interval: int) -> EngineResults:
     count, steps = experiment.robots, experiment.steps
-    columns = 1 if experiment.comms_period == 1 and not experiment.is_dynamic else count
+    is_same = experiment.comms_period == 1 and not experiment.is_dynamic and experiment.filter != "robust"
+    columns = 1 if is_same else count
     return EngineResults(
         x=np.empty((trials, columns, steps + 1), np.uint32),
         b_hat=np.empty((trials, steps // experiment.filter_period, count), np.uint32),

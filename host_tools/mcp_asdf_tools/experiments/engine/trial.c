@@ -50,16 +50,32 @@ static mcp_asdf_open_t message_of(const mcp_asdf_t *robot)
     return neighbour.open;
 }
 
+/* A robot hears all others, one by one. */
+static void receive_all(mcp_asdf_t *robots, uint32_t count, uint32_t receiver)
+{
+    for (uint32_t i = 0; i < count; ++i) {
+        if (i != receiver) {
+            (void)mcp_asdf_receive(&robots[receiver], (uint8_t)i, mcp_asdf_x_hat(&robots[i]),
+                                   mcp_asdf_alpha(&robots[i]));
+        }
+    }
+}
+
 /* Every robot hears every other: the open rounds, still empty, become what receiving message by message makes
  * of them. The senders are not marked, since the rounds close at once. */
-static void exchange(mcp_asdf_t *robots, uint32_t count)
+static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
+    const uint32_t count = experiment->robots;
     mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_ROBOTS], all = {0};
     for (uint32_t j = 0; j < count; ++j) {
         own[j] = message_of(&robots[j]);
         add(&all, &own[j]);
     }
     for (uint32_t j = 0; j < count; ++j) {
+        if (trial_is_robust(experiment, j)) {
+            receive_all(robots, count, j);
+            continue;
+        }
         robots[j].open = without(all, &own[j]);
         robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
     }
@@ -75,10 +91,10 @@ static void deliver(mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
     }
 }
 
-static void hear(mcp_asdf_t *robots, uint32_t count, const mcp_asdf_arena_t *arena)
+static void hear(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
 {
     if (arena == NULL) {
-        exchange(robots, count);
+        exchange(experiment, robots);
     } else {
         deliver(robots, arena);
     }
@@ -91,13 +107,13 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
     const uint32_t count = experiment->robots;
     const bool is_late = experiment->latency != 0, closes = trial_closes(experiment, k);
     if (is_late && k > 0 && trial_closes(experiment, k - 1)) {
-        hear(trial->robots, count, arena);
+        hear(experiment, trial->robots, arena);
     }
     for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
         (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)tiles.black[j * tiles.stride]);
     }
     if (!is_late && closes) {
-        hear(trial->robots, count, arena);
+        hear(experiment, trial->robots, arena);
     }
     for (uint32_t j = 0; j < count && closes; ++j) {
         (void)mcp_asdf_settle(&trial->robots[j]);

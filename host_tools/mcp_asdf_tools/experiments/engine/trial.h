@@ -23,10 +23,19 @@ static inline bool trial_observes(const mcp_asdf_experiment_t *experiment, uint3
     return (k + 1) % experiment->observation_period == 0;
 }
 
+/* Whether a robot has the robust filter. */
+static inline bool trial_is_robust(const mcp_asdf_experiment_t *experiment, uint32_t robot)
+{
+    return experiment->configs[robot]->filter == MCP_ASDF_ROBUST;
+}
+
 /* Series of x: one stands for all robots that have the same x to the bit. */
 static inline uint32_t trial_columns(const mcp_asdf_experiment_t *experiment)
 {
-    const bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
+    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
+    for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
+        is_same = !trial_is_robust(experiment, j);
+    }
     return is_same ? 1 : experiment->robots;
 }
 

@@ -1,0 +1,136 @@
+/* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
+ * gives it eq. 8. docs/robust.md explains it, docs/design.md, section 9, states every bit.
+ *
+ * Every message is one vote, whatever its alpha. The votes move the centre of the crowd, a Huber M-estimate
+ * of where the estimates lie, and the spread, the median of their distances from it: both by stochastic
+ * approximation, with a gain of 4 / votes to 8 / votes, and at least 2^-12. Against the centre a robot tests
+ * its own count of black tiles.
+ */
+#ifndef MCP_ASDF_ROBUST_H
+#define MCP_ASDF_ROBUST_H
+
+#include "mcp_asdf.h"
+#include "mcp_asdf_arithmetic.h"
+
+#if MCP_ASDF_WITH_ROBUST
+
+#define SHIFT_FIRST 3U /* a vote moves the centre by 2^-3 of its distance at first, 2^-12 in the end, */
+#define VOTES_MOVED (UINT32_C(1) << 8) /* and 2^-6 after the crowd has moved */
+#define TREND_SHIFT 8U                 /* memory of the trend: 256 moves of the centre */
+#define SIGMAS_SQUARED 12U             /* a sound robot deviates so far in 1 of 2000 tests */
+
+/* Whether a robot's config says so; a constant where there is no choice. */
+ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot)
+{
+    return !MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST;
+}
+
+ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot)
+{
+    robot->crowd.centre = MCP_ASDF_CENTRE_START;
+    robot->crowd.spread = MCP_ASDF_SPREAD_MAX;
+    robot->crowd.trend = MCP_ASDF_TREND_START;
+}
+
+/* A vote for x_hat, which is at most 1.0: the centre moves towards it, by at most a spread times the gain and
+ * never beyond it. */
+HOT void vote(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+{
+    mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    const uint32_t centre = crowd->centre, spread = crowd->spread, said = x_hat << 7; /* Q30: <= 2^30 */
+    const bool is_above = said > centre;
+    const uint32_t distance = is_above ? said - centre : centre - said; /* <= 2^30 */
+    const uint32_t pull = distance < spread ? distance : spread;        /* <= distance, and < 2^29 */
+    const uint32_t votes = crowd->votes < MCP_ASDF_VOTES_MAX ? crowd->votes + 1U : MCP_ASDF_VOTES_MAX;
+    const uint32_t zeros = leading_zeros(votes);                    /* [17, 31] */
+    const uint32_t shift = zeros < 26U ? 29U - zeros : SHIFT_FIRST; /* log2(votes) - 2: [3, 12] */
+    const uint32_t step = shift_right(pull, shift), change = shift_right(spread, shift + 1U);
+    const uint32_t wider = distance > spread ? spread + change : spread - change; /* < 2^29 */
+    const uint32_t before = crowd->trend, after = is_above ? before + ((UINT16_MAX - before) >> TREND_SHIFT)
+                                                           : before - (before >> TREND_SHIFT);
+    crowd->trend = (uint16_t)(step != 0U ? after : before);
+    crowd->votes = (uint16_t)votes;
+    crowd->voices |= UINT32_C(1) << (sender & 31U);
+    crowd->centre = is_above ? centre + step : centre - step; /* between it and said */
+    crowd->spread = wider < MCP_ASDF_SPREAD_MIN   ? MCP_ASDF_SPREAD_MIN
+                    : wider < MCP_ASDF_SPREAD_MAX ? wider
+                                                  : MCP_ASDF_SPREAD_MAX;
+}
+
+/* The centre as x_hat; before the first vote `alone`. */
+ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone)
+{
+    return robot->crowd.votes == 0U ? alone : robot->crowd.centre >> 7;
+}
+
+/* The centre as Q32, 1.0 as 2^32 - 1. */
+ALWAYS_INLINE uint32_t crowd_mean(const mcp_asdf_t *robot)
+{
+    const uint32_t centre = robot->crowd.centre;
+    return centre >> 30 == 0U ? centre << 2 : UINT32_MAX;
+}
+
+/* Whether three robots were heard, of whom one that is wrong can be outvoted. Of robots whose ids are equal
+ * modulo 32 one counts. */
+ALWAYS_INLINE bool is_crowd(uint32_t voices)
+{
+    const uint32_t without_one = voices & (voices - 1U);
+    return (without_one & (without_one - 1U)) != 0U;
+}
+
+/* Whether the crowd is on its way elsewhere, as after a change of the floor: more than 7 of 8 moves of the
+ * centre went one way. It then lags behind, and a robot that runs ahead of it is not wrong. */
+ALWAYS_INLINE bool is_moving(uint32_t trend) { return ((trend + 0x2000U) & 0xFFFFU) < 0x4000U; }
+
+/* Whether n / t deviates by more than sqrt(12) standard deviations from what b_hat and the centre r predict:
+ * D^2 > 12 (v / t + g^2 spread^2), where D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r), g = 2 b_hat - 1,
+ * and v is the larger of p (1 - p) and n / t (1 - n / t). For t > 0. */
+static bool deviates(const mcp_asdf_t *robot)
+{
+    const uint32_t b_hat = robot->accuracy.b_hat, r = crowd_mean(robot);
+    const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* Q32, as all here: < 2^32 - 1 */
+    const uint32_t seen = quotient(robot->n, robot->t);
+    const uint32_t d = seen > p ? seen - p : p - seen;
+    const uint32_t v_seen = multiply_high(seen, 0U - seen), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
+    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;  /* abs(2 b_hat - 1) */
+    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* < 2^30 */
+    const uint64_t least = SIGMAS_SQUARED * multiply(g_spread, g_spread); /* Q64: < 12 2^60 */
+    const uint64_t square = multiply(d, d), excess = square - least;      /* used where it is positive */
+    /* t excess as Q32: below 2^31 2^32 */
+    const uint64_t above =
+        multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
+    return square > least && above > multiply(SIGMAS_SQUARED, v_seen > v_p ? v_seen : v_p);
+}
+
+/* Whether b_hat is to be found anew, with t > 0: if the test rejects it, and from then on always. */
+static bool crowd_rejects(mcp_asdf_t *robot)
+{
+    mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    if (is_moving(crowd->trend)) {
+        crowd->votes = crowd->votes < VOTES_MOVED ? crowd->votes : VOTES_MOVED;
+        return false;
+    }
+    if (!is_crowd(crowd->voices)) {
+        return false;
+    }
+    ++robot->counters.tests;
+    if (deviates(robot)) {
+        crowd->distrusted = 1;
+    }
+    return crowd->distrusted != 0U;
+}
+
+#else /* without it: calls of what follows disappear */
+
+ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot) { return (void)robot, false; }
+ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot) { (void)robot; }
+ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+{
+    (void)robot, (void)sender, (void)x_hat;
+}
+ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone) { return (void)robot, alone; }
+ALWAYS_INLINE uint32_t crowd_mean(const mcp_asdf_t *robot) { return (void)robot, 0; }
+ALWAYS_INLINE bool crowd_rejects(const mcp_asdf_t *robot) { return (void)robot, false; }
+
+#endif
+#endif
