@@ -45,7 +45,8 @@ static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
 static mcp_asdf_open_t message_of(const mcp_asdf_t *robot)
 {
     const uint8_t id = mcp_asdf_id(robot);
-    mcp_asdf_t neighbour = {.id = id ^ 1};
+    const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    mcp_asdf_t neighbour = {.id = id ^ 1, .config = &sums};
     (void)mcp_asdf_receive(&neighbour, id, mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
     return neighbour.open;
 }
