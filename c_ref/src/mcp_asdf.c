@@ -190,12 +190,6 @@ ALWAYS_INLINE uint32_t round_x(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t
     return informed_estimate(&robot->closed, x_hat, alpha);
 }
 
-/* x_bar of the last closed round as Q32, for eq. 8. */
-ALWAYS_INLINE uint32_t round_mean(const mcp_asdf_t *robot)
-{
-    return mean(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high);
-}
-
 /* Eq. 12 on m >= 2 messages, multiplied out: (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2). An integer
  * compared with a real, so rounding the right side down decides alike. */
 static bool test_rejects(const mcp_asdf_t *robot)
@@ -211,18 +205,21 @@ static bool test_rejects(const mcp_asdf_t *robot)
     return multiply(difference, difference) > upper_part + (multiply(k, low_word(spread)) >> 26);
 }
 
-/* Whether b_hat is to be found anew, with t > 0. */
-ALWAYS_INLINE bool round_rejects(mcp_asdf_t *robot)
+/* What b_hat becomes after a round, for t > 0; 0 if it stays. */
+ALWAYS_INLINE uint32_t round_b_hat(mcp_asdf_t *robot)
 {
+    const mcp_asdf_closed_t *const closed = &robot->closed;
     const uint8_t mode = robot->config->filter;
     if (mode == MCP_ASDF_OFF || robot->open.count < (mode == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
-        return false;
+        return 0;
     }
     if (mode == MCP_ASDF_ADAPTIVE) {
         ++robot->counters.tests;
-        return test_rejects(robot);
+        if (!test_rejects(robot)) {
+            return 0;
+        }
     }
-    return true;
+    return reestimate(robot, mean(closed->alpha, closed->alpha_x_low, closed->alpha_x_high));
 }
 
 ALWAYS_INLINE void close_round(mcp_asdf_t *robot)
@@ -275,8 +272,7 @@ ALWAYS_INLINE uint32_t round_x(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t
 {
     return (void)robot, (void)alpha, x_hat;
 }
-ALWAYS_INLINE uint32_t round_mean(const mcp_asdf_t *robot) { return (void)robot, 0; }
-ALWAYS_INLINE bool round_rejects(const mcp_asdf_t *robot) { return (void)robot, false; }
+ALWAYS_INLINE uint32_t round_b_hat(const mcp_asdf_t *robot) { return (void)robot, 0; }
 ALWAYS_INLINE void close_round(const mcp_asdf_t *robot) { (void)robot; }
 ALWAYS_INLINE void open_round(const mcp_asdf_t *robot) { (void)robot; }
 ALWAYS_INLINE bool table_valid(const uint32_t *table) { return (void)table, true; }
@@ -327,8 +323,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 /* ---- The filter: eq. 8 ---- */
 
 /* Eq. 8 with x_bar = a: b_hat = (n / t + a - 1) / (2a - 1), which is (1 - n / t - a) / (1 - 2a) with both
- * colours exchanged. False where a says nothing. */
-static bool reestimate(mcp_asdf_t *robot, uint32_t a)
+ * colours exchanged. 0 where a says nothing. */
+static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a)
 {
     const uint32_t t = robot->t;
     uint32_t n = robot->n;
@@ -338,24 +334,26 @@ static bool reestimate(mcp_asdf_t *robot, uint32_t a)
     }
     const uint32_t g = 2U * a; /* 2a - 1 as Q32 */
     if (g < INFORMATIVE) {
-        return false;
+        return 0;
     }
     const uint64_t span = multiply(t, g);                         /* t (2a - 1): < 2^63 */
     const uint64_t difference = join(n, 0) - multiply(t, 0U - a); /* n - t (1 - a): within 2^63 of 0 */
     const uint64_t above = difference >> 63 == 0U ? difference : 0U;
     uint32_t b_hat = quotient(above < span ? above : span, span);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
-    set_b_hat(robot, b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX);
-    return true;
+    return b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX;
 }
 
 NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
 {
-    const bool robust = is_robust(robot);
-    if (robot->t == 0U || !(robust ? crowd_rejects(robot) : round_rejects(robot)) ||
-        !reestimate(robot, robust ? crowd_mean(robot) : round_mean(robot))) {
+    if (robot->t == 0U) {
         return MCP_ASDF_OK;
     }
+    const uint32_t b_hat = is_robust(robot) ? crowd_b_hat(robot) : round_b_hat(robot);
+    if (b_hat == 0U) {
+        return MCP_ASDF_OK;
+    }
+    set_b_hat(robot, b_hat);
     ++robot->counters.updates;
     robot->updated = 1;
     return MCP_ASDF_UPDATED;
@@ -409,7 +407,7 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
     if (status == MCP_ASDF_OK) {
         *robot = (mcp_asdf_t){
             .id = id, .config = config, .x_hat = MCP_ASDF_HALF, .filter_left = config->filter_period};
-        start_crowd(robot);
+        start_crowd(robot, b_hat);
         set_b_hat(robot, b_hat);
     }
     return status;

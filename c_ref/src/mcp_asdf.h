@@ -172,14 +172,14 @@ typedef struct {
  *   voices      who was heard: bit (id mod 32)
  *   votes       messages that moved them, up to             2^14
  *   trend       share of the centre's late moves that went up, unit 2^-16
- *   distrusted  1 once the test has rejected b_hat, which follows the centre from then on, else 0 */
+ *   first       b_hat at the start, unit 2^-32: what the test is about; 0 with other filters */
 typedef struct {
     uint32_t centre;
     uint32_t spread;
     uint32_t voices;
+    uint32_t first;
     uint16_t votes;
     uint16_t trend;
-    uint8_t distrusted;
 } mcp_asdf_crowd_t;
 
 /* A robot. Its members are the state; read them through the functions below. The order keeps them within

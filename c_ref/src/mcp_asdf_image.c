@@ -97,20 +97,21 @@ static uint32_t messages(const mcp_asdf_t *robot) { return (void)robot, 0; }
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Whether votes can have made a crowd so; other filters leave it as it was. */
+/* Whether votes can have made a crowd so; other filters have none. */
 static bool crowd_possible(const mcp_asdf_t *robot)
 {
     const mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    const uint32_t without_one = crowd->voices & (crowd->voices - 1U);
-    if (crowd->votes == 0U) {
-        return crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
-               crowd->voices == 0U && crowd->trend == MCP_ASDF_TREND_START && crowd->distrusted == 0U;
+    const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
+                        crowd->voices == 0U && crowd->votes == 0U && crowd->trend == MCP_ASDF_TREND_START;
+    if (!is_robust(robot->config)) {
+        return is_new && crowd->first == 0U;
     }
-    return is_robust(robot->config) && crowd->votes <= MCP_ASDF_VOTES_MAX &&
-           crowd->centre <= MCP_ASDF_ONE << 7 && crowd->spread >= MCP_ASDF_SPREAD_MIN &&
-           crowd->spread <= MCP_ASDF_SPREAD_MAX && crowd->voices != 0U &&
-           (crowd->distrusted == 0U ||
-            (crowd->distrusted == 1U && (without_one & (without_one - 1U)) != 0U)); /* three voices */
+    if (crowd->votes == 0U) {
+        return is_new && crowd->first == robot->accuracy.b_hat;
+    }
+    return crowd->first - MCP_ASDF_B_HAT_MIN <= MCP_ASDF_B_HAT_MAX - MCP_ASDF_B_HAT_MIN &&
+           crowd->votes <= MCP_ASDF_VOTES_MAX && crowd->voices != 0U && crowd->centre <= MCP_ASDF_ONE << 7 &&
+           crowd->spread >= MCP_ASDF_SPREAD_MIN && crowd->spread <= MCP_ASDF_SPREAD_MAX;
 }
 
 #else
@@ -223,9 +224,8 @@ static bool pass_crowd(image_t *image, mcp_asdf_t *robot)
     crowd->centre = pass(image, crowd->centre);
     crowd->spread = pass(image, crowd->spread);
     crowd->voices = pass(image, crowd->voices);
+    crowd->first = pass(image, crowd->first);
     pass_pair(image, &crowd->votes, &crowd->trend);
-    const uint32_t distrusted = pass(image, crowd->distrusted);
-    crowd->distrusted = (uint8_t)(distrusted < 2U ? distrusted : 2U);
     for (uint8_t i = 0; i < 11U; ++i) { /* at most 11 turns */
         rest |= pass(image, 0);
     }

@@ -1,5 +1,5 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
- * gives it eq. 8. docs/robust.md explains it, docs/design.md, section 9, states every bit.
+ * gives it eq. 8. docs/robust.md explains it, docs/design.md, section 13, states every bit.
  *
  * Every message is one vote, whatever its alpha. The votes move the centre of the crowd, a Huber M-estimate
  * of where the estimates lie, and the spread, the median of their distances from it: both by stochastic
@@ -11,6 +11,9 @@
 
 #include "mcp_asdf.h"
 #include "mcp_asdf_arithmetic.h"
+
+/* b_hat by eq. 8 from an estimate of the fill ratio as Q32; 0 where that says nothing. */
+static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a);
 
 #if MCP_ASDF_WITH_ROBUST
 
@@ -25,8 +28,9 @@ ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot)
     return !MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST;
 }
 
-ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot)
+ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
 {
+    robot->crowd.first = is_robust(robot) ? b_hat : 0U;
     robot->crowd.centre = MCP_ASDF_CENTRE_START;
     robot->crowd.spread = MCP_ASDF_SPREAD_MAX;
     robot->crowd.trend = MCP_ASDF_TREND_START;
@@ -82,12 +86,12 @@ ALWAYS_INLINE bool is_crowd(uint32_t voices)
  * centre went one way. It then lags behind, and a robot that runs ahead of it is not wrong. */
 ALWAYS_INLINE bool is_moving(uint32_t trend) { return ((trend + 0x2000U) & 0xFFFFU) < 0x4000U; }
 
-/* Whether n / t deviates by more than sqrt(12) standard deviations from what b_hat and the centre r predict:
- * D^2 > 12 (v / t + g^2 spread^2), where D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r), g = 2 b_hat - 1,
- * and v is the larger of p (1 - p) and n / t (1 - n / t). For t > 0. */
+/* Whether n / t deviates by more than sqrt(12) standard deviations from what the first b_hat and the centre
+ * r predict: D^2 > 12 (v / t + g^2 spread^2), where D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r), g = 2
+ * b_hat - 1, and v is the larger of p (1 - p) and n / t (1 - n / t). For t > 0. */
 static bool deviates(const mcp_asdf_t *robot)
 {
-    const uint32_t b_hat = robot->accuracy.b_hat, r = crowd_mean(robot);
+    const uint32_t b_hat = robot->crowd.first, r = crowd_mean(robot);
     const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* Q32, as all here: < 2^32 - 1 */
     const uint32_t seen = quotient(robot->n, robot->t);
     const uint32_t d = seen > p ? seen - p : p - seen;
@@ -96,41 +100,41 @@ static bool deviates(const mcp_asdf_t *robot)
     const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* < 2^30 */
     const uint64_t least = SIGMAS_SQUARED * multiply(g_spread, g_spread); /* Q64: < 12 2^60 */
     const uint64_t square = multiply(d, d), excess = square - least;      /* used where it is positive */
-    /* t excess as Q32: below 2^31 2^32 */
+    /* t excess as Q32: below 2^64 */
     const uint64_t above =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
     return square > least && above > multiply(SIGMAS_SQUARED, v_seen > v_p ? v_seen : v_p);
 }
 
-/* Whether b_hat is to be found anew, with t > 0: if the test rejects it, and from then on always. */
-static bool crowd_rejects(mcp_asdf_t *robot)
+/* What b_hat becomes after a round, for t > 0, or 0: the first one, unless the test rejects it. So a robot
+ * that was wronged by the crowd comes back. */
+static uint32_t crowd_b_hat(mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
     if (is_moving(crowd->trend)) {
         crowd->votes = crowd->votes < VOTES_MOVED ? crowd->votes : VOTES_MOVED;
-        return false;
+        return 0;
     }
     if (!is_crowd(crowd->voices)) {
-        return false;
+        return 0;
     }
     ++robot->counters.tests;
     if (deviates(robot)) {
-        crowd->distrusted = 1;
+        return reestimate(robot, crowd_mean(robot));
     }
-    return crowd->distrusted != 0U;
+    return robot->accuracy.b_hat != crowd->first ? crowd->first : 0U;
 }
 
 #else /* without it: calls of what follows disappear */
 
 ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot) { return (void)robot, false; }
-ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot) { (void)robot; }
+ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
 ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
     (void)robot, (void)sender, (void)x_hat;
 }
 ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone) { return (void)robot, alone; }
-ALWAYS_INLINE uint32_t crowd_mean(const mcp_asdf_t *robot) { return (void)robot, 0; }
-ALWAYS_INLINE bool crowd_rejects(const mcp_asdf_t *robot) { return (void)robot, false; }
+ALWAYS_INLINE uint32_t crowd_b_hat(const mcp_asdf_t *robot) { return (void)robot, 0; }
 
 #endif
 #endif

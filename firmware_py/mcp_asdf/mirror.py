@@ -162,8 +162,13 @@ def upper_quotient(numerator: int, denominator: int) -> int:
     return ((numerator >> shift) << 31) // ((denominator >> shift + 1) + 1)
 
 
-def reestimate(t: int, n: int, x_bar: int) -> int | None:
-    """b_hat from x_bar in units of 2**-32 (eq. 8); None where x_bar is uninformative."""
+def reestimate(t: int, n: int, closed: Closed) -> int | None:
+    """b_hat from x_bar (eq. 8); None where x_bar is uninformative."""
+    return b_hat_from(t, n, upper_quotient(closed.alpha_x(), closed.alpha * ONE))
+
+
+def b_hat_from(t: int, n: int, x_bar: int) -> int | None:
+    """The same for a fill ratio in units of 2**-32."""
     if x_bar < 1 << 31:
         x_bar, n = MAX_WORD - x_bar, t - n  # the colours exchanged
     g = 2 * x_bar - (1 << 32)
@@ -196,9 +201,9 @@ def crowd_mean(crowd: Crowd) -> int:
     return min(crowd.centre << 2, MAX_WORD)
 
 
-def deviates(crowd: Crowd, t: int, n: int, b_hat: int) -> bool:
-    """The robust filter's test of n black tiles of t > 0 against b_hat and the crowd."""
-    r = crowd_mean(crowd)
+def deviates(crowd: Crowd, t: int, n: int) -> bool:
+    """The robust filter's test of n black tiles of t > 0 against the first b_hat and the crowd."""
+    r, b_hat = crowd_mean(crowd), crowd.first
     p = (b_hat * r >> 32) + ((MAX_WORD - b_hat) * (MAX_WORD - r) >> 32)
     seen = upper_quotient(n, t)
     variance = max((1 << 32) * value - value * value >> 32 for value in (seen, p))
@@ -243,20 +248,20 @@ class Crowd:
     centre: int = 1 << 29
     spread: int = SPREAD_START
     voices: int = 0
+    first: int = 0
     votes: int = 0
     trend: int = 1 << 15
-    distrusted: int = 0
 
-    def is_possible(self) -> bool:
-        """True if votes can have made it so."""
+    def is_possible(self, b_hat: int) -> bool:
+        """True if votes can have made it so, where the robust filter runs and b_hat is ``b_hat`` now."""
+        if self.votes == 0:
+            return self == Crowd(first=b_hat)
         return (
-            self == Crowd()
-            if self.votes == 0
-            else self.centre <= ONE << 7
+            self.centre <= ONE << 7
             and SPREAD_LEAST <= self.spread <= SPREAD_START
             and self.voices != 0
+            and B_HAT_MIN <= self.first <= B_HAT_MAX
             and self.votes <= VOTES_MOST
-            and self.distrusted <= (self.voices.bit_count() >= 3)
         )
 
 
@@ -299,8 +304,10 @@ class MirrorRobot(FixedPointView):
         check_config(config)
         check_identity(robot_id, b_hat)
         self.config = config
-        period = index(config.filter_period)
-        self.s = State(index(robot_id), accuracy_of(b_hat_to_raw(b_hat)), period)
+        raw = b_hat_to_raw(b_hat)
+        self.s = State(index(robot_id), accuracy_of(raw), index(config.filter_period))
+        if config.filter == Filter.ROBUST:
+            self.s.crowd.first = raw
 
     def observe(self, z: Observation) -> Status:
         """Count an observation and form x_hat and alpha."""
@@ -354,11 +361,10 @@ class MirrorRobot(FixedPointView):
         return self.settle() if status == Status.OK else status
 
     def _filter(self) -> bool:
-        s, is_robust = self.s, self.config.filter == Filter.ROBUST
-        if s.t == 0 or not (self._crowd_rejects() if is_robust else self._round_rejects()):
+        s = self.s
+        if s.t == 0:
             return False
-        x_bar = crowd_mean(s.crowd) if is_robust else upper_quotient(s.closed.alpha_x(), s.closed.alpha * ONE)
-        b_hat = reestimate(s.t, s.n, x_bar)
+        b_hat = self._crowd_b_hat() if self.config.filter == Filter.ROBUST else self._round_b_hat()
         if b_hat is None:
             return False
         s.accuracy = accuracy_of(b_hat)
@@ -366,30 +372,31 @@ class MirrorRobot(FixedPointView):
         s.updated = 1
         return True
 
-    def _round_rejects(self) -> bool:
-        """Whether the paper's filter finds b_hat anew."""
+    def _round_b_hat(self) -> int | None:
+        """What b_hat becomes by the paper's filter; None if it stays."""
         s, mode = self.s, self.config.filter
         if mode == Filter.OFF or s.open.count < (2 if mode == Filter.ADAPTIVE else 1):
-            return False
-        if mode == Filter.ALWAYS:
-            return True
-        s.tests = s.tests + 1 & COUNTER_MASK
-        assert self.config.table is not None
-        return rejects(self.config.table, s.open, s.x_hat)
+            return None
+        if mode == Filter.ADAPTIVE:
+            s.tests = s.tests + 1 & COUNTER_MASK
+            assert self.config.table is not None
+            if not rejects(self.config.table, s.open, s.x_hat):
+                return None
+        return reestimate(s.t, s.n, s.closed)
 
-    def _crowd_rejects(self) -> bool:
-        """Whether the robust filter does: not while the crowd moves, and not before three voices were heard."""
+    def _crowd_b_hat(self) -> int | None:
+        """The same by the robust filter: None while the crowd moves, or before three voices were heard."""
         s, crowd = self.s, self.s.crowd
         if not 1 << 13 <= crowd.trend < 7 << 13:
             crowd.votes = min(crowd.votes, VOTES_MOVED)
-            return False
+            return None
         without_one = crowd.voices & crowd.voices - 1
         if without_one & without_one - 1 == 0:
-            return False
+            return None
         s.tests = s.tests + 1 & COUNTER_MASK
-        if deviates(crowd, s.t, s.n, s.accuracy.b_hat):
-            crowd.distrusted = 1
-        return crowd.distrusted == 1
+        if deviates(crowd, s.t, s.n):
+            return b_hat_from(s.t, s.n, crowd_mean(crowd))
+        return crowd.first if s.accuracy.b_hat != crowd.first else None
 
     id = reading(lambda robot: robot.s.id, "Own id.")
     t = reading(lambda robot: robot.s.t, "Observations counted.")
@@ -446,8 +453,8 @@ class MirrorRobot(FixedPointView):
             and estimate_possible(s)
             and mean_possible(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
             and sums_possible(s.open)
-            and s.crowd.is_possible()
-            and (s.open.count == s.closed.alpha == 0 if is_robust else s.crowd.votes == 0)
+            and (s.crowd.is_possible(s.accuracy.b_hat) if is_robust else s.crowd == Crowd())
+            and (not is_robust or s.open.count == s.closed.alpha == 0)
             and s.open.count <= heard
             and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
             and 1 <= s.filter_left <= config.filter_period
@@ -476,7 +483,7 @@ class MirrorRobot(FixedPointView):
         robot = cls.__new__(cls)
         robot.config, robot.s = config, _state_from(words)
         if config.filter == Filter.ROBUST:
-            robot.s.crowd = Crowd(*words[7:10], words[10] & MAX_TREND, words[10] >> 16, words[11])
+            robot.s.crowd = _crowd_from(words)
             robot.s.open, robot.s.closed = Sums(), Closed()
         if not robot.holds_invariants() or (config.filter == Filter.ROBUST and any(words[12:23])):
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
@@ -497,8 +504,12 @@ def _round_words(s: State) -> list[int]:
 
 def _crowd_words(crowd: Crowd) -> list[int]:
     """What stands in their place with the robust filter."""
-    words = [crowd.centre, crowd.spread, crowd.voices, crowd.votes | crowd.trend << 16, crowd.distrusted]
+    words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | crowd.trend << 16]
     return words + [0] * 11
+
+
+def _crowd_from(words: tuple[int, ...]) -> Crowd:
+    return Crowd(*words[7:11], votes=words[11] & MAX_TREND, trend=words[11] >> 16)
 
 
 def _state_from(words: tuple[int, ...]) -> State:

@@ -54,8 +54,8 @@ class Filter(IntEnum):
     OFF = 2
     """Never: plain collective perception."""
     ROBUST = 3
-    """This project's own, not the paper's: when the own count of black tiles differs from what the centre of all
-    estimates heard predicts, and from then on always (``docs/robust.md``)."""
+    """Not the paper's: while the own count of black tiles differs too much from what the centre of all
+    estimates heard predicts (``docs/robust.md``)."""
 
 
 class Status(IntEnum):
@@ -188,7 +188,10 @@ class Robot(Protocol):
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. Robust: the crowd's centre."""
+        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0.
+
+        Robust: the crowd's centre; 1/2 while nobody was heard.
+        """
 
     @property
     def beta(self) -> float:

@@ -17,8 +17,8 @@ from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
 Filtering = Literal["none", "asdf-minus", "asdf-plus", "robust"]
-"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+), or all
-by the robust filter, which is not the paper's."""
+"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+), or
+all by the robust filter, which is not the paper's."""
 
 FILTER_NAMES: dict[Filtering, str] = {
     "none": "no filter",
@@ -103,7 +103,9 @@ class Population(WorldSettings):
 
     def filters(self, robot: int) -> bool:
         """True if a robot re-estimates its accuracy."""
-        return self.filter in ("asdf-plus", "robust") or (self.filter == "asdf-minus" and self.is_flawed(robot))
+        if self.filter == "asdf-minus":
+            return self.is_flawed(robot)
+        return self.filter != "none"
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
