@@ -86,9 +86,9 @@ ALWAYS_INLINE bool is_crowd(uint32_t voices)
  * centre went one way. It then lags behind, and a robot that runs ahead of it is not wrong. */
 ALWAYS_INLINE bool is_moving(uint32_t trend) { return ((trend + 0x2000U) & 0xFFFFU) < 0x4000U; }
 
-/* Whether n / t deviates by more than sqrt(12) standard deviations from what the first b_hat and the centre
- * r predict: D^2 > 12 (v / t + g^2 spread^2), where D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r), g = 2
- * b_hat - 1, and v is the larger of p (1 - p) and n / t (1 - n / t). For t > 0. */
+/* Whether n / t deviates by more than sqrt(12) standard deviations from what the first b_hat and the centre r
+ * predict, for t > 0: D^2 > 12 (v / t + g^2 spread^2). D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r),
+ * g = 2 b_hat - 1, and v is the larger of p (1 - p) and n / t (1 - n / t). */
 static bool deviates(const mcp_asdf_t *robot)
 {
     const uint32_t b_hat = robot->crowd.first, r = crowd_mean(robot);

@@ -483,7 +483,9 @@ class MirrorRobot(FixedPointView):
         robot = cls.__new__(cls)
         robot.config, robot.s = config, _state_from(words)
         if config.filter == Filter.ROBUST:
-            robot.s.crowd = _crowd_from(words)
+            robot.s.crowd = Crowd(
+                words[7], words[8], words[9], words[10], words[11] & MAX_TREND, words[11] >> 16
+            )
             robot.s.open, robot.s.closed = Sums(), Closed()
         if not robot.holds_invariants() or (config.filter == Filter.ROBUST and any(words[12:23])):
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
@@ -506,10 +508,6 @@ def _crowd_words(crowd: Crowd) -> list[int]:
     """What stands in their place with the robust filter."""
     words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | crowd.trend << 16]
     return words + [0] * 11
-
-
-def _crowd_from(words: tuple[int, ...]) -> Crowd:
-    return Crowd(*words[7:11], votes=words[11] & MAX_TREND, trend=words[11] >> 16)
 
 
 def _state_from(words: tuple[int, ...]) -> State:
