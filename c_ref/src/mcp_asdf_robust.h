@@ -36,29 +36,44 @@ ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
     robot->crowd.trend = MCP_ASDF_TREND_START;
 }
 
-/* A vote for x_hat, which is at most 1.0: the centre moves towards it, by at most a spread times the gain and
- * never beyond it. */
-HOT void vote(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+/* What a vote moves: members of mcp_asdf_crowd_t. */
+typedef struct {
+    uint32_t centre, spread, votes, trend;
+} middle_t;
+
+/* The middle after a vote for x_hat, which is at most 1.0: the centre moves towards it, by at most a spread
+ * times the gain and never beyond it. */
+ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
 {
-    mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    const uint32_t centre = crowd->centre, spread = crowd->spread, said = x_hat << 7; /* Q30: <= 2^30 */
+    const uint32_t centre = middle.centre, spread = middle.spread, said = x_hat << 7; /* Q30: <= 2^30 */
     const bool is_above = said > centre;
     const uint32_t distance = is_above ? said - centre : centre - said; /* <= 2^30 */
     const uint32_t pull = distance < spread ? distance : spread;        /* <= distance, and < 2^29 */
-    const uint32_t votes = crowd->votes < MCP_ASDF_VOTES_MAX ? crowd->votes + 1U : MCP_ASDF_VOTES_MAX;
+    const uint32_t votes = middle.votes < MCP_ASDF_VOTES_MAX ? middle.votes + 1U : MCP_ASDF_VOTES_MAX;
     const uint32_t zeros = leading_zeros(votes);                    /* [17, 31] */
     const uint32_t shift = zeros < 26U ? 29U - zeros : SHIFT_FIRST; /* log2(votes) - 2: [3, 12] */
     const uint32_t step = shift_right(pull, shift), change = shift_right(spread, shift + 1U);
     const uint32_t wider = distance > spread ? spread + change : spread - change; /* < 2^29 */
-    const uint32_t before = crowd->trend, after = is_above ? before + ((UINT16_MAX - before) >> TREND_SHIFT)
+    const uint32_t before = middle.trend, after = is_above ? before + ((UINT16_MAX - before) >> TREND_SHIFT)
                                                            : before - (before >> TREND_SHIFT);
-    crowd->trend = (uint16_t)(step != 0U ? after : before);
-    crowd->votes = (uint16_t)votes;
+    const uint32_t within = wider < MCP_ASDF_SPREAD_MIN   ? MCP_ASDF_SPREAD_MIN
+                            : wider < MCP_ASDF_SPREAD_MAX ? wider
+                                                          : MCP_ASDF_SPREAD_MAX;
+    const middle_t moved = {is_above ? centre + step : centre - step, /* between it and said */
+                            within, votes, step != 0U ? after : before};
+    return moved;
+}
+
+HOT void vote(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+{
+    mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    const middle_t middle = {crowd->centre, crowd->spread, crowd->votes, crowd->trend};
+    const middle_t moved = middle_after(middle, x_hat);
+    crowd->trend = (uint16_t)moved.trend;
+    crowd->votes = (uint16_t)moved.votes;
     crowd->voices |= UINT32_C(1) << (sender & 31U);
-    crowd->centre = is_above ? centre + step : centre - step; /* between it and said */
-    crowd->spread = wider < MCP_ASDF_SPREAD_MIN   ? MCP_ASDF_SPREAD_MIN
-                    : wider < MCP_ASDF_SPREAD_MAX ? wider
-                                                  : MCP_ASDF_SPREAD_MAX;
+    crowd->centre = moved.centre;
+    crowd->spread = moved.spread;
 }
 
 /* The centre as x_hat; before the first vote `alone`. */
