@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf.robot import B_HAT_MARGIN, FirmwareError
+from mcp_asdf.robot import B_HAT_MARGIN, Filter, FirmwareError
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.robots.record import TickConfig
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
@@ -28,6 +29,8 @@ MOVING = Experiment(
     topology="dynamic", robots=9, flawed=3, density=3, steps=330, filter_period=50, seed=91, trials=3
 )
 LATE = replace(MOVING, latency=1)
+ROBUST = replace(SHORT, filter="robust")
+ROBUST_MOVING = replace(MOVING, filter="robust")
 BOTH = pytest.mark.parametrize("experiment", [SHORT, LATE])
 
 
@@ -75,10 +78,24 @@ MOVING_EDGES: dict[str, dict[str, Any]] = {
 }
 
 
+ROBUST_EDGES: dict[str, dict[str, Any]] = {
+    "most votes": {"robots": 40, "steps": 600},
+    "a floor that seems to change": {"drift": "stepped", "drift_rate": -2e-3, "drift_period": 150},
+    "two robots, too few for a test": {"robots": 2, "flawed": 1},
+    "nobody to hear": {"robots": 1, "flawed": 1},
+}
+
+
 @pytest.mark.parametrize(
     ("base", "changes"),
     [(SHORT, each) for each in (EDGES | FULL_EDGES).values()]
-    + [(replace(MOVING, latency=late), each) for late in (0, 1) for each in (EDGES | MOVING_EDGES).values()],
+    + [(replace(MOVING, latency=late), each) for late in (0, 1) for each in (EDGES | MOVING_EDGES).values()]
+    + [(ROBUST, each) for each in (EDGES | ROBUST_EDGES).values()]
+    + [
+        (replace(ROBUST_MOVING, latency=late), each)
+        for late in (0, 1)
+        for each in (EDGES | MOVING_EDGES | ROBUST_EDGES).values()
+    ],
 )
 def test_lanes_equal_the_firmware_at_the_edges(base: Experiment, changes: dict[str, Any]) -> None:
     """Which random experiments do not reach; trials fill their lanes once and a bit."""
@@ -104,7 +121,7 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
                 "fill_ratio": source.choice([0.0, 0.5, 0.55, 0.95, 1.0, source.random()]),
                 "true_accuracy": source.choice(accuracies),
                 "flawed_accuracy": source.choice(accuracies),
-                "filter": source.choice(["none", "asdf-minus", "asdf-plus"]),
+                "filter": source.choice(["none", "asdf-minus", "asdf-plus", "robust"]),
                 "activation": source.choice(["adaptive", "always"]),
                 "filter_period": source.choice([3, 10, 97, 250]),
                 "observation_period": source.choice([1, 1, 2, 5]),
@@ -122,12 +139,25 @@ def test_lanes_equal_the_firmware_in_random_experiments() -> None:
         assert_equal_to_the_bit(experiment, first=0, trials=2 if experiment.is_dynamic else 18)
 
 
-def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom() -> None:
+class Mixed(Experiment):
+    """Robots of which each second one has the robust filter."""
+
+    def config(self, robot: int) -> TickConfig:
+        return replace(super().config(robot), filter=Filter.ROBUST if robot % 2 else Filter.OFF)
+
+
+MIXED = Mixed(**SHORT.parameters())
+
+
+def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom_or_differ() -> None:
     for experiment, interval, expected in (
         (SHORT, 0, True),
         (LATE, 0, True),
         (SHORT, 10, False),
         (replace(SHORT, comms_period=2), 0, False),
+        (ROBUST, 0, True),
+        (replace(ROBUST_MOVING, latency=1), 0, True),
+        (MIXED, 0, False),
     ):
         call = native._Call(experiment, 0, 1, interval)
         assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
@@ -164,6 +194,7 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
     for changes in EDGES.values():
         assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=17)
         assert_equal_to_the_bit(replace(LATE, **changes), first=4, trials=2)
+        assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=17)
     for experiment in random_experiments(20242, 60):
         assert_equal_to_the_bit(experiment, first=0, trials=16)
 
@@ -185,6 +216,14 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
         replace(LATE, comms_period=5, observation_period=2),
         replace(LATE, activation="always", memory=64, robots=4),
         replace(LATE, floor="code", fill_ratio=0.448, observation_period=5, speed=0.1),
+        ROBUST,
+        replace(ROBUST, fill_ratio=0.95, true_accuracy=0.55, flawed_accuracy=0.95, memory=64, comms_period=5),
+        replace(ROBUST, drift="stepped", drift_rate=-2e-3, drift_period=150, observation_period=2),
+        ROBUST_MOVING,
+        replace(ROBUST_MOVING, latency=1, density=8),
+        replace(ROBUST_MOVING, latency=1, comms_period=5, observation_period=2),
+        MIXED,
+        replace(MIXED, topology="dynamic", density=3, latency=1),
     ],
 )
 def test_engine_equals_the_mirror(experiment: Experiment) -> None:

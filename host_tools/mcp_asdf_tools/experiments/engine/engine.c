@@ -11,6 +11,7 @@
 #define MULTIPLE 8 /* of lanes in use, so that vectors are full */
 
 /* Trials under way; lanes beyond the last trial or robot run idle.
+ *   is_robust  whether the robots have the robust filter: messages are votes then, and there are no sums
  *   index     of the first trial
  *   used      trials in use, of `side` side by side
  *   count     lanes in use: lane j side + l is robot j of trial l, here and in all arrays below
@@ -26,6 +27,7 @@
 typedef struct {
     const mcp_asdf_experiment_t *experiment;
     bool has_lanes;
+    bool is_robust;
     uint32_t index;
     uint32_t side;
     uint32_t used;
@@ -94,12 +96,17 @@ static void hear_nobody(block_t *block)
 
 static void hear_one(block_t *block, uint32_t receiver, uint32_t sender)
 {
+    ++block->messages[receiver];
+    if (block->is_robust) {
+        lanes_vote(&block->lanes, receiver, sender);
+        return;
+    }
     block->heard.alpha[receiver] += block->said.alpha[sender];
     block->heard.alpha_x_low[receiver] += block->said.alpha_x_low[sender];
     block->heard.alpha_x_high[receiver] += block->said.alpha_x_high[sender];
-    ++block->messages[receiver];
 }
 
+/* Each robot hears its neighbours in ascending order, as the links are. */
 static void hear_linked(block_t *block)
 {
     hear_nobody(block);
@@ -134,19 +141,25 @@ FOR_EACH_TARGET static void hear_all(block_t *block)
 
 static void hear(block_t *block)
 {
-    if (block->experiment->arenas == NULL) {
-        hear_all(block);
-    } else {
+    if (block->experiment->arenas != NULL) {
         hear_linked(block);
+    } else if (block->is_robust) {
+        lanes_vote_all(&block->lanes, block->experiment->robots);
+    } else {
+        hear_all(block);
     }
 }
 
 static void inform(block_t *block, uint32_t step)
 {
-    const uint32_t columns = trial_columns(block->experiment), side = block->side;
+    const uint32_t columns = mcp_asdf_engine_columns(block->experiment), side = block->side;
     const size_t length = (size_t)block->experiment->steps + 1;
-    uint32_t x[MCP_ASDF_ENGINE_MAX_ROBOTS];
-    lanes_inform(&block->lanes, columns == 1 ? side : block->count, &block->heard, x);
+    uint32_t x[LANES];
+    if (block->is_robust) {
+        lanes_centre(&block->lanes, block->count, x);
+    } else {
+        lanes_inform(&block->lanes, columns == 1 ? side : block->count, &block->heard, x);
+    }
     for (uint32_t j = 0; j < columns; ++j) {
         for (uint32_t l = 0; l < block->used; ++l) {
             block->trials[l].x[j * length + step] = x[j * side + l];
@@ -188,6 +201,7 @@ static void hand_over(const block_t *block, mcp_asdf_t *robot, uint32_t lane)
     robot->updated = block->observed == 0 ? robot->updated : 0;
     robot->filter_left -= block->ticks;
     robot->counters.accepted = (uint16_t)(robot->counters.accepted + messages);
+    lanes_unload(&block->lanes, lane, robot);
 }
 
 static void load(block_t *block)
@@ -302,8 +316,8 @@ static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     bool has_lanes = experiment->comms_period == 1 && experiment->sampling_interval == 0;
-    for (uint32_t j = 0; j < experiment->robots && has_lanes; ++j) {
-        has_lanes = !trial_is_robust(experiment, j);
+    for (uint32_t j = 1; j < experiment->robots && has_lanes; ++j) {
+        has_lanes = trial_is_robust(experiment, j) == trial_is_robust(experiment, 0);
     }
     return has_lanes;
 }
@@ -315,6 +329,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
     block_t block;
     block.experiment = experiment;
     block.has_lanes = lanes;
+    block.is_robust = trial_is_robust(experiment, 0);
     block.side = lanes && experiment->arenas == NULL ? LANES_OF_TRIALS : 1;
     for (block.index = 0; block.index < experiment->trials && status == MCP_ASDF_OK;
          block.index += block.side) {

@@ -71,9 +71,8 @@ typedef struct {
 
 /* Results, in memory of the caller.
  *   robots    [trials][N] at the end
- *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0; columns is 1 in a fully
- *             connected swarm if comms_period is 1, as all robots then have the same x to the bit, otherwise
- *             N
+ *   x         [trials][columns][T + 1] informed estimates, MCP_ASDF_HALF at step 0, with columns from
+ *             mcp_asdf_engine_columns()
  *   b_hat     [trials][T / (filter_period comms_period)][N] assumed accuracies after each filter step
  *   records   [trials][T / sampling_interval][N]; not used if sampling_interval is 0 */
 typedef struct {
@@ -83,7 +82,12 @@ typedef struct {
     mcp_asdf_record_t *records;
 } mcp_asdf_outcome_t;
 
-/* Whether trials can be run in lanes: comms_period 1, and nothing recorded. */
+/* Series of x in a trial: 1 where all robots have the same x to the bit, in a fully connected swarm without
+ * robust filters if comms_period is 1; otherwise N. */
+uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment);
+
+/* Whether trials can be run in lanes: comms_period 1, nothing recorded, and the robust filter in all robots
+ * or in none. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
 /* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same

@@ -19,7 +19,7 @@
 #define LANES_OF_TRIALS 16 /* trials of a fully connected swarm side by side */
 #define LANES (LANES_OF_TRIALS * MCP_ASDF_ENGINE_MAX_ROBOTS)
 
-/* Members of mcp_asdf_t and of its accuracy, by lane. */
+/* Members of mcp_asdf_t, of its accuracy and of its crowd, by lane. */
 typedef struct {
     uint32_t n[LANES];
     uint32_t x_hat[LANES];
@@ -30,6 +30,11 @@ typedef struct {
     uint32_t rare[LANES];
     uint32_t g_shift[LANES];
     uint32_t rare_shift[LANES];
+    uint32_t centre[LANES];
+    uint32_t spread[LANES];
+    uint32_t voices[LANES];
+    uint32_t votes[LANES];
+    uint32_t trend[LANES];
 } lanes_t;
 
 /* Members of mcp_asdf_closed_t by lane. */
@@ -50,5 +55,18 @@ void lanes_say(const lanes_t *lanes, uint32_t count, lanes_sums_t *said);
 
 /* Each lane's informed estimate after a round of these sums. */
 void lanes_inform(const lanes_t *lanes, uint32_t count, const lanes_sums_t *heard, uint32_t *restrict x);
+
+/* With the robust filter: the message of robot and lane `sender` is a vote in lane `receiver`. */
+void lanes_vote(lanes_t *lanes, uint32_t receiver, uint32_t sender);
+
+/* The same of all messages of fully connected swarms, LANES_OF_TRIALS of them side by side: senders in
+ * ascending order. */
+void lanes_vote_all(lanes_t *lanes, uint32_t robots);
+
+/* With the robust filter: each lane's informed estimate. */
+void lanes_centre(const lanes_t *lanes, uint32_t count, uint32_t *restrict x);
+
+/* Bring a robot's crowd to that of lane l. */
+void lanes_unload(const lanes_t *lanes, uint32_t l, mcp_asdf_t *robot);
 
 #endif

@@ -38,6 +38,7 @@ class EngineResults:
         records: Values of every robot once per ``sampling_interval`` steps, of dtype RECORD, shape
             (trials, T // sampling_interval, N).
         robots: The C structs, for ``images``.
+        call: What they point to: their settings, which an image depends on.
     """
 
     x: NDArray[np.uint32]
@@ -45,6 +46,7 @@ class EngineResults:
     counters: dict[str, NDArray[np.uint16]]
     records: NDArray[Any]
     robots: Any
+    call: _Call
 
     def images(self) -> list[bytes]:
         """State of each robot at the end as the firmware saves it, robots of trial 0 first."""
@@ -77,9 +79,9 @@ def run(
     """
     if not can_run(experiment):
         raise UsageError("the engine in C lacks this firmware, topology, latency or sensor; use run_trials")
-    outcome = _allocate(experiment, trials, sampling_interval)
     call = _Call(experiment, first, trials, sampling_interval)
     engine = _engine.lib
+    outcome = _allocate(experiment, trials, call, sampling_interval)
     use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
     status = Status(engine.mcp_asdf_engine_run(call.experiment, use_lanes, _pointers(outcome)))
     if status is not Status.OK:
@@ -148,16 +150,16 @@ def _config(ticked: TickConfig) -> tuple[Any, Any]:
     return ffi.new("mcp_asdf_config_t *", values), table
 
 
-def _allocate(experiment: Experiment, trials: int, sampling_interval: int) -> EngineResults:
+def _allocate(experiment: Experiment, trials: int, call: _Call, sampling_interval: int) -> EngineResults:
     count, steps = experiment.robots, experiment.steps
-    is_same = experiment.comms_period == 1 and not experiment.is_dynamic and experiment.filter != "robust"
-    columns = 1 if is_same else count
+    columns = _engine.lib.mcp_asdf_engine_columns(call.experiment)
     return EngineResults(
         x=np.empty((trials, columns, steps + 1), np.uint32),
         b_hat=np.empty((trials, steps // experiment.filter_period, count), np.uint32),
         counters={name: np.empty((trials, count), np.uint16) for name in COUNTERS},
         records=np.empty((trials, steps // sampling_interval if sampling_interval else 0, count), RECORD),
         robots=_engine.ffi.new("mcp_asdf_t[]", trials * count),
+        call=call,
     )
 
 

@@ -7,13 +7,22 @@ static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
     return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
 }
 
+uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
+{
+    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
+    for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
+        is_same = !trial_is_robust(experiment, j);
+    }
+    return is_same ? 1 : experiment->robots;
+}
+
 trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
     const size_t records =
         experiment->sampling_interval == 0 ? 0 : steps / experiment->sampling_interval * count;
     return (trial_t){outcome->robots + index * count,
-                     outcome->x + (size_t)index * trial_columns(experiment) * (steps + 1),
+                     outcome->x + (size_t)index * mcp_asdf_engine_columns(experiment) * (steps + 1),
                      outcome->b_hat + index * (steps / filter_ticks(experiment)) * count,
                      records == 0 ? 0 : outcome->records + index * records};
 }
@@ -51,7 +60,7 @@ static mcp_asdf_open_t message_of(const mcp_asdf_t *robot)
     return neighbour.open;
 }
 
-/* A robot hears all others, one by one. */
+/* A robot hears all others, one by one, in ascending order of ids. */
 static void receive_all(mcp_asdf_t *robots, uint32_t count, uint32_t receiver)
 {
     for (uint32_t i = 0; i < count; ++i) {
@@ -82,7 +91,8 @@ static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots
     }
 }
 
-/* The last message of each robot reaches the robots that are linked to it now. */
+/* The last message of each robot reaches the robots that are linked to it now: in ascending order of ids,
+ * which is that of the links, as votes of the robust filter do not commute. */
 static void deliver(mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
 {
     for (uint32_t p = 0; p < arena->link_count; ++p) {
@@ -123,7 +133,8 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
 
 static void keep_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
-    for (uint32_t column = 0; column < trial_columns(experiment); ++column) {
+    const uint32_t columns = mcp_asdf_engine_columns(experiment);
+    for (uint32_t column = 0; column < columns; ++column) {
         trial->x[column * ((size_t)experiment->steps + 1) + step] = mcp_asdf_x(&trial->robots[column]);
     }
 }

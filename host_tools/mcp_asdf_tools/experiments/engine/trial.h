@@ -29,16 +29,6 @@ static inline bool trial_is_robust(const mcp_asdf_experiment_t *experiment, uint
     return experiment->configs[robot]->filter == MCP_ASDF_ROBUST;
 }
 
-/* Series of x: one stands for all robots that have the same x to the bit. */
-static inline uint32_t trial_columns(const mcp_asdf_experiment_t *experiment)
-{
-    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
-    for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
-        is_same = !trial_is_robust(experiment, j);
-    }
-    return is_same ? 1 : experiment->robots;
-}
-
 /* The part of the index-th of these trials. */
 trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                    uint32_t index);

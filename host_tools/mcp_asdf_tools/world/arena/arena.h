@@ -68,7 +68,8 @@ typedef struct {
  *   black        1 if the floor under the ground sensor is black
  *   wheels       mcp_asdf_wheels_t for the coming tick
  *   avoids       1 if the robot heads away from an obstacle
- *   links        the link_count pairs that hear each other, in no particular order
+ *   links        the link_count pairs a < b that hear each other, in ascending order of a, then of b: so the
+ *                neighbours of each robot come in ascending order
  * Private, below links:
  *   vx, vy, spin                velocities now
  *   wanted_speed, wanted_spin   what the wheels ask for
