@@ -54,6 +54,15 @@ CASES: dict[str, dict[str, Any]] = {
     "graph": {"topology": "graph", "graph": "0 1; 1 2; 2 > 3; 4 > 0"},
     "late": {"latency": 1},
     "alone": {"robots": 1, "flawed": 0},
+    "robust": {"filter": "robust"},
+    "robust, late, rare broadcasts": {"filter": "robust", "latency": 1, "comms_period": 5},
+    "robust, dynamic": {"filter": "robust", "topology": "dynamic", "robots": 20, "density": 4},
+    "robust, dynamic, late, rare broadcasts": {
+        **{"filter": "robust", "topology": "dynamic", "robots": 20, "density": 4},
+        **{"latency": 1, "comms_period": 5, "observation_period": 2},
+    },
+    "robust, graph": {"filter": "robust", "topology": "graph", "graph": "3 1; 0 1; 1 2; 2 > 3; 5 1; 4 > 0"},
+    "robust, alone": {"filter": "robust", "robots": 1, "flawed": 0},
 }
 
 
