@@ -110,7 +110,7 @@ def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
     if filters is Filter.ALWAYS:
         plain["activation"] = "always"
     plain |= {
-        "filter": "none" if filters is Filter.OFF else "asdf-plus",
+        "filter": {Filter.OFF: "none", Filter.ROBUST: "robust"}.get(filters, "asdf-plus"),
         "subject": subjects.estimates.subject,
         "priority": subjects.estimates.priority,
         "telemetry_subject": subjects.telemetry.subject,

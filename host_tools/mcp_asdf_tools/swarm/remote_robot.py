@@ -61,6 +61,11 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
         raise UsageError(
             f"robots elsewhere on one bus all hear each other; for faults, latency or a topology {EACH_A_BUS}"
         )
+    if settings.filter == "robust":
+        raise UsageError(
+            "for the robust filter the order of messages matters, and robots elsewhere on one bus hear each "
+            f"other in any; {EACH_A_BUS}"
+        )
 
 
 EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"

@@ -120,8 +120,9 @@ class Swarm:
         seen = self.world.step()
         alive = [node for node in self._here if self.faults.survives(node, self.ticks)]
         frames: list[tuple[BusRobot, can.Message]] = [*self._reports(alive)]
-        frames += self._estimates(alive, seen)
-        frames += self._commanded(seen)
+        estimates = [*self._estimates(alive, seen), *self._commanded(seen)]
+        # The robust filter hears by rising id, wherever the robots run.
+        frames += sorted(estimates, key=lambda each: each[0].id)
         sent = [each for node, frame in frames for each in self._send(node, frame)]
         sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
         self._carrier.carry(self.ticks)

@@ -18,6 +18,7 @@ from host_tools.swarm.test_swarm_faults import MIX
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.swarm import remote_robot
@@ -103,10 +104,15 @@ def run_elsewhere(
     ],
     ids=["one bus", "all", "all, faults", "one", "one, faults"],
 )
+@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
 def test_robots_elsewhere_end_in_the_same_bits(
-    wiring: Wiring, faults: tuple[str, ...], comms_period: int
+    wiring: Wiring, faults: tuple[str, ...], comms_period: int, filtering: str
 ) -> None:
-    settings = small(*faults, robots=4, comms_period=comms_period)
+    settings = small(*faults, robots=4, comms_period=comms_period, filter=filtering)
+    if filtering == "robust" and wiring.is_shared:
+        with pytest.raises(UsageError, match="the order of messages matters"):
+            remote_robot.check_remote(settings, wiring)
+        return
     run, frames, nodes = run_elsewhere(settings, wiring)
     here, same = record(settings, ON_OWN_BUSES)
     for robot, node in nodes.items():
@@ -150,13 +156,16 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
 SMALL = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]
 
 
-def test_processes_end_in_the_same_bits(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
+def test_processes_end_in_the_same_bits(
+    filtering: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """With faults between them; the log can be replayed, and has of each what it has of one here."""
     multicast(251)
     log, other = tmp_path / "run.log", tmp_path / "other.log"
     bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
-    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1")
+    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering)
     assert main([*SMALL, *bus, *faults]) == 0
     elsewhere = json.loads(capsys.readouterr().out)
     assert main([*SMALL, *faults, "--log", str(other)]) == 0
