@@ -31,7 +31,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, SwarmRun, results_of, run_swarm
+from mcp_asdf_tools.swarm.swarm import Companions, Swarm, SwarmRun, results_of, run_swarm
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.films import SwarmCamera
@@ -42,7 +42,7 @@ EPILOG = """\
 examples:
   mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
   mcp-asdf swarm --filter none                      # the same without the filter
-  mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare   # and without it
+  mcp-asdf swarm --topology dynamic --flawed 50% --filter robust --compare   # with other filters, too
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
   mcp-asdf swarm --flawed 0.5 --set omega=0.1 --seed 7 --log run.log --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
@@ -112,9 +112,10 @@ def run(args: argparse.Namespace) -> int:
 def _check(plan: _Plan) -> None:
     """Refuse options that contradict each other."""
     args, settings = plan.args, plan.settings
-    if args.compare and (plan.wiring.remote or settings.filter == "none"):
-        reason = "robots elsewhere run once" if plan.wiring.remote else "filter is none"
-        raise UsageError(f"--compare runs the swarm again without the filter, but {reason}; leave it out")
+    if args.compare and plan.wiring.remote:
+        raise UsageError(
+            "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
+        )
     if args.slcan is not None and plan.choice.has_channels:
         raise UsageError(
             f"--slcan needs one bus for all, and {plan.choice} is one for each robot; choose one of them"
@@ -134,7 +135,7 @@ def _emulate(
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
     settings, began = plan.settings, time.monotonic()
-    companion = Companion(settings) if plan.args.compare else None
+    companions = Companions(settings) if plan.args.compare else None
     with ExitStack() as stack:
         port = _admit(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
@@ -146,17 +147,17 @@ def _emulate(
             with plan.console.status("waiting for robots elsewhere"):
                 swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
         # A signal counts between two ticks, so that log and results end on a whole one.
-        with LiveView(plan.console, companion) as live, stopping() as should_stop:
-            hooks = [each for each in (companion, camera, live) if each is not None]
+        with LiveView(plan.console, companions) as live, stopping() as should_stop:
+            hooks = [each for each in (companions, camera, live) if each is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
     choice = plan.choice
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
     seconds = time.monotonic() - began
-    if companion is not None:
-        seconds -= companion.seconds
+    if companions is not None:
+        seconds -= companions.seconds
         if outcome.failure is None:
-            report["without_filter"] = results_of(companion.swarm)
+            report["compared"] = {each: results_of(other) for each, other in companions.swarms.items()}
     return outcome, report, seconds
 
 
@@ -210,6 +211,6 @@ def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: floa
         if warning is not None:
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
         print_again(args, seed=outcome.settings.seed)
-    if "without_filter" in report:
-        sentence = comparison(report["results"], report["without_filter"])
+    if "compared" in report:
+        sentence = comparison({outcome.settings.filter: report["results"], **report["compared"]})
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

@@ -89,7 +89,9 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     output = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
     add_log_option(output, "FILE.events gets what each robot saw and heard")
     output.add_argument(
-        "--compare", action="store_true", help="also run the same swarm without the filter, and compare"
+        "--compare",
+        action="store_true",
+        help="also run the same swarm without a filter, with ASDF- and with the robust filter",
     )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
     view.add_server_options(output)

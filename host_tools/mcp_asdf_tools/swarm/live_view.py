@@ -8,7 +8,8 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, mean_error
+from mcp_asdf_tools.robots.population import FILTER_NAMES
+from mcp_asdf_tools.swarm.swarm import Companions, Swarm, mean_error
 
 _NOTABLE = 0.002
 """Change of b_hat below which nothing is said: a robot that is right and tests again."""
@@ -19,10 +20,10 @@ _LINES_OF_A_RUN = 20
 class LiveView:
     """Hook that shows a run while it goes on: a bar on a terminal, lines in a pipe, nothing if quiet."""
 
-    def __init__(self, console: Console, companion: Companion | None = None) -> None:
-        """Show on ``console`` a swarm, and beside it the one without the filter that runs along, if any."""
+    def __init__(self, console: Console, companions: Companions | None = None) -> None:
+        """Show on ``console`` a swarm, and beside it those with other filters that run along, if any."""
         self._console = console
-        self._companion = companion
+        self._companions = companions
         self._has_bar = console.is_terminal and not console.is_dumb_terminal and not console.quiet
         # Refreshed from the run itself: no second thread, no half-done tick on the screen.
         self._progress = Progress(
@@ -58,8 +59,9 @@ class LiveView:
         steps = swarm.settings.steps
         if time.monotonic() >= self._next or swarm.ticks == steps:
             figures = f"mean error {mean_error(swarm):.4f}"
-            if self._companion is not None:
-                figures += f", without filter {mean_error(self._companion.swarm):.4f}"
+            if self._companions is not None:
+                for other, error in self._companions.errors().items():
+                    figures += f", {FILTER_NAMES[other]} {error:.4f}"
             self._progress.update(
                 self._task,
                 total=steps,
@@ -79,8 +81,9 @@ class LiveView:
                 self._print("robot", robot, "step", swarm.ticks, "b_hat", f"{old:.4f}", f"{new:.4f}")
         if swarm.ticks % -(-swarm.settings.steps // _LINES_OF_A_RUN) == 0:
             fields = ["step", swarm.ticks, "mean_error", f"{mean_error(swarm):.5f}"]
-            if self._companion is not None:
-                fields += ["without_filter", f"{mean_error(self._companion.swarm):.5f}"]
+            if self._companions is not None:
+                for other, error in self._companions.errors().items():
+                    fields += [other, f"{error:.5f}"]
             self._print(*fields)
 
     def _print(self, *fields: object) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
@@ -11,7 +11,7 @@ from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
-from mcp_asdf_tools.world.settings import MAX_PERIOD, default_of
+from mcp_asdf_tools.world.settings import MAX_PERIOD
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""
@@ -57,11 +57,6 @@ class SwarmSettings(Population):
                     f"fault {fault} names robot {max(named)}, but the ids of {self.robots} robots are 0 to "
                     f"{self.robots - 1}; take more robots or name another",
                 )
-
-    def without_filter(self) -> SwarmSettings:
-        """The same swarm, of which no robot recalibrates."""
-        usual = {name: default_of(self, name) for name in ("omega", "activation")}
-        return replace(self, filter="none", **usual)
 
     def records(self) -> list[RobotRecord]:
         """Initial state of each robot, by id."""

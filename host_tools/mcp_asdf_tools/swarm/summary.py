@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, get_args
 
 from rich.table import Table
 from rich.text import Text
 
 from mcp_asdf_tools.bus.load import LIMIT
+from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
 from mcp_asdf_tools.swarm.swarm import SwarmRun
 
 Rows = Sequence[tuple[str, str]]
@@ -62,17 +63,17 @@ def one_line(run: SwarmRun) -> str:
     )
 
 
-def comparison(results: dict[str, Any], without: dict[str, Any]) -> str:
-    """The difference that the filter made, in one sentence."""
-    errors = [each["mean_error"] for each in (without, results)]
-    change = results["b_hat"]["flawed"]
-    said = (
-        f"With the filter the mean error is {errors[1]:.3f}; without it, on the same seed, {errors[0]:.3f}."
-    )
-    if change is None:
+def comparison(by_filter: dict[Filtering, dict[str, Any]]) -> str:
+    """The difference that filters made on the same seed, from their results, in two sentences."""
+    found = sorted(by_filter.items(), key=lambda each: get_args(Filtering).index(each[0]))
+    errors = ", ".join(f"{FILTER_NAMES[each]} {results['mean_error']:.3f}" for each, results in found)
+    said = f"Mean error on the same seed: {errors}."
+    changes = [(each, results["b_hat"]["flawed"]) for each, results in found if each != "none"]
+    if not changes[0][1]:
         return said
-    before, after = change["before"], change["after"]
-    return f"{said} The flawed robots took their sensors for {before:.2f} accurate, now for {after:.2f}."
+    before = f"{changes[0][1]['before']:.2f}"
+    after = ", ".join(f"{FILTER_NAMES[each]} {change['after']:.2f}" for each, change in changes)
+    return f"{said} The flawed robots took their sensors for {before} accurate, now: {after}."
 
 
 def load_warning(results: dict[str, Any]) -> str | None:

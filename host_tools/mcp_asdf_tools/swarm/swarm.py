@@ -25,6 +25,7 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import FrameTaker
+from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.faults import Faults
@@ -285,26 +286,39 @@ def run_swarm(
     return outcome
 
 
-class Companion:
-    """Hook that keeps the same swarm without the filter in step, so that both can be compared at any time.
+COMPARED: tuple[Filtering, ...] = ("none", "asdf-minus", "robust")
+"""Filters that a swarm is compared with, but for its own."""
 
-    It has no bus, which makes no difference to its robots.
+
+class Companions:
+    """Hook that keeps the same swarm with other filters in step, so that all can be compared at any time.
+
+    They have no bus, which makes no difference to their robots.
 
     Attributes:
-        swarm: The swarm without the filter.
-        seconds: Time spent on it.
+        swarms: The other swarms by filter.
+        seconds: Time spent on them.
     """
 
     def __init__(self, settings: SwarmSettings) -> None:
-        """Make the other swarm. Raises as ``Swarm``."""
-        self.swarm = Swarm(replace(settings.without_filter(), clock="lockstep"), Wiring())
+        """Make the other swarms. Raises as ``Swarm``."""
+        self.swarms = {
+            other: Swarm(replace(settings, filter=other, clock="lockstep"), Wiring())
+            for other in COMPARED
+            if other != settings.filter
+        }
         self.seconds = 0.0
 
     def __call__(self, swarm: Swarm) -> None:
         """Take a step, as ``swarm`` has."""
         began = time.monotonic()
-        self.swarm.tick()
+        for other in self.swarms.values():
+            other.tick()
         self.seconds += time.monotonic() - began
+
+    def errors(self) -> dict[Filtering, float]:
+        """The other swarms' mean errors at present."""
+        return {each: mean_error(swarm) for each, swarm in self.swarms.items()}
 
 
 def results_of(swarm: Swarm) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import shlex
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import can
 import numpy as np
@@ -18,6 +19,7 @@ from host_tools.swarm.swarms import content, record
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -107,7 +109,6 @@ BAD = {
     "--set robots=3": "no parameter is called 'robots'",
     "--set latency=one": "'latency=one': give a whole number",
     "--set speed=fast": "'speed=fast': give a number",
-    "--compare --filter none": "but filter is none; leave it out",
     f"{MULTICAST} --compare": "but robots elsewhere run once; leave it out",
     "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
     "--interface nonsense": "nonsense",
@@ -210,34 +211,48 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
 
 
-# The same swarm without the filter
+# The same swarm with other filters
 
 COMPARED = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
 
 
-def test_the_other_run_is_the_same_swarm_without_a_filter(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("own", get_args(Filtering))
+def test_the_other_runs_are_the_same_swarm_with_other_filters(
+    own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A sentence says what the filter is good for, and the log is that of the run with it."""
+    """Two sentences say what each filter is good for, and the log is that of the run with its own."""
     log = tmp_path / "run.log"
-    assert main([*COMPARED, "--set", "omega=0.1", "--compare", "--quiet", "--log", str(log)]) == 0
+    assert main([*COMPARED, "--filter", own, "--compare", "--quiet", "--log", str(log)]) == 0
     said = capsys.readouterr().out.splitlines()[-1]
-    assert main([*COMPARED, "--filter", "none", "--json"]) == 0
     report = json.loads(Path(f"{log}.json").read_text())
-    assert report["without_filter"] == json.loads(capsys.readouterr().out)["results"]
-    assert report["results"]["updates"] > 0
-    error, without = (report[name]["mean_error"] for name in ("results", "without_filter"))
-    assert f"the mean error is {error:.3f}; without it, on the same seed, {without:.3f}." in said
+    found = {own: report["results"]} | report["compared"]
+    assert found.keys() == {"none", "asdf-minus", "robust", own}
+    for each, results in found.items():
+        assert main([*COMPARED, "--filter", each, "--json"]) == 0
+        assert results == json.loads(capsys.readouterr().out)["results"]
+        assert f"{FILTER_NAMES[each]} {results['mean_error']:.3f}" in said.split(": ")[1]
+        b_hat = f"{FILTER_NAMES[each]} {results['b_hat']['flawed']['after']:.2f}"
+        assert (b_hat in said.split(": ")[2]) == (each != "none")
+    assert said.split(": ")[2].startswith("ASDF- ") and said.endswith(".")
+    assert "took their sensors for 0.55 accurate" in said
     assert main(["replay", str(log)]) == 0
-    assert main([*COMPARED, "--flawed", "0", "--compare", "--quiet"]) == 0
+
+
+def test_a_comparison_without_flawed_robots_has_errors_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--set", "omega=0.1", "--flawed", "0", "--compare")
+    assert main([*COMPARED, *options, "--quiet"]) == 0
+    assert "flawed" not in capsys.readouterr().out.splitlines()[-1]
+    assert main([*COMPARED, *options, "--json"]) == 0
+    assert "compared" in json.loads(capsys.readouterr().out)
 
 
 def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
     """Computed by the engine, since a swarm is trial 0 of the experiment with the same parameters."""
     common = Experiment(topology="dynamic", filter="asdf-minus", flawed="50%", trials=1)
     errors = []
-    for experiment in (common, replace(common, filter="none")):
+    for experiment in (common, *(replace(common, filter=each) for each in ("none", "robust"))):
         x = native.run(experiment, 0, 1).x[0, :, -1] / 2**23
         errors.append(float(np.abs(x - experiment.fill_ratio).mean()))
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert f"is {errors[0]:.3f} at the end; without it, on the same seed, it is {errors[1]:.3f}." in readme
+    assert f"is {errors[0]:.3f} at the end; without it, on the same seed, it is {errors[1]:.3f};" in readme
+    assert f"[robust filter](docs/robust.md) it is {errors[2]:.3f}." in readme

@@ -16,7 +16,7 @@ from rich.console import Console
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Companion, Swarm, mean_error, run_swarm
+from mcp_asdf_tools.swarm.swarm import Companions, Swarm, mean_error, run_swarm
 
 MOVING = SwarmSettings(
     robots=8, flawed="50%", steps=400, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
@@ -26,27 +26,29 @@ MOVING = SwarmSettings(
 def shown(steps: int, compare: bool, **options: Any) -> tuple[str, list[str], NDArray[np.float64]]:
     """All that a run writes on a console, the mean errors and b_hat after each tick, and at the start."""
     settings, out = replace(MOVING, steps=steps), io.StringIO()
-    companion = Companion(settings) if compare else None
+    companions = Companions(settings) if compare else None
     errors, b_hat = [""], list[list[float]]()
 
     def note(swarm: Swarm) -> None:
-        found = [mean_error(swarm)] + ([mean_error(companion.swarm)] if companion else [])
-        errors.append("without".join(f"{each:.5f}" for each in found))
+        found = [mean_error(each) for each in (swarm, *(companions.swarms.values() if companions else ()))]
+        errors.append("\t".join(f"{each:.5f}" for each in found))
         b_hat.append([node.robot.b_hat for node in swarm.nodes])
 
-    with Swarm(settings, Wiring()) as swarm, LiveView(Console(file=out, **options), companion) as live:
+    with Swarm(settings, Wiring()) as swarm, LiveView(Console(file=out, **options), companions) as live:
         b_hat.append(swarm.b_hat_at_start)
-        run_swarm(swarm, [*([companion] if companion else []), note, live])
-    assert companion is None or companion.seconds > 0
+        run_swarm(swarm, [*([companions] if companions else []), note, live])
+    assert companions is None or companions.seconds > 0
     return out.getvalue(), errors, np.array(b_hat)
 
 
 @pytest.mark.parametrize("compare", [False, True])
 def test_a_pipe_gets_lines_of_fields(compare: bool) -> None:
     text, errors, b_hat = shown(400, compare)
-    rows = text.splitlines()
+    rows, names = text.splitlines(), ["step", "mean_error", *(["none", "robust"] if compare else [])]
     assert [row for row in rows if row.startswith("step")] == [
-        f"step\t{tick}\tmean_error\t" + errors[tick].replace("without", "\twithout_filter\t")
+        "\t".join(
+            f"{name}\t{value}" for name, value in zip(names, (tick, *errors[tick].split()), strict=True)
+        )
         for tick in range(20, 401, 20)
     ]
     changes = [
@@ -63,11 +65,11 @@ def test_a_terminal_gets_a_bar_with_the_present_error(width: int, compare: bool)
     pictures = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", text).replace("\r", "\n").splitlines()
     assert max(map(cell_len, pictures)) <= width
     last = [each for each in pictures if each.strip()][-1]
-    assert last.startswith("200/200 ") and last.count("━") == (5 if width == 60 else 10)
+    assert last.startswith("200/200 ") and last.count("━") == (0 if width == 60 else 10)
     told = re.findall(r"\d\.\d{4}", last)
-    expected = [f"{float(each):.4f}" for each in errors[-1].split("without")]
+    expected = [f"{float(each):.4f}" for each in errors[-1].split()]
     assert told[:1] == expected[:1] and (width == 60 or told == expected)
-    assert "mean error" in last and ("without filter" in last) == compare
+    assert "mean error" in last and (", no filter" in last) == compare
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
