@@ -15,6 +15,7 @@ examples:
   mcp-asdf plot grid.parquet boxes.png              # H over proportion and accuracy of the flawed
   mcp-asdf plot grid.parquet points.pdf --kind scatter --k-max 40000 --e-max 0.45
   mcp-asdf plot grid.parquet curves.svg --kind curve --x omega --hue density --y e
+  mcp-asdf plot grid.parquet filters.svg --kind curve --x flawed --hue filter
   mcp-asdf plot grid.parquet bands.png --kind bands         # b_hat of all robots and trials
   mcp-asdf plot grid.parquet none.png --where filter=none --where fill_ratio=0.95
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record

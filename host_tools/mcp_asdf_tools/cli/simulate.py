@@ -18,6 +18,7 @@ EPILOG = """\
 examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
+  mcp-asdf simulate --filter robust --flawed 5      # this project's own filter
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
 FILE is an experiment (.toml). Equal parameters give equal results.

@@ -20,6 +20,7 @@ from mcp_asdf_tools.common.figures import (
     INK,
     MEDIUM,
     OTHER,
+    ROBUST,
     SMALL,
     WIDTH,
     WITHOUT,
@@ -81,7 +82,7 @@ def _handle(label: str, colour: str, marker: str = "o", line: Literal["", "-"] =
 
 
 def filter_name(experiment: Experiment) -> str:
-    """The paper's name of who filters."""
+    """The paper's name of who filters, or robust."""
     return TYPESET_FILTER_NAMES[experiment.filter]
 
 
@@ -100,10 +101,11 @@ def _offset(experiment: Experiment) -> float:
 
 
 def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, list[Trials]]:
-    """Swarms without filter first, then those that filter less; named by all that varies unless given."""
+    """Swarms without filter first, then those that filter less, then robust ones; named by all that varies
+    unless given."""
     name = name or _name_of(experiments)
     series: dict[str, list[Trials]] = {}
-    for trials in sorted(experiments, key=lambda trials: get_args(Filtering).index(trials.experiment.filter)):
+    for trials in sorted(experiments, key=lambda trials: _place("filter", trials.experiment.filter)):
         series.setdefault(name(trials.experiment), []).append(trials)
     return series
 
@@ -117,7 +119,7 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
     def name(experiment: Experiment) -> str:
         words = [filter_name(experiment)]
         for key in varying:
-            if experiment.filter != "none" or key not in _FILTER_PARAMETERS:
+            if _has(experiment, key):
                 words.append(f"{key.replace('_', ' ')} {number_in_words(experiment.parameters()[key])}")
         return ", ".join(words)
 
@@ -126,30 +128,50 @@ def _name_of(experiments: Sequence[Trials]) -> Name:
 
 def _varying(experiments: Sequence[Trials], *others: str) -> list[str]:
     """The parameters in which experiments differ, but for ``others``; of filters those that run."""
-    every = [trials.experiment.parameters() for trials in experiments]
-    filtering = [each for each in every if each["filter"] != "none"]
+    every = [(trials.experiment, trials.experiment.parameters()) for trials in experiments]
     return [
         name
-        for name in every[0]
+        for name in every[0][1]
         if name not in others
-        and len({each[name] for each in (filtering if name in _FILTER_PARAMETERS else every)}) > 1
+        and len({parameters[name] for experiment, parameters in every if _has(experiment, name)}) > 1
     ]
 
 
+def _has(experiment: Experiment, name: str) -> bool:
+    """Whether a parameter means anything in an experiment: those of filters do not in all."""
+    if name not in _FILTER_PARAMETERS:
+        return True
+    return experiment.filter != "none" and name not in experiment.unused_parameters()
+
+
+def _place(name: str, value: Any) -> Any:
+    """What values of a parameter are sorted by."""
+    return get_args(Filtering).index(value) if name == "filter" else value
+
+
 def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
-    """Grey without a filter, otherwise one after the other."""
-    free = iter(COLOURS)
-    are_none = [all(each.experiment.filter == "none" for each in own) for own in series.values()]
-    return [WITHOUT if is_none else next(free) for is_none in are_none]
+    """Colours of series whose experiments have one filter each, or several."""
+    filters = [{each.experiment.filter for each in own} for own in series.values()]
+    return filter_colours([each.pop() if len(each) == 1 else "" for each in filters])
+
+
+def filter_colours(filters: Sequence[str]) -> list[str]:
+    """Grey without a filter, green for the first robust one, otherwise one after the other."""
+    free, colours = iter(colour for colour in COLOURS if colour != ROBUST), list[str]()
+    for each in filters:
+        is_green = each == "robust" and ROBUST not in colours
+        colours.append(WITHOUT if each == "none" else ROBUST if is_green else next(free))
+    return colours
 
 
 def _caption(experiments: Sequence[Trials], marks: str, limits: LimitsOf) -> str:
     """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
-    first, varying = experiments[0].experiment.parameters(), _varying(experiments)
-    shown = ("robots", "topology", "steps", "seed", *(_FILTER_PARAMETERS[:2]))
-    words = [
-        f"{name.replace('_', ' ')} {number_in_words(first[name])}" for name in shown if name not in varying
-    ]
+    words = []
+    for name in ("robots", "topology", "steps", "seed", *_FILTER_PARAMETERS[:2]):
+        own = [trials.experiment for trials in experiments if _has(trials.experiment, name)]
+        common = {experiment.parameters()[name] for experiment in own}
+        if len(common) == 1:
+            words.append(f"{name.replace('_', ' ')} {number_in_words(common.pop())}")
     counts = {len(trials.numbers) for trials in experiments}
     words.append(f"{' to '.join(map(str, sorted({min(counts), max(counts)})))} trials of each experiment")
     chosen = [limits(trials.experiment) for trials in experiments]
@@ -276,16 +298,16 @@ def curve(
     other.
     """
     _check_axes(experiments, x, hue, y)
-    hues = sorted({_value(trials.experiment, hue) for trials in experiments}) if hue else [None]
+    hues: list[Any] = _values_in_order(experiments, hue) if hue else [None]
     figure, ((axes,),) = _panels(1, 1, 3.8, len(hues))
-    colours = ordered_colours(len(hues))
+    colours = filter_colours(hues) if hue == "filter" else ordered_colours(len(hues))
     for colour, chosen in zip(colours, hues, strict=True):
         points = {
             _value(each.experiment, x): MEASURES[y](each, limits)
             for each in experiments
             if not hue or _value(each.experiment, hue) == chosen
         }
-        places = sorted(points)
+        places = [place for place in _values_in_order(experiments, x) if place in points]
         middle, low, high = np.array([median_interval(points[place]) for place in places]).T
         axes.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(places, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
@@ -296,6 +318,12 @@ def curve(
         if hue
     ]
     return _finish(figure, (_word(x), y), _caption(experiments, _CURVES, limits), handles)
+
+
+def _values_in_order(experiments: Sequence[Trials], name: str) -> list[Any]:
+    """Values of a parameter; filters from none to robust."""
+    values = {_value(trials.experiment, name) for trials in experiments}
+    return sorted(values, key=lambda value: _place(name, value))
 
 
 def _word(name: str) -> str:
@@ -350,8 +378,10 @@ def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Fig
     if any(not trials.b_hat.shape[1] for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
     figure, grid = _panels(-(-len(experiments) // 4), min(len(experiments), 4), 1.8, 1)
-    for axes, trials in zip(grid.flat, experiments, strict=False):
-        _draw_bands(axes, trials)
+    ordered = [trials for own in _by_series(experiments, filter_name).values() for trials in own]
+    has_one = len({trials.experiment.filter for trials in ordered}) == 1
+    for axes, trials in zip(grid.flat, ordered, strict=False):
+        _draw_bands(axes, trials, "" if has_one else f"{filter_name(trials.experiment)}\n")
     for axes in grid.flat[len(experiments) :]:
         axes.set_axis_off()
     handles = [_handle(*look, "", "-") for look in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))]
@@ -359,7 +389,7 @@ def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Fig
     return _finish(figure, labels, _caption(experiments, _BANDS, limits), handles)
 
 
-def _draw_bands(axes: Axes, trials: Trials) -> None:
+def _draw_bands(axes: Axes, trials: Trials, name: str) -> None:
     e, periods = trials.experiment, np.arange(1, trials.b_hat.shape[1] + 1)
     flawed, healthy = np.split(trials.b_hat, [e.flawed], axis=2)
     for colour, values in ((FLAWED, flawed), (OTHER, healthy)):
@@ -368,7 +398,7 @@ def _draw_bands(axes: Axes, trials: Trials) -> None:
             axes.fill_between(e.filter_period * periods, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(e.filter_period * periods, middle, color=colour)
     axes.axhline(e.true_accuracy, color=INK, linewidth=1, linestyle="--")
-    words = rf"$f$ = {e.fill_ratio:g}, $b$ = {e.true_accuracy:g}, $\hat{{b}}$ = {e.flawed_accuracy:g}"
+    words = rf"{name}$f$ = {e.fill_ratio:g}, $b$ = {e.true_accuracy:g}, $\hat{{b}}$ = {e.flawed_accuracy:g}"
     right = e.unflawed_accuracy or e.true_accuracy
     off = f"{np.mean(abs(healthy[:, -1] - right) > _OFF):.0%} of healthy robots" if healthy.size else "-"
     axes.set_title(f"{words}, $P$ = {_share(e):.0%}\nmore than {_OFF} off: {off}", fontsize=SMALL - 1.5)

@@ -47,7 +47,9 @@ class Population(WorldSettings):
     unflawed_accuracy: float = parameter(
         "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
     )
-    filter: Filtering = parameter("which robots recalibrate", default="asdf-plus")
+    filter: Filtering = parameter(
+        "which robots recalibrate; robust: all, by a filter that is not the paper's", default="asdf-plus"
+    )
     activation: Activation = parameter("recalibrate if the test rejects, or always", default="adaptive")
     comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
     filter_period: int = parameter(

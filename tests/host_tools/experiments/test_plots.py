@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, WITHOUT
+from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.pictures import draw
 from mcp_asdf_tools.experiments.plots import (
@@ -28,7 +28,7 @@ from mcp_asdf_tools.experiments.plots import (
 from mcp_asdf_tools.experiments.results import Trials, table_of, write_table
 from mcp_asdf_tools.experiments.scores import Limits, paper_limits
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 LIMITS = Limits(200, 0.4)
 BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, filter="none")
@@ -158,13 +158,40 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
     [
         ("filter_period", [50, 100, 150], [50, 100, 150]),
         ("flawed", ["0%", "50%", "100%"], [0, 0.5, 1]),
-        ("filter", ["none", "asdf-plus"], ["asdf-plus", "none"]),
+        ("filter", ["none", "asdf-plus"], ["none", "asdf-plus"]),
+        ("filter", ["robust", "asdf-plus", "asdf-minus", "none"], [*get_args(Filtering)]),
     ],
 )
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
     many = grid(**MOVING | {x: values})
     (axes,) = curve([results_of(each) for each in many], x).axes
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == expected
+
+
+def test_the_robust_filter_is_last_and_green() -> None:
+    """Without omega, which its test has not: it neither varies nor stands in the caption for this filter."""
+    common = replace(BASE, flawed=2, trials=1)
+    by_filter = {each: results_of(replace(common, filter=each)) for each in reversed(get_args(Filtering))}
+    often = results_of(replace(common, filter="robust", filter_period=50))
+    figure = boxes([often, *by_filter.values()])
+    names = [TYPESET_FILTER_NAMES[each] for each in get_args(Filtering)]
+    shown = [f"{each}, filter period 100" for each in names[1:]]
+    assert legend_of(figure) == ["no filter", *shown[:2], "robust, filter period 50", shown[2]]
+    colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
+    assert colours == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST, COLOURS[3]]
+    assert "omega 0.05" in caption_of(figure)
+    assert "omega" not in caption_of(boxes([often, by_filter["none"]]))
+
+    strict = replace(by_filter["asdf-plus"].experiment, omega=0.1)
+    mixed = [*(by_filter | {"asdf-plus": replace(by_filter["asdf-plus"], experiment=strict)}).values()]
+    titles = [axes.get_title().split("\n") for axes in bands(mixed).axes]
+    assert [title[0] for title in titles] == names
+    assert len(titles[0]) == 3 and len(bands(mixed[:1]).axes[0].get_title().split("\n")) == 2
+    (axes,) = curve([*by_filter.values()], "flawed", "filter").axes
+    assert [line.get_color() for line in axes.lines] == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST]
+    assert len(curve([mixed[0], mixed[1]], "filter").axes[0].lines) == 1
+    with pytest.raises(UsageError, match="the results differ in omega too"):
+        curve(mixed, "filter")
 
 
 @pytest.mark.parametrize(("trials", "beyond"), [(5, 1), (6, 1), (30, 10), (100, 40)])
