@@ -45,18 +45,38 @@ LAYOUT = {
 }
 """Fields of an image in order, as struct writes them; a checksum follows (docs/design.md)."""
 
-BODY = struct.Struct("<" + "".join(LAYOUT.values()))
-IMAGE_SIZE = BODY.size + 4
+CROWD = {
+    **dict.fromkeys(("crowd_centre", "crowd_spread", "crowd_voices", "crowd_first"), "I"),
+    **dict.fromkeys(("crowd_votes", "crowd_trend"), "H"),
+    **dict.fromkeys((f"nothing_{number}" for number in range(11)), "I"),
+}
+"""What stands in place of the two rounds with the robust filter."""
+
+ROBUST_BIT = 0x80
+"""Of the magic: with the robust filter."""
+
+IMAGE_SIZE = struct.calcsize("<" + "".join(LAYOUT.values())) + 4
+
+
+def layout_of(magic: int) -> dict[str, str]:
+    """Fields of the image that begins so."""
+    if not magic & ROBUST_BIT:
+        return LAYOUT
+    whole = [(name, code) for name, code in LAYOUT.items() if not name.startswith(("closed", "open"))]
+    at = [name for name, _ in whole].index("heard_0")
+    return dict([*whole[:at], *CROWD.items(), *whole[at:]])
 
 
 def unpack(image: bytes) -> dict[str, int]:
     """An image's fields by name."""
-    return dict(zip(LAYOUT, BODY.unpack(image[:-4]), strict=True))
+    layout = layout_of(image[0])
+    return dict(zip(layout, struct.unpack("<" + "".join(layout.values()), image[:-4]), strict=True))
 
 
 def pack(fields: dict[str, int]) -> bytes:
     """The image of fields by name, with the checksum that belongs to it."""
-    body = BODY.pack(*map(fields.__getitem__, LAYOUT))
+    layout = layout_of(fields["magic"])
+    body = struct.pack("<" + "".join(layout.values()), *map(fields.__getitem__, layout))
     return body + struct.pack("<I", checksum([word for (word,) in struct.iter_unpack("<I", body)]))
 
 

@@ -41,6 +41,7 @@ from robots import (
 
 EPSILON = 2.0**-20
 ADAPTIVE = Config(table=TABLE, filter_period=1)
+BUSY, ROBUST = replace(ADAPTIVE, filter_period=4), Config(filter=Filter.ROBUST, filter_period=4)
 
 
 def view(robot: Robot) -> tuple[object, ...]:
@@ -123,9 +124,9 @@ def test_an_invalid_observation_changes_nothing(kind: AnyType, z: Any) -> None:
 # --- Saving ----------------------------------------------------------------------------------------------
 
 
-def busy_robot(kind: FixedPointType) -> FixedPoint:
+def busy_robot(kind: FixedPointType, config: Config = BUSY) -> FixedPoint:
     """In the middle of a round, with something in every field of the state."""
-    robot = kind(replace(ADAPTIVE, filter_period=4), OWN_ID, 0.7)
+    robot = kind(config, OWN_ID, 0.7)
     for tick in range(41):
         robot.observe(Observation(tick % 3 == 1))
         receive_all(
@@ -141,18 +142,34 @@ def busy_robot(kind: FixedPointType) -> FixedPoint:
     return robot
 
 
+NEW_CROWD = {
+    "crowd_centre": 1 << 29,
+    "crowd_spread": 1 << 28,
+    "crowd_voices": 0,
+    "crowd_first": 0,
+    "crowd_votes": 0,
+    "crowd_trend": 1 << 15,
+}
+"""What a robot without the robust filter has, always."""
+
+
 @of_fixed_point
-def test_an_image_holds_every_field(kind: FixedPointType) -> None:
-    """The image is the one docs/design.md describes, field by field."""
-    robot = busy_robot(kind)
+@pytest.mark.parametrize(("robust", "magic"), [(False, 0x4D435302), (True, 0x4D435382)])
+def test_an_image_holds_every_field(kind: FixedPointType, robust: bool, magic: int) -> None:
+    """The image is the one docs/design.md describes, field by field; what is not there is as if new."""
+    robot = busy_robot(kind, ROBUST) if robust else busy_robot(kind)
     image, state = robot.save(), robot.state()
     found = unpack(image)
     assert len(image) == IMAGE_SIZE == 124
-    assert found.pop("magic") == 0x4D435302, "version 2"
+    assert found.pop("magic") == magic, "version 2"
     assert found.pop("b_hat") == state["accuracy_b_hat"]
-    assert found == {name: value for name, value in state.items() if not name.startswith("accuracy_")}
+    assert [found.pop(f"nothing_{number}") for number in range(11 * robust)] == [0] * 11 * robust
+    rounds = {name: 0 for name in state if name.startswith(("open", "closed"))}
+    left = {name: value for name, value in state.items() if not name.startswith("accuracy_")}
+    assert found | (rounds if robust else NEW_CROWD) == left
     assert pack(unpack(image)) == image
-    assert [name for name, value in found.items() if not value] == ["updated"], "the others can be told apart"
+    zero = [name for name, value in found.items() if not value]
+    assert zero == [*["updates"] * robust, "updated"], "the others can be told apart"
 
 
 def check_refused(
@@ -166,14 +183,27 @@ def check_refused(
 @of_fixed_point
 def test_damaged_images_and_those_of_another_size_or_make_are_refused(kind: FixedPointType) -> None:
     """I17"""
-    robot = busy_robot(kind)
+    for robot, other in ((busy_robot(kind), 0x4D435382), (busy_robot(kind, ROBUST), 0x4D435302)):
+        check_damaged(kind, robot, other)
+
+
+def relabelled(image: bytes, magic: int) -> bytes:
+    """The image with another first word, and the checksum that belongs to it."""
+    words = [magic, *(word for (word,) in struct.iter_unpack("<I", image[4:-4]))]
+    return struct.pack("<31I", *words, checksum(words))
+
+
+def check_damaged(kind: FixedPointType, robot: FixedPoint, other: int) -> None:
+    """``other`` begins images of robots with the other kinds of filter."""
     image = robot.save()
     flipped = [
         image[: bit // 8] + bytes([image[bit // 8] ^ 1 << bit % 8]) + image[bit // 8 + 1 :]
         for bit in range(8 * len(image))
     ]
     sizes = [image[:size] for size in (0, 4, 120, 123)] + [image + b"\0", image * 8]
-    others = [rewritten(image, magic=magic) for magic in (0x4D435300, 0x4D435301, 0x4D435303, 0x4D435402, 0)]
+    others = [
+        relabelled(image, magic) for magic in (0x4D435300, 0x4D435301, 0x4D435303, 0x4D435402, 0, other)
+    ]
     wrong = rewritten(image)[:-4] + struct.pack("<I", checksum([0]))
     for each in (*flipped, *sizes, *others, wrong, bytes(124), b"\xff" * 124, image[::-1]):
         check_refused(kind, robot.config, each)
@@ -205,6 +235,13 @@ IMPOSSIBLE = {
     "I8": [{"heard_0": 0, "heard_1": 0}, {"heard_2": 0, "heard_3": 0}, {"open_count": 5}],
     "I9": [{"heard_0": 1 << OWN_ID}, {"heard_0": 2**32 - 1}],
     "I10": [{"filter_left": 0}, {"filter_left": 5}, {"filter_left": 2**32 - 1}],
+    "I24": [
+        *({"crowd_centre": 2**30 + 1}, {"crowd_centre": 2**32 - 1}, {"crowd_spread": 2**18 - 1}),
+        *({"crowd_spread": 2**28 + 1}, {"crowd_spread": 0}, {"crowd_votes": 2**14 + 1}, {"crowd_voices": 0}),
+        *({"crowd_first": 2**12 - 1}, {"crowd_first": 2**32 - 2**12 + 1}, {"crowd_votes": 0}),
+        *(NEW_CROWD | {"crowd_first": 3 << 30}, NEW_CROWD | {"crowd_votes": 1, "crowd_first": 3 << 30}),
+        *({f"nothing_{number}": 1} for number in range(11)),
+    ],
 }
 """Fields of the busy robot's image that no sequence of calls can have, by the invariant they break."""
 
@@ -213,10 +250,16 @@ IMPOSSIBLE = {
 @pytest.mark.parametrize("invariant", IMPOSSIBLE)
 def test_impossible_states_are_refused(kind: FixedPointType, invariant: str) -> None:
     """With a right checksum, so the invariants themselves must refuse."""
-    robot = busy_robot(kind)
-    config, image = replace(robot.config, memory=100), robot.save()
+    for robot in (busy_robot(kind), busy_robot(kind, ROBUST)):
+        check_impossible(kind, replace(robot.config, memory=100), robot.save(), invariant)
+
+
+def check_impossible(kind: FixedPointType, config: Config, image: bytes, invariant: str) -> None:
+    """As far as the image has the fields; with the robust filter it has no count of messages (I8)."""
+    has = unpack(image).keys()
     for fields in IMPOSSIBLE[invariant]:
-        check_refused(kind, config, rewritten(image, **fields))
+        if fields.keys() <= has and (invariant != "I8" or "open_count" in has):
+            check_refused(kind, config, rewritten(image, **fields))
     assert kind.restore(config, memoryview(image)).save() == image  # type: ignore[arg-type]
     with pytest.raises(TypeError):
         kind.restore(config, 124)  # type: ignore[arg-type]
@@ -270,7 +313,7 @@ def made(kind: AnyType, **given: Any) -> Status:
     [
         ("filter_period", Status.ERR_CONFIG, (0, -1, 2**32, 2**32 + 1), (1, 2**32 - 1)),
         ("memory", Status.ERR_CONFIG, WRONG_MEMORY, (64, 68, 2**31 - 4, 2**31)),
-        ("filter", Status.ERR_CONFIG, (3, -1, 256), tuple(Filter)),
+        ("filter", Status.ERR_CONFIG, (4, -1, 256), tuple(Filter)),
         ("omega_word", Status.ERR_TABLE, (0, -1, MAX_OMEGA_WORD + 1, 2**32 + 5), (1, MAX_OMEGA_WORD)),
         ("entries", Status.ERR_TABLE, WRONG_ENTRIES, LEGAL_ENTRIES),
         ("robot_id", Status.ERR_ID, (-1, 128, 255, 256), (0, 127)),

@@ -6,6 +6,7 @@ Examples are derandomised: a failure prints the smallest calls that show it, and
 from __future__ import annotations
 
 import random
+from collections import Counter
 from fractions import Fraction
 
 import numpy as np
@@ -170,8 +171,18 @@ calls = st.lists(
 
 MAY_CHANGE = {
     "observe": {"t", "n", "x_hat", "alpha", "updated"},
-    "receive_raw": {"heard", "open", "accepted", "repeated", "rejected"},
-    "settle": {"closed", "open", "heard", "filter_left", "tests", "updates", "updated", "accuracy"},
+    "receive_raw": {"heard", "open", "crowd", "accepted", "repeated", "rejected"},
+    "settle": {
+        "closed",
+        "open",
+        "crowd_votes",
+        "heard",
+        "filter_left",
+        "tests",
+        "updates",
+        "updated",
+        "accuracy",
+    },
 }
 MAY_CHANGE["step"] = MAY_CHANGE["observe"] | MAY_CHANGE["settle"]
 """Members that a call may change (I19), those of a struct by its name."""
@@ -180,7 +191,7 @@ MAY_CHANGE["step"] = MAY_CHANGE["observe"] | MAY_CHANGE["settle"]
 def member(name: str) -> str:
     """Of ``mcp_asdf_t``, that a number of a state belongs to."""
     struct = name.partition("_")[0]
-    return struct if struct in ("heard", "open", "closed", "accuracy") else name
+    return struct if struct in ("heard", "open", "closed", "crowd", "accuracy") else name
 
 
 def perform(robot: FixedPoint, call: Call) -> Status:
@@ -197,8 +208,10 @@ def views(robot: FixedPoint) -> dict[str, object]:
 
 def check_changes(call: Call, status: Status, before: dict[str, int], after: dict[str, int]) -> None:
     """I11, I18, I19, I21: nothing but what the call may change, and by an error only one counter."""
-    changed = {member(name) for name in after if after[name] != before[name]}
-    assert changed <= MAY_CHANGE[call[0]]
+    names = {name for name in after if after[name] != before[name]}
+    changed = set(map(member, names))
+    may = MAY_CHANGE[call[0]]
+    assert {name for name in names if not {name, member(name)} & may} == set()
     if status < Status.OK:
         assert changed <= ({"rejected"} if call[0] == "receive_raw" else set())
     for name in vars(Counters()):
@@ -209,15 +222,39 @@ def check_changes(call: Call, status: Status, before: dict[str, int], after: dic
             assert after[f"closed_{name}"] == before[f"open_{name}"]
 
 
+crowds = st.fixed_dictionaries(
+    {
+        "crowd_centre": st.sampled_from((0, 2**29, 2**30)) | st.integers(0, 2**30),
+        "crowd_spread": st.sampled_from((2**18, 2**18 + 1, 2**28 - 1, 2**28)) | st.integers(2**18, 2**28),
+        "crowd_voices": st.sampled_from((1, 3, 1 << 31, 7, 2**32 - 1)) | st.integers(1, 2**32 - 1),
+        "crowd_first": b_hats,
+        "crowd_votes": st.sampled_from((1, 2, 31, 62, 63, 256, 257, 2**14 - 1, 2**14))
+        | st.integers(1, 2**14),
+        "crowd_trend": st.integers(0, 7).flatmap(
+            lambda eighth: st.integers(0, 2**13 - 1).map((eighth << 13).__add__)
+        ),
+    }
+)
+"""What robots with the robust filter may know of the others, but nothing."""
+
+
 @thorough
-@given(config=configs, b_hat=st.floats(2**-20, 1 - 2**-20), start=st.just(0) | any_counter, sequence=calls)
+@given(
+    config=configs,
+    b_hat=st.floats(2**-20, 1 - 2**-20),
+    start=st.just(0) | any_counter,
+    crowd=st.none() | crowds,
+    sequence=calls,
+)
 def test_any_calls_keep_the_invariants_and_the_bits(
-    config: Config, b_hat: float, start: int, sequence: list[Call]
+    config: Config, b_hat: float, start: int, crowd: dict[str, int] | None, sequence: list[Call]
 ) -> None:
     """I11, I18, I19, I21, I22, I23, after every call, whatever the counters are at the start; I17 at the end,
     where equal states go on equally."""
     fresh = MirrorRobot(config, OWN_ID, b_hat).save()
     image = rewritten(fresh, **dict.fromkeys(vars(Counters()), start))
+    if crowd is not None and config.filter == Filter.ROBUST:
+        image = rewritten(image, **crowd)
     mirror, native = MirrorRobot.restore(config, image), NativeRobot.restore(config, image)
     state = mirror.state()
     for call in sequence:
@@ -228,9 +265,50 @@ def test_any_calls_keep_the_invariants_and_the_bits(
         assert views(mirror) == views(native)
         assert mirror.holds_invariants() and native.holds_invariants()
         check_changes(call, status, before, state)
+        if config.filter != Filter.ROBUST:
+            assert all(state[name] == before[name] for name in state if member(name) == "crowd")
         assert state["t"] > 0 or (state["x_hat"], state["alpha"]) == (HALF, 0)
     for kind in FIXED_POINT:
         assert kind.restore(config, mirror.save()).state() == state
+
+
+def test_a_robust_robot_has_the_same_bits_in_mirror_and_c_whichever_way_it_goes() -> None:
+    """Rejected, back at its first b_hat, kept, and in a crowd that moves: each is reached again and again."""
+    stream, reached = random.Random(23), Counter[str]()
+    config = Config(filter=Filter.ROBUST, filter_period=1)
+    mirror, native = (kind(config, OWN_ID, 0.9) for kind in FIXED_POINT)
+    receive_all(mirror, [(sender, ONE // 2, ALPHA_ONE) for sender in (1, 2, 35)])
+    for _ in range(400):
+        t, centre, first = (
+            stream.randint(1, 10**6),
+            stream.randint(0, 2**30),
+            stream.randint(2**29, 2**32 - 2**12),
+        )
+        black = first * centre + (2**32 - first) * (2**30 - centre)
+        fields = {
+            **{"crowd_centre": centre, "crowd_spread": 2 ** stream.randint(18, 28), "crowd_first": first},
+            **{
+                "crowd_votes": stream.choice((1, 60, 300, 2**14)),
+                "crowd_voices": stream.choice((3, 7, 1 << 31)),
+            },
+            **{"t": t, "n": stream.choice((t * black >> 62, stream.randint(0, t))), "updated": 1},
+            "crowd_trend": stream.choice((2**13, 7 * 2**13)) + stream.randint(-300, 300),
+            "b_hat": stream.choice((first, 3 << 30)),
+        }
+        image = rewritten(stream.choice((mirror, native)).save(), **fields)
+        mirror, native = MirrorRobot.restore(config, image), NativeRobot.restore(config, image)
+        for said in stream.choices((0, centre >> 7, ONE), k=stream.randint(0, 4)):
+            message = (stream.randrange(MAX_ID + 1), said, ALPHA_ONE)
+            assert mirror.receive_raw(*message) == native.receive_raw(*message)
+        tests, votes, b_hat = mirror.counters.tests, mirror.s.crowd.votes, mirror.b_hat_raw
+        status = mirror.settle()
+        assert (status, mirror.state(), views(mirror)) == (native.settle(), native.state(), views(native))
+        assert mirror.holds_invariants() and native.holds_invariants()
+        reached[f"{status.name} first {mirror.b_hat_raw == first}"] += mirror.counters.tests != tests
+        reached["moving"] += mirror.s.crowd.votes < votes
+        assert status == Status.UPDATED or mirror.b_hat_raw == b_hat
+    names = ("UPDATED first False", "UPDATED first True", "OK first True", "moving")
+    assert min(reached[name] for name in names) >= 10, reached
 
 
 @of_fixed_point
