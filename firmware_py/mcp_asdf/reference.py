@@ -1,4 +1,5 @@
-"""The paper's equations in float64, one function each, and a robot made of them.
+"""The paper's equations in float64, one function each, and a robot made of them; and the robust filter, which
+is not the paper's (``docs/robust.md``).
 
 Nothing here is quantised and alpha has no upper limit, so this is what the fixed-point firmwares are
 measured against. Names and cases are the paper's, with w_hat = b_hat; equation numbers count its
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from operator import index
 from statistics import mean, stdev
@@ -41,6 +42,12 @@ UNINFORMATIVE = 2.0**-12
 """Where |2 p - 1| is below this, an accuracy or a social estimate p is uninformative."""
 
 MAX_OMEGA = 0.9
+
+LEAST_SPREAD, MOST_SPREAD = 2.0**-12, 0.25
+MOST_VOTES, VOTES_MOVED = 2**14, 2**8
+SIGMAS_SQUARED, FEWEST_VOICES = 12, 3
+"""Constants of the robust filter, whose reasons are in ``docs/robust.md``."""
+
 COUNTER_MODULUS = 2**16
 
 
@@ -183,6 +190,63 @@ def rejects(
     return deviation > interval or (deviation == interval and not conventions.strict)
 
 
+@dataclass(frozen=True)
+class Crowd:
+    """What a robot with the robust filter knows of the others.
+
+    Attributes:
+        centre: Of the estimates heard, in [0, 1].
+        spread: Their median distance from it, in [LEAST_SPREAD, MOST_SPREAD].
+        trend: Share of the centre's late moves that went up.
+        votes: Messages that moved it, up to MOST_VOTES.
+        voices: Who was heard, modulo 32.
+    """
+
+    centre: float = 0.5
+    spread: float = MOST_SPREAD
+    trend: float = 0.5
+    votes: int = 0
+    voices: frozenset[int] = frozenset()
+
+    @property
+    def is_moving(self) -> bool:
+        """True if 7 of 8 late moves of the centre went one way: it lags behind a floor that has changed."""
+        return not 1 / 8 <= self.trend < 7 / 8
+
+
+def vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
+    """The crowd after a message: one step of Robbins and Monro's stochastic approximation. O(1).
+
+    The centre moves as for Huber's M-estimate clamped at the spread, the spread as for the median of the
+    distances, with a gain of 4/votes to 8/votes that stays within 2**-12 and 2**-3.
+    """
+    _check_unit(x_hat, "x_hat")
+    votes = min(crowd.votes + 1, MOST_VOTES)
+    gain, distance = 2.0 ** -max(votes.bit_length() - 3, 3), x_hat - crowd.centre
+    widening = gain / 2 if abs(distance) > crowd.spread else -gain / 2
+    return Crowd(
+        centre=crowd.centre + gain * max(-crowd.spread, min(distance, crowd.spread)),
+        spread=max(LEAST_SPREAD, min(crowd.spread * (1 + widening), MOST_SPREAD)),
+        trend=crowd.trend + ((distance > 0) - crowd.trend) / 256 if distance else crowd.trend,
+        votes=votes,
+        voices=crowd.voices | {sender % 32},
+    )
+
+
+def deviates(n: int, t: int, b: float, centre: float, spread: float) -> bool:
+    """The robust filter's test: True if ``n`` black among ``t`` > 0 cannot be chance, given ``b``. O(1).
+
+    D**2 > 12 (v/t + (2b - 1)**2 spread**2), where D is the distance of n/t from p = b r + (1 - b)(1 - r), r
+    the ``centre``, and v the larger of p (1 - p) and n/t (1 - n/t).
+    """
+    _check_counts(n, t)
+    _check_unit(b, "b")
+    _check_unit(centre, "centre")
+    seen, p = n / t, b * centre + (1 - b) * (1 - centre)
+    variance = max(p * (1 - p), seen * (1 - seen))
+    return (seen - p) ** 2 > SIGMAS_SQUARED * (variance / t + (2 * b - 1) ** 2 * spread**2)
+
+
 def _check_counts(n: int, t: int) -> None:
     if not 0 <= n <= t:
         raise ValueError(f"n is {n} and t {t}; counts are 0 <= n <= t")
@@ -240,7 +304,8 @@ class ReferenceRobot:
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
         check_identity(robot_id, b_hat)
         self._config, self._id, self._conventions = config, index(robot_id), conventions
-        self._t, self._n, self._b_hat = 0, 0, float(b_hat)
+        self._t, self._n, self._b_hat, self._first = 0, 0, float(b_hat), float(b_hat)
+        self._crowd = Crowd()
         self._own = Message(x_hat=0.5, alpha=0.0)
         self._open: dict[int, Message] = {}
         self._round: list[Message] = []
@@ -274,11 +339,14 @@ class ReferenceRobot:
         else:
             self._count("accepted")
             self._open[sender] = Message(float(x_hat), float(alpha))
+            if self._is_robust and alpha > 0:
+                self._crowd = vote(self._crowd, sender, float(x_hat))
         return accepted(status, sender, x_hat)
 
     def settle(self) -> Status:
         """Close the round, and filter every ``filter_period`` rounds. O(m)."""
-        self._round = [message for message in self._open.values() if message.alpha > 0]
+        messages = () if self._is_robust else self._open.values()
+        self._round = [message for message in messages if message.alpha > 0]
         self._open = {}
         self._filter_left -= 1
         if self._filter_left:
@@ -299,9 +367,10 @@ class ReferenceRobot:
         return Status.OK
 
     def _filter(self) -> Status:
-        if not self._is_activated():
-            return Status.OK
-        b_hat = self.reestimated()
+        if self._is_robust:
+            b_hat = self._crowd_b_hat()
+        else:
+            b_hat = self.reestimated() if self._is_activated() else None
         if b_hat is None:
             return Status.OK
         self._b_hat = b_hat
@@ -311,6 +380,25 @@ class ReferenceRobot:
     def reestimated(self) -> float | None:
         """The next assumed accuracy (eq. 8), None to keep the present one; variants override it."""
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
+
+    @property
+    def _is_robust(self) -> bool:
+        return self._config.filter == Filter.ROBUST
+
+    def _crowd_b_hat(self) -> float | None:
+        """The same by the robust filter: the first b_hat where the test does not reject that."""
+        crowd = self._crowd
+        if self._t == 0:
+            return None
+        if crowd.is_moving:
+            self._crowd = replace(crowd, votes=min(crowd.votes, VOTES_MOVED))
+            return None
+        if len(crowd.voices) < FEWEST_VOICES:
+            return None
+        self._count("tests")
+        if deviates(self._n, self._t, self._first, crowd.centre, crowd.spread):
+            return self.reestimated()
+        return self._first if self._b_hat != self._first else None
 
     def _is_activated(self) -> bool:
         if self._config.filter == Filter.OFF or self._t == 0:
@@ -338,17 +426,27 @@ class ReferenceRobot:
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. O(m)."""
+        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. O(m).
+
+        Robust: the crowd's centre.
+        """
+        if self._is_robust:
+            return self._crowd.centre
         return social_estimate(self._round)
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round; 0 without neighbours. O(m)."""
+        """Social confidence (eq. 6) of the last closed round; 0 without neighbours and if robust. O(m)."""
         return social_confidence(self._round)
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7) of the own estimate now and the last closed round, in [0, 1]. O(m)."""
+        """Informed estimate (eq. 7) of the own estimate now and the last closed round, in [0, 1]; O(m).
+
+        Robust: the centre, or x_hat while nobody was heard.
+        """
+        if self._is_robust:
+            return self._crowd.centre if self._crowd.votes else self._own.x_hat
         return informed_estimate(self._own, self._round)
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
 
 State = dict[str, int]
@@ -188,7 +188,7 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
     outcome = CrosscheckResult()
     try:
         while outcome.calls < calls and outcome.failure is None:
-            scenario = random_scenario(seed, outcome.scenarios)
+            scenario = _scenario(seed, outcome.scenarios)
             scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
             outcome.failure = check(scenario)
             outcome.calls += len((outcome.failure or Failure(scenario, ())).scenario.calls)
@@ -197,6 +197,12 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
     except KeyboardInterrupt:
         outcome.interrupted = True
     return outcome
+
+
+def _scenario(seed: int, number: int) -> Scenario:
+    """Every fourth scenario is of a robot with the robust filter."""
+    fours, place = divmod(number, 4)
+    return robust_scenario(seed, fours) if place == 3 else random_scenario(seed, 3 * fours + place)
 
 
 def shrink(failure: Failure, check: Check) -> Failure:

@@ -1,4 +1,5 @@
-"""The paper's equations in exact rationals, and how far from them the firmware's arithmetic may be.
+"""The paper's equations in exact rationals, and how far from them the firmware's arithmetic may be; and the
+robust filter's, which are not the paper's.
 
 Nothing here is taken from the firmware: the limits follow from the roundings that docs/design.md states. With
 m = min(n, t - n), c = min(b, 1 - b), g = 1 - 2 c and r = 1 / g, only the rarer colour counts: p = m / t, and
@@ -15,6 +16,9 @@ EPSILON = Fraction(1, 2**20)
 """b_hat stays in [EPSILON, 1 - EPSILON]."""
 UNINFORMATIVE = Fraction(1, 2**12)
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
+SPREADS = Fraction(1, 2**12), Fraction(1, 4)
+UNDECIDED = Fraction(1, 2**13)
+"""The robust filter's test is right where its two sides differ by more than this part of the larger."""
 
 
 def is_informative(p: Fraction) -> bool:
@@ -112,3 +116,31 @@ def b_hat_error(x_bar: Fraction) -> Fraction:
     """
     least, most = x_bar_range(x_bar)
     return max(x_bar - least, most - x_bar) / abs(2 * x_bar - 1) + Q30 + Q31 + Q32
+
+
+def vote_limits(
+    votes: int, centre: Fraction, spread: Fraction, said: Fraction
+) -> list[tuple[Fraction, Fraction]]:
+    """Least and most centre and spread after the ``votes``-th vote. The step and the change, powers of two of
+    whole numbers of 2**-30, are rounded down, so that neither moves too far."""
+    gain = Fraction(1, 2 ** max(votes.bit_length() - 3, 3))
+    step = gain * min(max(said - centre, -spread), spread)
+    change = gain / 2 * (spread if abs(said - centre) > spread else -spread)
+    centres = sorted((centre + step, centre + step - (Q30 if step > 0 else -Q30 if step else 0)))
+    spreads = sorted((spread + change, spread + change - (Q30 if change > 0 else -Q30)))
+    least, most = (min(max(each, SPREADS[0]), SPREADS[1]) for each in spreads)
+    return [(max(centres[0], min(centre, said)), min(centres[1], max(centre, said))), (least, most)]
+
+
+def deviates(n: int, t: int, b: Fraction, centre: Fraction, spread: Fraction) -> bool | None:
+    """Whether the robust filter's test rejects ``b`` for t > 0; None where rounding may decide.
+
+    With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike, as t < 2**31, v >= (1 - g**2) / 4
+    and spread >= 2**-12. So D is at least 160,000 units of 2**-32, of which p lacks up to 3 and n/t up to 7:
+    D**2 is off by 2**-13.4 of itself. The product of g and the spread, rounded down, takes 2**-15.5 from the
+    other side, and v, which lacks 5 units, far less.
+    """
+    seen, p = Fraction(n, t), b * centre + (1 - b) * (1 - centre)
+    variance = max(p * (1 - p), seen * (1 - seen))
+    square, least = (seen - p) ** 2, 12 * (variance / t + (2 * b - 1) ** 2 * spread**2)
+    return None if abs(square - least) <= UNDECIDED * max(square, least) else square > least

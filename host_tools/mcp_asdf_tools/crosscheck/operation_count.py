@@ -13,12 +13,13 @@ from collections.abc import Callable, Collection, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from types import FrameType
 from typing import Any
 
 from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
-from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Observation
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Filter, Observation
 from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
@@ -36,7 +37,8 @@ CALLS: dict[str, Callable[[MirrorRobot], object]] = {
 }
 
 Counts = dict[str, dict[str, dict[int, int]]]
-"""Largest number of instructions by call, by t, m or q, and by its value."""
+"""Largest number of instructions by call, with the robust filter apart, by t, m or q, and by its value. The
+robust filter has no q."""
 
 _TOO_MANY = 4000
 """A call is cut short there: a loop over t would not end."""
@@ -87,6 +89,8 @@ class Situation:
         q: Entries of its table.
         halves: Whether the memory halves t and n at the next observation.
         agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
+        robust: Whether it has the robust filter, and has had 128 votes for each of the m messages; then
+            ``agrees`` is about its count of black tiles.
     """
 
     t: int = 1000
@@ -97,11 +101,15 @@ class Situation:
     q: int = MAX_Q
     halves: bool = False
     agrees: bool = False
+    robust: bool = False
 
     def robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
         """The robot."""
         memory = self.t if self.halves else DEFAULT_MEMORY
-        robot = firmware(Config(_table(self.q), filter_period=1, memory=memory), _OWN, self.b_hat / 2**32)
+        mode = Filter.ROBUST if self.robust else Filter.ADAPTIVE
+        robot = firmware(
+            Config(_table(self.q), mode, filter_period=1, memory=memory), _OWN, self.b_hat / 2**32
+        )
         s = robot.s
         s.t, s.n = self.t - 1, min(self.n, self.t - 1)
         for sender in range(self.m):
@@ -109,21 +117,26 @@ class Situation:
         s.x_hat = s.open.x // s.open.count if self.agrees and s.open.count else ONE
         s.alpha = self.alpha
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
+        if self.robust:
+            s.crowd.votes, s.crowd.centre = self.m << 7, (1 << 29) - (1 << 24 if self.agrees else 1 << 29)
         return robot
 
 
 def _situations() -> Iterator[tuple[str, int, Situation]]:
     """An axis, a value of it, and a situation there."""
-    for t in sorted({t for k in range(32) for t in ((1 << k) - 1, 1 << k) if t}):
+    values = sorted({t for k in range(32) for t in ((1 << k) - 1, 1 << k) if t})
+    for t, robust in product(values, (False, True)):
         for b_hat in (B_HAT_MIN, 1 << 31, 4080218931, B_HAT_MAX):
             for n in sorted({0, 2 * t // 5, t}):
-                yield "t", t, Situation(t=t, n=n, b_hat=b_hat)
+                yield "t", t, Situation(t=t, n=n, b_hat=b_hat, robust=robust)
         if t >= MIN_MEMORY and t % 4 == 0:
-            yield "t", t, Situation(t=t, n=t // 2, halves=True)
+            yield "t", t, Situation(t=t, n=t // 2, halves=True, robust=robust)
     for m in range(MAX_ID + 1):
         yield "m", m, Situation(m=m)
         yield "m", m, Situation(m=m, agrees=True)
         yield "m", m, Situation(m=m, alpha=ALPHA_MAX)
+        for agrees in (False, True):
+            yield "m", m, Situation(m=m, n=500, agrees=agrees, robust=True)
     for q in range(MIN_Q, MAX_Q + 1):
         for m in (2, q, min(q + 1, MAX_ID)):
             yield "q", q, Situation(q=q, m=m)
@@ -138,15 +151,15 @@ def _table(q: int) -> Table:
 
 def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
     """Count the instructions of every call, over some of AXES. Takes a few seconds for all."""
-    counts: Counts = {name: {axis: {} for axis in axes} for name in CALLS}
+    counts: Counts = {name + kind: {axis: {} for axis in axes} for kind in ("", ", robust") for name in CALLS}
     for axis, value, situation in _situations():
         if axis not in axes:
             continue
-        plain = situation.robot(firmware)
+        plain, kind = situation.robot(firmware), ", robust" if situation.robust else ""
         for name, act in CALLS.items():
             robot = firmware.__new__(firmware)
             robot.config, robot.s = plain.config, deepcopy(plain.s)
-            most = counts[name][axis]
+            most = counts[name + kind][axis]
             most[value] = max(most.get(value, 0), instructions(partial(act, robot)))
     return counts
 

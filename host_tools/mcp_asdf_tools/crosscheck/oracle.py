@@ -1,13 +1,14 @@
 """Judging the calls of a scenario by exact rationals and by float64, and collecting a robot's errors.
 
 The estimates are computed anew from t, n and b_hat, the social values and the test's decision from the
-round's sums. Values with one right answer must have it to the last bit; the others must keep the limits of
-``exact``, and their errors are collected by region.
+round's sums, or with the robust filter from the crowd. Values with one right answer must have it to the last
+bit; the others must keep the limits of ``exact``, and their errors are collected by region.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from typing import Any
@@ -21,9 +22,11 @@ from mcp_asdf_tools.crosscheck.exact import (
     LARGEST_ALPHA,
     alpha_limits,
     b_hat_error,
+    deviates,
     exact_b_hat,
     exact_estimate,
     updates,
+    vote_limits,
     x_hat_limits,
 )
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
@@ -62,21 +65,28 @@ class Audit:
     Attributes:
         errors: By quantity and region.
         tests: How many hypothesis tests were judged.
+        robust: How often the robust filter did what: voted, moving, too few, rejected, returned, kept; and
+            undecided, where a test was too close to be judged.
     """
 
     def __init__(self) -> None:
         self.errors = {(quantity, region): Errors() for quantity in QUANTITIES for _, region in REGIONS}
         self.tests = 0
+        self.robust = Counter[str]()
 
     def judge(self, setup: Setup, call: Call, before: Look, after: Look) -> list[str]:
         """Problems of a call, by the looks before and after it."""
         old, new = before.state, after.state
         problems = [] if new["holds_invariants()"] else ["the invariants do not hold"]
-        problems += _means(new)
+        is_robust = setup.filter == Filter.ROBUST
+        problems += _means(new, is_robust)
+        if call.name == "receive" and is_robust:
+            problems += self._voted(call, old, new, after.outcome == "OK" and call.numbers[2] >> 8 > 0)
         if call.name in ("observe", "step") and not after.outcome.startswith("ERR"):
             problems += self._estimated(old["b_hat()"], new)
         if call.name in ("settle", "step") and not after.outcome.startswith("ERR"):
-            problems += self._settled(setup, old, new, after.outcome == "UPDATED")
+            settled = self._crowd_settled if is_robust else self._settled
+            problems += settled(setup, old, new, after.outcome == "UPDATED")
         return problems
 
     def _estimated(self, raw: int, state: State) -> list[str]:
@@ -104,12 +114,47 @@ class Audit:
             rejects = squared << FRACTION_BITS > setup.table.build().entry(m) * spread
         x_bar = Fraction(_closed_alpha_x(new), new["closed_alpha"] * ONE) if rejects else Fraction(1, 2)
         expected = updates(x_bar) if rejects else False
-        if expected is not None and is_updated != expected:
-            return [f"b_hat is {'' if is_updated else 'not '}re-estimated, wrongly"]
-        return self._reestimated(new, x_bar) if is_updated else []
+        return self._reestimated(new, x_bar, is_updated, expected)
 
-    def _reestimated(self, state: State, x_bar: Fraction) -> list[str]:
+    def _voted(self, call: Call, old: State, new: State, is_vote: bool) -> list[str]:
+        """Check what a message did to the robust filter's crowd."""
+        if not is_vote:
+            moved = [name for name in old if name.startswith("crowd") and new[name] != old[name]]
+            return [f"{name} has changed without a vote" for name in moved]
+        self.robust["voted"] += 1
+        found, limits = (
+            _crowd(new),
+            vote_limits(new["crowd_votes"], *_crowd(old), Fraction(call.numbers[1], ONE)),
+        )
+        return _within("centre", found[0], *limits[0]) + _within("spread", found[1], *limits[1])
+
+    def _crowd_settled(self, _: Setup, old: State, new: State, is_updated: bool) -> list[str]:
+        """Check what the robust filter made of b_hat."""
+        if old["filter_left"] != 1 or new["t"] == 0:
+            return ["b_hat is re-estimated, wrongly"] if is_updated else []
+        first, (centre, spread) = old["crowd_first"], _crowd(old)
+        is_moving = not 1 / 8 <= old["crowd_trend"] / 2**16 < 7 / 8
+        problems = _differing(new, {"crowd_votes": min(old["crowd_votes"], 2**8)}) if is_moving else []
+        if is_moving or old["crowd_voices"].bit_count() < 3:
+            self.robust["moving" if is_moving else "too few"] += 1
+            return problems + _differing(new, {"b_hat()": old["b_hat()"], "tests": old["tests"]})
+        self.tests += 1
+        rejects = deviates(new["n"], new["t"], Fraction(first, 2**32), centre, spread)
+        if rejects is None:
+            self.robust["undecided"] += 1
+            return problems
+        if rejects:
+            self.robust["rejected"] += 1
+            return problems + self._reestimated(new, centre, is_updated, updates(centre))
+        self.robust["returned" if is_updated else "kept"] += 1
+        return problems + _differing(new, {"b_hat()": first}) + _wrongly(is_updated, old["b_hat()"] != first)
+
+    def _reestimated(
+        self, state: State, x_bar: Fraction, is_updated: bool, expected: bool | None
+    ) -> list[str]:
         """Compare b_hat with eq. 8 of the exact x_bar."""
+        if not is_updated or expected is False:
+            return _wrongly(is_updated, expected)
         n, t, found = state["n"], state["t"], Fraction(state["b_hat()"], 2**32)
         b_hat, limit = exact_b_hat(n, t, x_bar), b_hat_error(x_bar)
         reference = assumed_accuracy_update(n, t, float(x_bar))
@@ -124,7 +169,11 @@ class Audit:
             {"quantity": quantity, "region": region} | asdict(errors)
             for (quantity, region), errors in self.errors.items()
         )
-        return {"errors": [row for row in rows if row["samples"]], "tests": self.tests}
+        return {
+            "errors": [row for row in rows if row["samples"]],
+            "tests": self.tests,
+            "robust": dict(self.robust),
+        }
 
 
 def region_of(value: Fraction) -> str:
@@ -141,12 +190,31 @@ def _closed_alpha_x(state: State) -> int:
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
 
 
-def _means(state: State) -> list[str]:
+def _crowd(state: State) -> tuple[Fraction, Fraction]:
+    """Centre and spread of the robust filter."""
+    return Fraction(state["crowd_centre"], 2**30), Fraction(state["crowd_spread"], 2**30)
+
+
+def _wrongly(is_updated: bool, expected: bool | None) -> list[str]:
+    if expected in (None, is_updated):
+        return []
+    return [f"b_hat is {'' if is_updated else 'not '}re-estimated, wrongly"]
+
+
+def _means(state: State, is_robust: bool) -> list[str]:
     """Check x_bar and x, which are exact but for their last bit, rounded down."""
+    if is_robust:
+        centre, is_heard = int(_crowd(state)[0] * ONE), state["crowd_votes"] > 0
+        x, x_bar = (centre, centre) if is_heard else (state["x_hat"], HALF)
+        return _differing(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
     weight, total = state["closed_alpha"], _closed_alpha_x(state)
     alpha, x_hat = _units(state["alpha"]), state["x_hat"]
     x = (alpha * x_hat + total) // (alpha + weight) if alpha + weight else x_hat
-    expected = {"x()": x, "x_bar()": total // weight if weight else HALF}
+    return _differing(state, {"x()": x, "x_bar()": total // weight if weight else HALF})
+
+
+def _differing(state: State, expected: State) -> list[str]:
+    """Values with one right answer that are others."""
     wrong = {name: value for name, value in expected.items() if state[name] != value}
     return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong.items()]
 

@@ -1,16 +1,16 @@
 """Random scenarios for the cross-check, drawn from pools that are heavy with edges.
 
-Every scenario is a function of a seed and a number. Uniform values would hardly ever meet the cases that the
-firmware treats apart, so the pools mix them with both sides of every edge; counts jump to those of years of
-observations; and some rounds are built so that the last bits of a threshold decide the hypothesis test, or
-whether x_bar is informative.
+A scenario is a function of a seed and a number, for the paper's filters or for the robust one. Uniform values
+would hardly ever meet the cases that the firmware treats apart, so the pools mix them with both sides of each
+edge; counts jump to those of years of observations; and some rounds are built so that the last bits of a
+threshold decide the hypothesis test, or whether x_bar is informative.
 """
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from fractions import Fraction
-from math import ceil, isqrt
+from math import ceil, isqrt, sqrt
 from random import Random
 
 from mcp_asdf.fixed_point import (
@@ -52,20 +52,31 @@ _ALPHAS = (
 )
 """Nothing, one unit, 1.0 and the largest, as different words; ends of the mantissa, and of 32-bit units."""
 
+_VOTES = (0, 1, 2, 30, 31, 32, 62, 63, 64, 255, 256, 257, 4095, (1 << 14) - 2, (1 << 14) - 1, 1 << 14)
+"""Messages of the robust filter's crowd, where its gain changes and where it no longer counts."""
+
 _X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, _BITS_32)
 
 
 def random_scenario(seed: int, number: int) -> Scenario:
-    """Scenario ``number`` of those that ``seed`` gives; up to a few hundred calls."""
-    return _Author(Random(f"{seed}/{number}")).write()
+    """Scenario ``number`` of those that ``seed`` gives, a robot with one of the paper's filters; up to a few
+    hundred calls."""
+    source = Random(f"{seed}/{number}")
+    return _Author(source, _setup(source)).write()
+
+
+def robust_scenario(seed: int, number: int) -> Scenario:
+    """The same of a robot with the robust filter."""
+    source = Random(f"{seed}/robust/{number}")
+    return _RobustAuthor(source, replace(_setup(source), table=None, filter=int(Filter.ROBUST))).write()
 
 
 class _Author:
     """Writes one scenario."""
 
-    def __init__(self, source: Random) -> None:
+    def __init__(self, source: Random, setup: Setup) -> None:
         self._source = source
-        self._setup = _setup(source)
+        self._setup = setup
         self._b_hat = self._setup.b_hat
         self._centre = source.choice([source.randint(0, ONE), 0, HALF, ONE])
         self._calls: list[Call] = []
@@ -206,6 +217,71 @@ class _Author:
         senders = [sender for sender in range(MAX_ID + 1) if sender != setup.robot_id]
         for sender, message in zip(source.sample(senders, len(heard)), heard, strict=True):
             self._call("receive", sender, *message)
+        self._call("settle")
+
+
+class _RobustAuthor(_Author):
+    """Writes one scenario of a robot with the robust filter, which has a crowd in place of rounds."""
+
+    def _forge(self) -> None:
+        """Restore a crowd with a member at its limits or beyond, or with something behind it."""
+        source = self._source
+        member = source.randrange(5)
+        ends = (
+            (0, 1 << 30),
+            (1 << 18, 1 << 28),
+            (1, 1),
+            (B_HAT_MIN, B_HAT_MAX),
+            (1 << 15 << 16 | 1, 1 << 14),
+        )
+        words = self._crowd(source.choice(_VOTES))
+        words[member] = max(ends[member][source.randrange(2)] + source.choice([-1, 0, 0, 1]), 0)
+        self._restore(_CLOSED, [*words, *source.choice([[], [], [1]])])
+
+    def _crowd(self, votes: int) -> list[int]:
+        """Words of a crowd: now and then one that goes one way, nearly so, or has too few voices."""
+        source = self._source
+        trend = source.choice([1 << 15, 1 << 13, 7 << 13, source.randrange(1 << 16)]) + source.randint(-2, 1)
+        voices = source.choice([7, 7 << 29, _BITS_32, 1 << source.randrange(32) | 1])
+        power = 1 << source.randrange(18, 29)
+        spread = min(max(power + source.choice([-1, 0, 1, source.randrange(power)]), 1 << 18), 1 << 28)
+        return [self._middle(), spread, voices, _b_hat(source), votes | min(max(trend, 0), _BITS_16) << 16]
+
+    def _middle(self) -> int:
+        """A centre: anywhere, at its ends, or near where messages are."""
+        near = (self._centre << 7) + self._source.randint(-1 << 20, 1 << 20)
+        return min(max(self._source.choice([near, self._source.randint(0, 1 << 30), 0, 1 << 30]), 0), 1 << 30)
+
+    def _decide(self) -> None:
+        """Run the test on a count at its threshold, on either side."""
+        source, crowd = self._source, self._crowd(1 << 14)
+        t = max(_observations(source, self._setup.memory), 1)
+        r, s, b = (Fraction(crowd[0], 1 << 30), Fraction(crowd[1], 1 << 30), Fraction(crowd[3], 1 << 32))
+        p = b * r + (1 - b) * (1 - r)
+        seen, side = p, source.choice([-1, 1])
+        for _ in range(8):  # the variance is of the larger of both
+            variance = max(p * (1 - p), seen * (1 - seen)) / t + (2 * b - 1) ** 2 * s**2
+            seen = min(max(p + side * Fraction(sqrt(12 * variance)), Fraction(0)), Fraction(1))
+        scale = source.choice([Fraction(0), Fraction(1), 1 + Fraction(source.randint(-9, 9), 1 << 13)])
+        n = round(t * (p + (seen - p) * scale)) + source.choice([-1, 0, 1])
+        self._filter_with(crowd, t, min(max(n, 0), t), source.choice([crowd[3], _b_hat(source)]))
+
+    def _hesitate(self) -> None:
+        """Run the filter where the centre is as far from 1/2 as an informative one, or 1/2."""
+        source, crowd = self._source, self._crowd(self._source.choice(_VOTES))
+        crowd[0] = (1 << 29) + source.choice([-1, 1]) * (source.choice([0, 1 << 17]) + source.randint(-1, 1))
+        t = max(_observations(source, self._setup.memory), 1)
+        self._filter_with(crowd, t, source.choice([0, t, t // 2]), _b_hat(source))
+
+    def _filter_with(self, crowd: list[int], t: int, n: int, b_hat: int) -> None:
+        """Run the filter on this crowd and these counts, after a message now and then."""
+        source, setup = self._source, self._setup
+        last = setup.robot_id << 24 | _UPDATED
+        words = [_B_HAT, b_hat, _T, t, _N, n, _FILTER_LEFT, 1, _LAST, last]
+        words += source.choice([[], [], [_COUNTERS + 1, _BITS_16 << 16]])
+        self._call("restore", *words, *(number for pair in enumerate(crowd, _CLOSED) for number in pair))
+        if source.random() < 0.2:
+            self._call("receive", self._sender(), self._x_hat(), _alpha(source))
         self._call("settle")
 
 

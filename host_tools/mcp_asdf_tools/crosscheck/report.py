@@ -67,7 +67,10 @@ class Result:
             (row["quantity"], row["region"], row["samples"], f"{row['exact']:.2g}", f"{row['float64']:.2g}")
             for row in self.audit.as_dict()["errors"]
         ]
-        counts = [(name, *(max(axes[axis].values()) for axis in AXES)) for name, axes in self.counts.items()]
+        counts = [
+            (name, *(max(axes[axis].values(), default="-") for axis in AXES))
+            for name, axes in self.counts.items()
+        ]
         regions = "by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; those of alpha are relative"
         return Group(
             _table(f"largest errors {regions}", ("", "region", "samples", "exact", "float64"), errors),
@@ -83,6 +86,8 @@ class Result:
         outcome = self.outcome
         lines = [
             f"memory: 12 + 4 q bytes for a table, {max(self.storage['images'].values())} for a saved robot",
+            "the robust filter: "
+            + ", ".join(f"{number} {name}" for name, number in sorted(self.audit.robust.items())),
             f"calls made and compared: {outcome.calls} in {outcome.scenarios} scenarios, seed {self.seed}"
             + (", interrupted" if outcome.interrupted else ""),
             *(f"FAILED: {problem}" for problem in self.problems),
