@@ -20,7 +20,10 @@ from mcp_asdf_tools.crosscheck.compare import Firmware
 from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
-COUNTS: Counts = {"x": {axis: {1: 58, 2: 58} for axis in AXES}}
+COUNTS: Counts = {
+    "x": {axis: {1: 58, 2: 58} for axis in AXES},
+    "x, robust": {axis: {1: 9, 2: 9} for axis in ("t", "m")} | {"q": {}},
+}
 STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}}
 
 
@@ -44,9 +47,10 @@ def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 def test_the_command_reports_everything(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = main(capsys, "--steps", "3000", "--json")
     report = json.loads(out)
-    errors, tests = report.pop("errors"), report.pop("tests")
+    errors, tests, robust = (report.pop(name) for name in ("errors", "tests", "robust"))
     assert code == 0
     assert (report.pop("scenarios") > 10, tests > 20) == (True, True)
+    assert robust.keys() >= {"voted", "moving", "too few", "rejected", "returned", "kept"}
     assert report == {
         **{"ok": True, "seed": SEED, "steps": 3000, "interrupted": False, "failure": None, "problems": []},
         **json.loads(json.dumps({"operations": COUNTS, "storage": STORAGE})),
@@ -58,9 +62,10 @@ def test_the_command_reports_everything(capsys: pytest.CaptureFixture[str]) -> N
 def test_the_command_speaks_to_people(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = main(capsys, "--steps", "2000", "--seed", "4")
     assert (code, err) == (0, "")
-    *lines, memory, calls, verdict, again = out.splitlines()
+    *lines, memory, robust, calls, verdict, again = out.splitlines()
     assert re.search(r"x_hat +0.999 to 1 +\d+ +[\d.e-]+ +[\d.e-]+\n", out)
-    assert lines[-1].split() == ["x", "58", "58", "58"]
+    assert [line.split() for line in lines[-2:]] == [["x", *["58"] * 3], ["x,", "robust", "9", "9", "-"]]
+    assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
     assert memory == "memory: 12 + 4 q bytes for a table, 124 for a saved robot"
     assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", calls)
     assert verdict == "native and mirror agree in every bit"

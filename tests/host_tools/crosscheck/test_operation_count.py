@@ -44,17 +44,25 @@ def test_instructions_are_counted_inside_every_call_and_nothing_is_left_behind()
 def test_calls_do_not_grow_over_the_whole_range() -> None:
     operations = count_operations()
     assert growing(operations) == []
-    assert operations.keys() == CALLS.keys()
-    for axes in operations.values():
+    assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
+    for name, axes in operations.items():
         assert {1, 2, 2**31 - 1, 2**31} <= axes["t"].keys()
         assert axes["m"].keys() == set(range(128))
-        assert axes["q"].keys() == set(range(2, 128))
+        assert axes["q"].keys() == (set() if "robust" in name else set(range(2, 128)))
         assert all(0 < count < 2000 for most in axes.values() for count in most.values())
     # Both outcomes of the test, a new accuracy and all kinds of messages are counted.
     of = {call: axes["m"] for call, axes in operations.items()}
     assert of["settle"][0] < of["settle"][2] == of["settle"][127]
     assert of["step"][127] > of["settle"][127] + min(of["observe"].values())
     assert of["receive"][20] > of["receive again"][20] > of["receive own"][20]
+    # So are the robust filter's: no test with too few voices, a test, a new accuracy.
+    assert (
+        of["settle, robust"][2]
+        < of["settle, robust"][3]
+        < of["settle, robust"][64]
+        == of["settle, robust"][127]
+    )
+    assert of["receive, robust"][20] > of["receive again, robust"][20]
 
 
 class Looping(MirrorRobot):
@@ -86,9 +94,22 @@ class Searching(MirrorRobot):
         return super().save() + bytes(self.s.open.count)
 
 
+class Counting(MirrorRobot):
+    """Loops once for each vote of a crowd."""
+
+    def settle(self) -> Status:
+        loop(self.s.crowd.votes)
+        return super().settle()
+
+
 @pytest.mark.parametrize(
     ("robot", "axis", "calls"),
-    [(Looping, "m", ["settle", "step"]), (Endless, "t", ["x"]), (Searching, "q", ["settle", "step"])],
+    [
+        (Looping, "m", ["settle", "step"]),
+        (Counting, "m", ["settle, robust", "step, robust"]),
+        (Endless, "t", ["x", "x, robust"]),
+        (Searching, "q", ["settle", "step"]),
+    ],
 )
 def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, calls: list[str]) -> None:
     problems = growing(count_operations(robot, [axis]))
