@@ -224,20 +224,22 @@ ALWAYS_INLINE uint32_t round_b_hat(mcp_asdf_t *robot)
 
 ALWAYS_INLINE void close_round(mcp_asdf_t *robot)
 {
-    robot->closed.alpha = robot->open.alpha;
-    robot->closed.alpha_x_low = robot->open.alpha_x_low;
-    robot->closed.alpha_x_high = robot->open.alpha_x_high;
+    const mcp_asdf_open_t *const open = &robot->open;
+    robot->closed.alpha = open->alpha;
+    robot->closed.alpha_x_low = open->alpha_x_low;
+    robot->closed.alpha_x_high = open->alpha_x_high;
 }
 
 /* Member by member: cheaper than the library call a compiler makes of a whole struct. */
 ALWAYS_INLINE void open_round(mcp_asdf_t *robot)
 {
-    robot->open.alpha = 0;
-    robot->open.alpha_x_low = 0;
-    robot->open.alpha_x_high = 0;
-    robot->open.x_squared = 0;
-    robot->open.x = 0;
-    robot->open.count = 0;
+    mcp_asdf_open_t *const open = &robot->open;
+    open->alpha = 0;
+    open->alpha_x_low = 0;
+    open->alpha_x_high = 0;
+    open->x_squared = 0;
+    open->x = 0;
+    open->count = 0;
 }
 
 /* Words 0 .. q + 1 are magic and q, omega, k_2 .. k_q, and k for m > q; the last is FNV-1a over them, by

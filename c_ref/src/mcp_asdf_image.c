@@ -11,7 +11,11 @@
 #define ROBUST_IMAGE UINT32_C(0x80)               /* added to it where the filter is the robust one */
 #define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
 
-static bool is_robust(const mcp_asdf_config_t *config) { return config->filter == MCP_ASDF_ROBUST; }
+/* Whether a robot's config says so; a constant where there is no choice. */
+static bool is_robust(const mcp_asdf_config_t *config)
+{
+    return MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST);
+}
 
 /* ---- Invariants ---- */
 

@@ -19,6 +19,8 @@ PORTS = ROOT / "c_ref" / "ports"
 TABLE = ROOT / "tables" / "t_table_omega05_q30.c"
 LEVELS = ("-Os", "-O2")
 
+CLONE = re.compile(r"\.(constprop|part|isra|cold)(\.\d+)?")
+"""What a compiler adds to the name of a function that it has changed."""
 _LINE = re.compile(r"^\s*([0-9a-f]+):\t(\S+)[ \t]*(.*)$|^[0-9a-f]+ <(.+)>:$", re.MULTILINE)
 _COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-Wl,--gc-sections")
 _WITHOUT_LIBRARY = ("-ffreestanding", "-nostdlib", "-Wl,-Ttext=0x10000", "-Wl,-e,main")
@@ -135,7 +137,7 @@ class Image:
         for file in self.path.parent.glob("*.su"):
             for line in file.read_text(encoding="utf-8").splitlines():
                 place, size, kind = line.rsplit("\t", 2)
-                name = place.rsplit(":", 1)[1]
+                name = CLONE.sub("", place.rsplit(":", 1)[1])
                 if kind not in ("static", "dynamic,bounded"):
                     raise ValueError(f"{file.name}: the stack of {name} has no bound ({kind})")
                 told[name] = max(told.get(name, 0), int(size))

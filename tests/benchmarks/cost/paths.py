@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from graphlib import CycleError, TopologicalSorter
 
-from .images import Image, Instruction
+from .images import CLONE, Image, Instruction
 
 _CALL = re.compile(r"bl|jal|call|rcall")
 _TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
@@ -17,7 +17,6 @@ _COMPUTED = re.compile(r"tb[bh]|ijmp|mov\s+pc|jr\s+(?!ra)|bx\s+(?!lr)|ldr(\.w)?\
 _END = re.compile(r"(ret|reti|jr|bx|udf)\b|(pop|ldm\w*).*\bpc\b|(ldr|mov)(\.w)?\s+pc")
 _JUMP = re.compile(r"b(\.[nw])?|j|r?jmp")
 _DIVISION = re.compile(r"[us]div|(div|rem)u?")
-_CLONE = re.compile(r"\.(constprop|part|isra|cold)\.\d+")
 _DOWN = (
     re.compile(r"(?:push|stmdb(?:\.w)? sp!,)(?:\.w)? \{(?P<list>.*)\}"),
     re.compile(r"sub(?:w|\.w)? sp, (?:sp, )?#(?P<bytes>\d+)"),
@@ -129,7 +128,7 @@ class Paths:
     def _enters(self, number: int, name: str) -> bool:
         places = [number, self._called(number)]
         return name != "" and any(
-            _CLONE.sub("", self._lines[each].function) == name for each in places if each is not None
+            CLONE.sub("", self._lines[each].function) == name for each in places if each is not None
         )
 
     # --- Stack ---
@@ -138,8 +137,7 @@ class Paths:
         name = self._lines[start].function
         if start in callers:
             raise ValueError(f"{name} calls itself")
-        frames = self._image.frames
-        frame = frames.get(name, frames.get(_CLONE.sub("", name)))
+        frame = self._image.frames.get(CLONE.sub("", name))
         own = self._moved_down(name) if frame is None else frame
         deepest = own
         for number in self._functions[name]:
