@@ -12,7 +12,7 @@
 #define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
 
 /* Whether a robot's config says so; a constant where there is no choice. */
-static bool is_robust(const mcp_asdf_config_t *config)
+static bool has_crowd(const mcp_asdf_config_t *config)
 {
     return MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST);
 }
@@ -88,7 +88,7 @@ static bool rounds_possible(const mcp_asdf_t *robot)
 {
     return mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
            open_possible(&robot->open) &&
-           (!is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
+           (!has_crowd(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
 }
 
 static uint32_t messages(const mcp_asdf_t *robot) { return robot->open.count; }
@@ -107,7 +107,7 @@ static bool crowd_possible(const mcp_asdf_t *robot)
     const mcp_asdf_crowd_t *const crowd = &robot->crowd;
     const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
                         crowd->voices == 0U && crowd->votes == 0U && crowd->trend == MCP_ASDF_TREND_START;
-    if (!is_robust(robot->config)) {
+    if (!has_crowd(robot->config)) {
         return is_new && crowd->first == 0U;
     }
     if (crowd->votes == 0U) {
@@ -281,7 +281,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t out = {NULL, image, HASH_START};
     mcp_asdf_t copy = *robot;
-    const bool robust = is_robust(robot->config);
+    const bool robust = has_crowd(robot->config);
     (void)pass(&out, magic(robust));
     (void)pass_state(&out, &copy, robust);
     (void)pass(&out, out.hash);
@@ -292,7 +292,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
 {
     image_t in = {image, NULL, HASH_START};
     mcp_asdf_t read = {0}, fresh;
-    const bool robust = is_robust(config), known = pass(&in, 0) == magic(robust);
+    const bool robust = has_crowd(config), known = pass(&in, 0) == magic(robust);
     const bool is_all = pass_state(&in, &read, robust);
     const uint32_t hash = in.hash;
     const bool sound = known && is_all && pass(&in, 0) == hash;

@@ -17,8 +17,8 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a);
 
 #if MCP_ASDF_WITH_ROBUST
 
-#define SHIFT_FIRST 3U /* a vote moves the centre by 2^-3 of its distance at first, 2^-12 in the end, */
-#define VOTES_MOVED (UINT32_C(1) << 8) /* and 2^-6 after the crowd has moved */
+#define VOTES_FEW 32U                  /* after so few a vote moves the centre by 2^-3 of its distance; */
+#define VOTES_MOVED (UINT32_C(1) << 8) /* by 2^-6 after the crowd has moved, 2^-12 in the end */
 #define TREND_SHIFT 8U                 /* memory of the trend: 256 moves of the centre */
 #define SIGMAS_SQUARED 12U             /* a sound robot deviates so far in 1 of 2000 tests */
 
@@ -45,22 +45,27 @@ typedef struct {
  * times the gain and never beyond it. */
 ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
 {
-    const uint32_t centre = middle.centre, spread = middle.spread, said = x_hat << 7; /* Q30: <= 2^30 */
-    const bool is_above = said > centre;
-    const uint32_t distance = is_above ? said - centre : centre - said; /* <= 2^30 */
-    const uint32_t pull = distance < spread ? distance : spread;        /* <= distance, and < 2^29 */
-    const uint32_t votes = middle.votes < MCP_ASDF_VOTES_MAX ? middle.votes + 1U : MCP_ASDF_VOTES_MAX;
-    const uint32_t zeros = leading_zeros(votes);                    /* [17, 31] */
-    const uint32_t shift = zeros < 26U ? 29U - zeros : SHIFT_FIRST; /* log2(votes) - 2: [3, 12] */
-    const uint32_t step = shift_right(pull, shift), change = shift_right(spread, shift + 1U);
-    const uint32_t wider = distance > spread ? spread + change : spread - change; /* < 2^29 */
-    const uint32_t before = middle.trend, after = is_above ? before + ((UINT16_MAX - before) >> TREND_SHIFT)
-                                                           : before - (before >> TREND_SHIFT);
-    const uint32_t within = wider < MCP_ASDF_SPREAD_MIN   ? MCP_ASDF_SPREAD_MIN
-                            : wider < MCP_ASDF_SPREAD_MAX ? wider
-                                                          : MCP_ASDF_SPREAD_MAX;
-    const middle_t moved = {is_above ? centre + step : centre - step, /* between it and said */
-                            within, votes, step != 0U ? after : before};
+    const uint32_t centre = middle.centre, spread = middle.spread;
+    const uint32_t votes = middle.votes + (middle.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
+    const uint32_t shift = 29U - leading_zeros(votes | VOTES_FEW); /* log2(votes) - 2: [3, 12] */
+    const uint32_t change = shift_right(spread, shift + 1U);
+    const uint32_t away = centre - (x_hat << 7); /* Q30, modulo 2^32: within 2^30 of 0 */
+    const uint32_t up = 0U - (away >> 31);       /* all ones where the vote is above the centre, else 0 */
+    const uint32_t distance = (away ^ up) - up;  /* abs(away) */
+    uint32_t pull = distance, width = spread - change, trend = middle.trend;
+    if (distance > spread) {
+        pull = spread;
+        width = spread + change;
+        width = width < MCP_ASDF_SPREAD_MAX ? width : MCP_ASDF_SPREAD_MAX;
+    } else {
+        width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
+    }
+    const uint32_t step = shift_right(pull, shift);
+    if (step != 0U) {
+        const uint32_t other = trend ^ (up >> 16); /* share of the moves that went the other way */
+        trend = (other - (other >> TREND_SHIFT)) ^ (up >> 16);
+    }
+    const middle_t moved = {centre - ((step ^ up) - up), width, votes, trend}; /* the centre modulo 2^32 */
     return moved;
 }
 
