@@ -52,10 +52,10 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
     const uint32_t away = centre - (x_hat << 7); /* Q30, modulo 2^32: within 2^30 of 0 */
     const uint32_t up = 0U - (away >> 31);       /* all ones where the vote is above the centre, else 0 */
     const uint32_t distance = (away ^ up) - up;  /* abs(away) */
-    uint32_t pull = distance, width = spread - change, trend = middle.trend;
+    uint32_t pull = distance, width = spread - change, trend = middle.trend; /* change <= spread / 16 */
     if (distance > spread) {
         pull = spread;
-        width = spread + change;
+        width = spread + change; /* < 2^29 */
         width = width < MCP_ASDF_SPREAD_MAX ? width : MCP_ASDF_SPREAD_MAX;
     } else {
         width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
