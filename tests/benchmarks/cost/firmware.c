@@ -2,8 +2,8 @@
  */
 #include "mcp_asdf_image.h"
 
-/* Make a robot with id 5. */
-void bench_start(uint32_t b_hat);
+/* Make a robot with id 5 and this filter. */
+void bench_start(uint32_t b_hat, uint32_t filter);
 /* Let it filter every filter_period rounds and halve t when it reaches memory, and set the numbers of
  * observations and of black ones among them. */
 void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
@@ -16,11 +16,12 @@ mcp_asdf_t robot;
 mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
 uint8_t image[MCP_ASDF_IMAGE_SIZE];
 
-void bench_start(uint32_t b_hat)
+void bench_start(uint32_t b_hat, uint32_t filter)
 {
-    config.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST; /* so that the table is not checked every time */
+    /* first as one that needs no table, so that this is not checked every time */
+    config.filter = filter == MCP_ASDF_ADAPTIVE ? (uint8_t)MCP_ASDF_OFF : (uint8_t)filter;
     (void)mcp_asdf_init(&robot, &config, 5, b_hat);
-    config.filter = MCP_ASDF_ADAPTIVE;
+    config.filter = (uint8_t)filter;
 }
 
 void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
@@ -36,6 +37,9 @@ uint32_t bench_updates(void) { return robot.counters.updates; }
 
 int main(void)
 {
+#if !MCP_ASDF_WITH_ASDF
+    config.filter = MCP_ASDF_ROBUST;
+#endif
     (void)mcp_asdf_init(&robot, &config, 5, UINT32_C(0xF3333333));
     (void)mcp_asdf_observe(&robot, MCP_ASDF_BLACK);
     (void)mcp_asdf_receive(&robot, 6, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot));
