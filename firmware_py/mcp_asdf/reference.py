@@ -45,7 +45,7 @@ MAX_OMEGA = 0.9
 
 LEAST_SPREAD, MOST_SPREAD = 2.0**-12, 0.25
 MOST_VOTES, VOTES_MOVED = 2**14, 2**8
-SIGMAS_SQUARED, FEWEST_VOICES = 12, 3
+SIGMAS_SQUARED, FEWEST_VOICES, LEAST_MOVE = 12, 3, 2.0**-30
 """Constants of the robust filter, whose reasons are in ``docs/robust.md``."""
 
 COUNTER_MODULUS = 2**16
@@ -197,7 +197,7 @@ class Crowd:
     Attributes:
         centre: Of the estimates heard, in [0, 1].
         spread: Their median distance from it, in [LEAST_SPREAD, MOST_SPREAD].
-        trend: Share of the centre's late moves that went up.
+        trend: Share of the centre's late moves that went up; a move below LEAST_MOVE is none.
         votes: Messages that moved it, up to MOST_VOTES.
         voices: Who was heard, modulo 32.
     """
@@ -223,11 +223,13 @@ def vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
     _check_unit(x_hat, "x_hat")
     votes = min(crowd.votes + 1, MOST_VOTES)
     gain, distance = 2.0 ** -max(votes.bit_length() - 3, 3), x_hat - crowd.centre
+    step = gain * max(-crowd.spread, min(distance, crowd.spread))
     widening = gain / 2 if abs(distance) > crowd.spread else -gain / 2
+    late = (step > 0) - crowd.trend if abs(step) >= LEAST_MOVE else 0.0
     return Crowd(
-        centre=crowd.centre + gain * max(-crowd.spread, min(distance, crowd.spread)),
+        centre=crowd.centre + step,
         spread=max(LEAST_SPREAD, min(crowd.spread * (1 + widening), MOST_SPREAD)),
-        trend=crowd.trend + ((distance > 0) - crowd.trend) / 256 if distance else crowd.trend,
+        trend=crowd.trend + late / 256,
         votes=votes,
         voices=crowd.voices | {sender % 32},
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -15,14 +16,17 @@ import numpy as np
 import pytest
 from scipy import stats  # type: ignore[import-untyped]
 
+from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import (
     AUTHORS,
     PAPER,
     UNINFORMATIVE,
     Conventions,
+    Crowd,
     Message,
     ReferenceRobot,
     assumed_accuracy_update,
+    deviates,
     informed_estimate,
     local_confidence,
     local_estimate,
@@ -30,10 +34,12 @@ from mcp_asdf.reference import (
     social_confidence,
     social_estimate,
     t_score,
+    vote,
 )
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.crosscheck.exact import LARGEST_ALPHA, exact_b_hat, exact_estimate
-from robots import TABLE, hear, watch
+from mcp_asdf_tools.crosscheck.exact import deviates as exact_deviates
+from robots import OWN_ID, TABLE, hear, watch
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05
@@ -309,3 +315,66 @@ def test_omega_comes_from_the_table_or_beside_it(omega: float, updated: bool) ->
         with pytest.raises(FirmwareError, match="omega is") as error:
             ReferenceRobot(Config(), 0, 0.75, omega=wrong)
         assert error.value.status == Status.ERR_TABLE
+
+
+# --- The robust filter, which is not the paper's ---------------------------------------------------------
+
+
+def test_votes_and_decisions_against_fractions() -> None:
+    """Gains of every size, clamped and not; counts anywhere and a hair's breadth off the threshold."""
+    rng, decisions = random.Random(23), Counter[bool | None]()
+    for _ in range(500):
+        crowd = Crowd(rng.random(), 2 ** rng.uniform(-12, -2), 0.5, rng.randrange(2**14 + 1))
+        said, b = rng.choice([0.0, 1.0, crowd.centre, rng.random()]), rng.uniform(0.01, 0.99)
+        after = vote(crowd, 40, said)
+        moved = Fraction(2) ** -max((crowd.votes + 1).bit_length() - 3, 3)
+        pull = max(
+            -Fraction(crowd.spread), min(Fraction(said) - Fraction(crowd.centre), Fraction(crowd.spread))
+        )
+        assert after.centre == pytest.approx(float(Fraction(crowd.centre) + moved * pull), abs=1e-15)
+        assert min(crowd.centre, said) <= after.centre <= max(crowd.centre, said)
+        assert 2**-12 <= after.spread <= 0.25 and abs(after.spread / crowd.spread - 1) <= moved / 2 + 1e-12
+        assert (after.spread > crowd.spread) <= (abs(said - crowd.centre) > crowd.spread)
+        assert after.votes == min(crowd.votes + 1, 2**14) and list(after.voices) == [8]
+        assert (after.trend > 0.5, after.trend < 0.5) == (said > crowd.centre, said < crowd.centre)
+        t, p = 10**6, b * crowd.centre + (1 - b) * (1 - crowd.centre)
+        away = math.sqrt(12 * (p * (1 - p) / t + (2 * b - 1) ** 2 * crowd.spread**2)) * rng.uniform(
+            0.99, 1.01
+        )
+        n = min(max(round(t * (p + rng.choice([-1, 1]) * away)), 0), t)
+        exact = exact_deviates(n, t, *map(Fraction, (b, crowd.centre, crowd.spread)))
+        decisions[exact] += 1
+        assert exact in (None, deviates(n, t, b, crowd.centre, crowd.spread))
+    assert min(decisions[True], decisions[False]) > 100
+
+
+@pytest.mark.random
+def test_a_robust_robot_does_what_the_firmware_does() -> None:
+    """Through a crowd that is wrong at first, so b_hat is rejected and returns, and a floor that changes."""
+    rng, config = random.Random(7), Config(filter=Filter.ROBUST, filter_period=50, memory=256)
+    reference, mirror = ReferenceRobot(config, OWN_ID, 0.9), MirrorRobot(config, OWN_ID, 0.9)
+    seen, is_moving = set[tuple[int, int]](), False
+    for tick in range(4000):
+        fill = 0.3 if tick < 2500 else 0.8
+        said = [0.7 if tick < 300 else min(max(rng.gauss(fill, 0.02), 0), 1) for _ in range(3)]
+        z = Observation(rng.random() < 0.9 * fill + 0.1 * (1 - fill))
+        for sender, x_hat in enumerate(said):
+            for robot in (reference, mirror):
+                robot.receive(sender, math.floor(x_hat * 2**23) / 2**23, 0.0 if tick == 5 else 1.0)
+        assert reference.step(z) == mirror.step(z)
+        assert reference.beta == mirror.beta == 0 and reference.counters == mirror.counters
+        assert reference.x == reference.x_bar == pytest.approx(mirror.x, abs=1e-3)
+        assert reference.b_hat == pytest.approx(mirror.b_hat, abs=5e-3)
+        seen.add((reference.counters.tests > 0, round(reference.b_hat, 2) == 0.9))
+        is_moving |= reference._crowd.is_moving and reference._crowd.votes < 2**9 and tick > 2500
+    assert is_moving and {(True, False), (True, True)} <= seen and reference.b_hat == 0.9
+
+
+def test_two_voices_are_no_crowd_and_nobody_leaves_the_own_estimate() -> None:
+    robot = ReferenceRobot(Config(filter=Filter.ROBUST, filter_period=1), 0, 0.9)
+    watch(robot, 5, 4)
+    assert (robot.settle(), robot.x, robot.x_bar) == (Status.OK, robot.x_hat, 0.5)
+    for sender, tests in ((1, 0), (33, 0), (2, 0), (3, 1)):  # 33 is 1 modulo 32
+        robot.receive(sender, 0.5, 1.0)
+        robot.settle()
+        assert robot.counters.tests == tests

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, FirmwareError, Status
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
     IMAGE,
     REPLACING,
@@ -36,8 +36,12 @@ from mcp_asdf_tools.crosscheck.scenario import (
 )
 
 HERE = Path(__file__).parent
-FILES = {"golden_few.bin": (1, 300, 14_500), "golden_many.bin": (2, 600, 90_000)}
-"""Seed of each, how many scenarios are tried, and its bytes; an ATmega328P's flash holds the first alone."""
+FILES = {
+    "golden_few.bin": (random_scenario, 1, 300, 14_500),
+    "golden_many.bin": (random_scenario, 2, 600, 90_000),
+    "golden_robust.bin": (robust_scenario, 1, 300, 13_500),
+}
+"""Where scenarios of each come from, the seed, how many are tried, and its bytes."""
 MAGIC, MASK = 0x5647434D, 0xFFFFFFFF
 TABLES = (None, TableChoice("0.05", 30))
 """By their codes; an image has one table."""
@@ -112,9 +116,9 @@ class Player:
 def played(name: str) -> list[tuple[Scenario, bytes]]:
     """Scenarios of a file, and each as it stands there: those that an image can play, as far as they have
     room."""
-    seed, tried, room = FILES[name]
+    source, seed, tried, room = FILES[name]
     chosen, room = list[tuple[Scenario, bytes]](), room - _HEAD.size
-    for scenario in (_playable(random_scenario(seed, number)) for number in range(tried)):
+    for scenario in (_playable(source(seed, number)) for number in range(tried)):
         written = b"" if scenario.setup.table not in TABLES else _encode(scenario)
         if written and len(written) <= room:
             chosen.append((scenario, written))

@@ -113,9 +113,9 @@ class Cell:
             require("clang", "clang lld")
             require("ld.lld", "clang lld")
 
-    def vectors(self) -> list[str]:
-        """The files that it plays; an ATmega328P's flash holds one."""
-        return list(FILES)[: 1 if self.target == AVR else None]
+    def images(self) -> list[list[str]]:
+        """The files of vectors that each of its images plays; an ATmega328P's flash holds a small one."""
+        return [["golden_few.bin"], ["golden_robust.bin"]] if self.target == AVR else [list(FILES)]
 
     def settings(self) -> Iterator[str]:
         """CMake's settings for its image but for the files."""

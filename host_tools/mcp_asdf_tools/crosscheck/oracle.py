@@ -131,13 +131,14 @@ class Audit:
     def _crowd_settled(self, _: Setup, old: State, new: State, is_updated: bool) -> list[str]:
         """Check what the robust filter made of b_hat."""
         if old["filter_left"] != 1 or new["t"] == 0:
-            return ["b_hat is re-estimated, wrongly"] if is_updated else []
+            return _wrongly(is_updated, False)
         first, (centre, spread) = old["crowd_first"], _crowd(old)
         is_moving = not 1 / 8 <= old["crowd_trend"] / 2**16 < 7 / 8
         problems = _differing(new, {"crowd_votes": min(old["crowd_votes"], 2**8)}) if is_moving else []
         if is_moving or old["crowd_voices"].bit_count() < 3:
             self.robust["moving" if is_moving else "too few"] += 1
-            return problems + _differing(new, {"b_hat()": old["b_hat()"], "tests": old["tests"]})
+            problems += _differing(new, {"b_hat()": old["b_hat()"], "tests": old["tests"]})
+            return problems + _wrongly(is_updated, False)
         self.tests += 1
         rejects = deviates(new["n"], new["t"], Fraction(first, 2**32), centre, spread)
         if rejects is None:

@@ -7,16 +7,25 @@ import random
 import re
 import shlex
 from collections import Counter
+from dataclasses import replace
+from fractions import Fraction
 
 import pytest
 
 from crosschecks import ROBOT, SEED
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.compare import Subject
-from mcp_asdf_tools.crosscheck.random_scenarios import TABLES, random_scenario, round_at_threshold
+from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.random_scenarios import (
+    TABLES,
+    random_scenario,
+    robust_scenario,
+    round_at_threshold,
+)
 from mcp_asdf_tools.crosscheck.scenario import TableChoice, parse_scenario
 
 
@@ -49,6 +58,36 @@ def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> No
     assert min(sides[False], sides[True]) > 20
 
 
+def test_robust_scenarios_go_every_way_and_come_near_the_threshold_on_both_sides() -> None:
+    audit, sides, statuses = Audit(), Counter[bool | None](), set[str]()
+    for number in range(150):
+        scenario = robust_scenario(SEED, number)
+        subject = Subject(MirrorRobot, scenario.setup)
+        for call in scenario.calls:
+            before, after = subject.last.state, subject.apply(call).state
+            assert audit.judge(scenario.setup, call, replace(subject.last, state=before), subject.last) == []
+            statuses.add(f"{call.name} {subject.last.outcome}")
+            if after["tests"] != before["tests"] and call.name == "settle":
+                crowd = (Fraction(before[f"crowd_{name}"], 1 << bits) for name, bits in CROWD)
+                sides[near_threshold(before["n"], before["t"], *crowd)] += 1
+    ways = ("voted", "moving", "too few", "rejected", "returned", "kept")
+    assert min(audit.robust[name] for name in ways) > 50
+    assert {"restore OK", "restore ERR_IMAGE", "settle UPDATED", "step UPDATED"} <= statuses
+    assert min(sides[False], sides[True]) > 10
+
+
+CROWD = (("first", 32), ("centre", 30), ("spread", 30))
+"""Members that a test depends on, and their units."""
+
+
+def near_threshold(n: int, t: int, b: Fraction, r: Fraction, s: Fraction) -> bool | None:
+    """On which side of the test's threshold a count is, if it is within a part in 200."""
+    p, seen = b * r + (1 - b) * (1 - r), Fraction(n, t)
+    limit = 12 * (max(p * (1 - p), seen * (1 - seen)) / t + (2 * b - 1) ** 2 * s * s)
+    square = (seen - p) ** 2
+    return square > limit if abs(square - limit) * 200 < limit else None
+
+
 def test_scenarios_differ_and_are_lines_that_read_back() -> None:
     scenarios = [random_scenario(seed, number) for seed in (0, 1) for number in range(100)]
     lines = [str(each) for each in scenarios]
@@ -57,6 +96,9 @@ def test_scenarios_differ_and_are_lines_that_read_back() -> None:
     assert all(shlex.quote(line) == line for line in lines), "a line needs no quotes"
     digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()
     assert digest[:16] == "76bd364abfe01d07", "the pools have changed: golden vectors are made of them, too"
+    robust = [robust_scenario(1, number) for number in range(100)]
+    assert [parse_scenario(str(each)) for each in robust] == robust
+    assert len(set(map(str, robust))) == 100 and {each.setup.filter for each in robust} == {Filter.ROBUST}
 
 
 @pytest.mark.parametrize(
