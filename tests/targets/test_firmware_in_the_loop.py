@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from socket import create_server
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 
 from benchmarks.cost.images import TARGETS, Image
+from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     Action,
@@ -44,7 +46,7 @@ QEMU = {
     "rv32imc": "qemu-system-riscv32 -bios none -M virt",
 }
 """Names of toolchain files, and the boards that run their code."""
-Builder = Callable[[str], Path]
+Builder = Callable[[str, Filter], Path]
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +54,8 @@ def image_of(tmp_path_factory: pytest.TempPathFactory) -> Builder:
     """Builds the image for a target once, or with sanitizers for this computer, where it speaks on standard
     input and output; skips the test if that is impossible here."""
 
-    def build(target: str, folder: Path) -> None:
-        chosen = {"ID": IMAGE_ID, "B_HAT": B_HAT, "FILTER_PERIOD": FILTER_PERIOD}
+    def build(target: str, filters: Filter, folder: Path) -> None:
+        chosen = {"ID": IMAGE_ID, "B_HAT": B_HAT, "FILTER": filters.name, "FILTER_PERIOD": FILTER_PERIOD}
         settings = [f"-DROBOT_{name}={value}" for name, value in chosen.items()]
         if target != "host":
             settings.append(f"-DCMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake'}/{target}.cmake")
@@ -61,11 +63,10 @@ def image_of(tmp_path_factory: pytest.TempPathFactory) -> Builder:
         run("cmake", "-G", "Ninja", "-S", SLCAN, "-B", folder, *settings, CFLAGS=flags)
         run("cmake", "--build", folder)
 
-    def image(target: str) -> Path:
+    def image(target: str, filters: Filter) -> Path:
         require_target(target)
-        return made_once(tmp_path_factory, f"loop {target}", lambda folder: build(target, folder)) / (
-            "slcan_robot"
-        )
+        name = f"loop {target} {filters.name}"
+        return made_once(tmp_path_factory, name, partial(build, target, filters)) / "slcan_robot"
 
     return image
 
@@ -79,12 +80,12 @@ def require_target(name: str) -> None:
         require(compiler, "gcc-arm-none-eabi gcc-riscv64-unknown-elf")
 
 
-CONFIG = TickConfig(table=generate(Decimal("0.05"), 30), filter_period=FILTER_PERIOD)
+TABLE = generate(Decimal("0.05"), 30)
 
 
-def switched_on() -> RobotNode:
+def switched_on(filters: Filter) -> RobotNode:
     """The image's robot, in plain integers."""
-    return RobotNode(RobotRecord(IMAGE_ID, "mirror", B_HAT, CONFIG))
+    return RobotNode(RobotRecord(IMAGE_ID, "mirror", B_HAT, TickConfig(TABLE, filters, 1, FILTER_PERIOD)))
 
 
 # ---- The image once more, from the documents: the tools' server reads lines, the robot is the mirror ----
@@ -103,8 +104,9 @@ class Model:
         is_open: Whether the bus is.
     """
 
-    def __init__(self) -> None:
-        self.node = switched_on()
+    def __init__(self, filters: Filter) -> None:
+        self._filters = filters
+        self.node = switched_on(filters)
         self.dropped = 0
         self.is_open = False
         self._line = b""
@@ -147,7 +149,7 @@ class Model:
 
     def _start(self) -> bytes:
         self.is_open = True
-        self.node = switched_on()
+        self.node = switched_on(self._filters)
         return b"".join(map(line_of, self.node.start()))
 
     def _drop(self) -> bytes:
@@ -219,18 +221,23 @@ class Talk:
 
 
 @pytest.mark.parametrize(
-    ("target", "number"),
-    [("host", 0), ("host", 1), ("cortex-m3", 2), ("rv32imc", 3), *slow([("host", 4), ("cortex-m4", 5)])],
+    ("target", "number", "filters"),
+    [
+        *(("host", 0, Filter.ADAPTIVE), ("host", 1, Filter.ADAPTIVE)),
+        *(("cortex-m3", 2, Filter.ADAPTIVE), ("rv32imc", 3, Filter.ADAPTIVE)),
+        *(("host", 6, Filter.ROBUST), ("cortex-m3", 7, Filter.ROBUST)),
+        *slow([("host", 4, Filter.ADAPTIVE), ("cortex-m4", 5, Filter.ADAPTIVE)]),
+    ],
 )
 def test_whatever_comes_in_the_robot_says_what_its_model_says(
-    target: str, number: int, image_of: Builder
+    target: str, number: int, filters: Filter, image_of: Builder
 ) -> None:
     """A host's lines, before it opens the bus and after; commands and whole ticks get lost."""
-    image, seed = image_of(target), SEED + number
+    image, seed = image_of(target, filters), SEED + number
     alone = ["-display", "none", "-monitor", "none", "-serial", "stdio", "-kernel"]
     command = ["timeout", str(PATIENCE / 4), *(QEMU[target].split() + alone if target in QEMU else [])]
     command.append(str(image))
-    talk, chance, told = Talk(seed), random.Random(seed), Model()
+    talk, chance, told = Talk(seed), random.Random(seed), Model(filters)
     pieces = [talk.tick(3), b"S8\rO\r"]
     for tick in range(50):
         pieces += [talk.tick(chance.choice((0, 3, 30)), loss=chance.choice((0.0, 0.2)))]
@@ -250,6 +257,7 @@ def test_whatever_comes_in_the_robot_says_what_its_model_says(
         if target not in QEMU:
             assert (robot.communicate(), robot.returncode) == ((b"", b""), 0)
     assert told.dropped > 200 and told.node.unsettled > 0
+    assert filters is not Filter.ROBUST or told.node.robot.counters.tests > 0
 
 
 @pytest.mark.parametrize(

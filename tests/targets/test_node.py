@@ -85,16 +85,23 @@ SENDERS = (ID, *range(7))
 SUBJECTS = Subjects(FrameFormat(7, 4), FrameFormat(8, 6), FrameFormat(9, 3))
 
 
-@pytest.mark.parametrize("activation", [Filter.ALWAYS, Filter.ADAPTIVE])
-def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, activation: Filter) -> None:
+FILTERS = {
+    Filter.ALWAYS: "--activation always",
+    Filter.ADAPTIVE: "--activation adaptive",
+    Filter.ROBUST: "--filter robust",
+}
+
+
+@pytest.mark.parametrize("chosen", FILTERS)
+def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen: Filter) -> None:
     config = {"comms_period": 2, "filter_period": 4, "memory": 64}
     words = [word for name, value in config.items() for word in (f"--{name.replace('_', '-')}", value)]
     node = start(
-        *("--lockstep", "--steps-per-second", 3, "--b-hat", 0.75, "--activation", activation.name.lower()),
+        *("--lockstep", "--steps-per-second", 3, "--b-hat", 0.75, *FILTERS[chosen].split()),
         *("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, *words),
     )
-    expected = twin(ID, 0.75, SUBJECTS, 3, filter=activation, **config)
-    draw = random.Random(activation)
+    expected = twin(ID, 0.75, SUBJECTS, 3, filter=chosen, **config)
+    draw = random.Random(chosen)
     frames = [any_frame(draw) for _ in range(3000)]
     answers = expected.start() + [answer for frame in frames for answer in expected.hear(frame)]
     ends = (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)  # the last answer shows that all was heard
@@ -116,7 +123,7 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, activat
     assert rejected == expected.reception.rejected.total()
     often = "refused others error_frames collisions obeyed disobeyed unsettled repeated rejected"
     assert all(figures[name] > 50 for name in often.split())
-    assert figures["updates" if activation == Filter.ALWAYS else "tests"] >= 5
+    assert figures["updates" if chosen == Filter.ALWAYS else "tests"] >= 5
 
 
 def command_frame(tick: int, target: int, action: Action) -> can.Message:
@@ -162,6 +169,8 @@ LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
         (ON_A_BUS + "--lockstep", "--id is missing; see --help"),
         (ON_A_BUS + "--id 1", "choose one of --lockstep, --observations, --sensor"),
         (ON_A_BUS + f"{LOCKSTEP} --b-hat nan", "--b-hat is nan; choose 2^-20 to 1 - 2^-20"),
+        (ON_A_BUS + f"{LOCKSTEP} --filter asdf-minus", "choose none, asdf-plus or robust"),
+        (ON_A_BUS + f"{LOCKSTEP} --activation never", "choose adaptive or always"),
         (ON_A_BUS + f"{LOCKSTEP} --comms-period 3", "--filter-period is 1000; choose a multiple"),
         (ON_A_BUS + f"{LOCKSTEP} --memory 66", "--memory is 66; choose a multiple of 4"),
         (ON_A_BUS + f"{LOCKSTEP} --subject 3002", "choose three different subjects"),

@@ -76,7 +76,7 @@ static const char usage[] =
     "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
     "  --id N                 of robot and node, 0 to 127\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
-    "  --filter FILTER        whether it recalibrates: none, asdf-plus (asdf-plus)\n"
+    "  --filter FILTER        how it recalibrates: none, asdf-plus, robust (asdf-plus)\n"
     "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
     "  --comms-period STEPS   between broadcasts (1)\n"
     "  --filter-period STEPS  between tests, a multiple of the former (1000)\n"
@@ -138,24 +138,25 @@ static uint32_t b_hat(const char *text)
     return (uint32_t)llrint(value);
 }
 
-/* Which of two words is given. */
-static bool is_second(const char *const given[ALL], enum option_index which, const char *const words[2])
+static bool is_given(const char *const given[ALL], enum option_index which, const char *word)
 {
-    const bool second = strcmp(given[which], words[1]) == 0;
-    if (!second && strcmp(given[which], words[0]) != 0) {
-        char fix[64];
-        (void)snprintf(fix, sizeof fix, "choose %s or %s", words[0], words[1]);
-        fail(which, given[which], fix);
-    }
-    return second;
+    return strcmp(given[which], word) == 0;
 }
 
 static uint8_t filter(const char *const given[ALL])
 {
-    static const char *const filters[] = {"none", "asdf-plus"}, *const activations[] = {"adaptive", "always"};
-    const bool always = is_second(given, ACTIVATION, activations);
-    if (!is_second(given, FILTER, filters)) {
+    const bool always = is_given(given, ACTIVATION, "always");
+    if (!always && !is_given(given, ACTIVATION, "adaptive")) {
+        fail(ACTIVATION, given[ACTIVATION], "choose adaptive or always");
+    }
+    if (is_given(given, FILTER, "none")) {
         return MCP_ASDF_OFF;
+    }
+    if (is_given(given, FILTER, "robust")) {
+        return MCP_ASDF_ROBUST;
+    }
+    if (!is_given(given, FILTER, "asdf-plus")) {
+        fail(FILTER, given[FILTER], "choose none, asdf-plus or robust");
     }
     return always ? MCP_ASDF_ALWAYS : MCP_ASDF_ADAPTIVE;
 }

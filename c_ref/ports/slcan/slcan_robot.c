@@ -6,12 +6,15 @@
 #include "../port.h"
 
 /* Chosen when it is built: robot and node, 0 .. 125; assumed accuracy at the start, 2^-20 .. 1 - 2^-20, a
- * fraction that only the compiler sees; tau in ticks. */
+ * fraction that only the compiler sees; a mcp_asdf_filter_t; tau in ticks. */
 #ifndef ROBOT_ID
 #define ROBOT_ID 0
 #endif
 #ifndef ROBOT_B_HAT
 #define ROBOT_B_HAT 0.55
+#endif
+#ifndef ROBOT_FILTER
+#define ROBOT_FILTER MCP_ASDF_ADAPTIVE
 #endif
 #ifndef ROBOT_FILTER_PERIOD
 #define ROBOT_FILTER_PERIOD 1000
@@ -30,7 +33,7 @@ static const node_settings_t settings = {
     .comms_period = 1,
     .filter_period = ROBOT_FILTER_PERIOD,
     .memory = MCP_ASDF_MEMORY_MAX,
-    .filter = MCP_ASDF_ADAPTIVE,
+    .filter = ROBOT_FILTER,
     .estimate = MCP_ASDF_FORMAT_ESTIMATE,
     .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
     .command = MCP_ASDF_FORMAT_COMMAND,

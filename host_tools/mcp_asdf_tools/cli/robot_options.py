@@ -53,7 +53,7 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     own = argparse.Namespace(**{name: getattr(args, name) for name in _OF_ROBOT})
     config = settings_from(own, Population, robots=neighbours + 1, flawed=1).config(0)
     if config.table is None and args.neighbours is not None:
-        raise UsageError("--neighbours would do nothing: the robot runs no test; leave it out")
+        raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
     record = RobotRecord(args.id, args.firmware, args.b_hat, config)
     try:
         record.make()

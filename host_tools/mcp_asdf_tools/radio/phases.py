@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
+from mcp_asdf_tools.radio import robust_phases as robust
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.robots.record import TickConfig
 
@@ -56,11 +58,16 @@ def _tests(config: TickConfig) -> bool:
 
 
 def _re_estimates(config: TickConfig) -> bool:
-    return config.filter is not Filter.OFF and is_in_reach(config)
+    return config.filter in (Filter.ADAPTIVE, Filter.ALWAYS) and is_in_reach(config)
+
+
+def _votes(config: TickConfig) -> bool:
+    return config.filter is Filter.ROBUST and is_in_reach(config)
 
 
 PHASES: tuple[Phase, ...] = (
     Phase("alone", protocol.alone),
+    Phase("few voices", robust.few_voices, applies=_votes),
     Phase("messages and silence", protocol.messages_and_silence),
     Phase("lost commands", protocol.lost_settles),
     Phase("stray commands", protocol.stray),
@@ -81,6 +88,12 @@ PHASES: tuple[Phase, ...] = (
     *(Phase(f"threshold of {m} messages", play, applies=_tests) for m, play in filtering.THRESHOLDS.items()),
     Phase("own estimate", filtering.own_estimate, applies=_tests),
     Phase("re-estimates", filtering.updates, applies=_re_estimates),
+    Phase("votes", robust.votes, applies=_votes),
+    Phase("moving up", robust.moving(ONE), applies=_votes),
+    Phase("test of a moderate spread", robust.test(robust.MODERATE), applies=_votes),
+    Phase("test of the least spread", robust.test(robust.NARROW), applies=_votes),
+    Phase("moving down", robust.moving(0), applies=_votes),
+    Phase("many votes", robust.many_votes, applies=_votes),
     Phase("halvings", filtering.halvings, applies=is_halved),
     Phase("long run", filtering.long_run, applies=lambda config: not is_halved(config)),
     Phase("among neighbours"),

@@ -301,19 +301,21 @@ def test_processes_do_what_robots_in_this_process_do() -> None:
     records = [
         record(0, "native", b_hat=0.55, table=wide),
         record(7, "mirror", filter=Filter.ALWAYS, comms_period=2),
+        *(record(robot, filter=Filter.ROBUST, table=None) for robot in (8, 9)),
     ]
     twins = Wire(*(RobotNode(each) for each in records))
-    draw, ids = random.Random(3), (0, 7)
+    draw, ids = random.Random(3), (0, 7, 8, 9)
     with choice.open() as bus, NodeProcesses(records, lambda robot: choice, Subjects(), 10) as nodes:
         lockstep, model = Lockstep(bus, timeout=PATIENCE, check=nodes.check), Lockstep(twins)
         lockstep.wait_until_up(ids, PATIENCE)
         for tick in range(60):
             z = {robot: draw.choice(COLOURS) for robot in ids}
-            due = ids if tick % 2 else (0,)
+            due = ids if tick % 2 else (0, 8, 9)
             for each in (lockstep, model):
                 each.observe(z)
             assert lockstep.estimates(due) == model.estimates(due)
             assert lockstep.settle(ids) == model.settle(ids)
+    assert twins.nodes[-1].robot.counters.tests > 3, "three voices are heard"
     for twin in twins.nodes:
         results = nodes.reports[twin.id]["results"]
         assert results["robot"] == state_of(twin)
