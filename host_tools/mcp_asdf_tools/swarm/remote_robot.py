@@ -61,11 +61,6 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
         raise UsageError(
             f"robots elsewhere on one bus all hear each other; for faults, latency or a topology {EACH_A_BUS}"
         )
-    if settings.filter == "robust":
-        raise UsageError(
-            "for the robust filter the order of messages matters, and robots elsewhere on one bus hear each "
-            f"other in any; {EACH_A_BUS}"
-        )
 
 
 EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
@@ -133,11 +128,17 @@ class Driver:
         nodes: Sequence[BusRobot],
         frames: FrameFormat,
         log: Callable[[can.Message], None] | None = None,
+        in_turn: bool = False,
     ) -> None:
-        """Prepare; ``log`` takes every frame that comes over ``bus``, which is left open at the end."""
+        """Prepare; ``log`` takes every frame that comes over ``bus``, which is left open at the end.
+
+        ``in_turn``: a robot is not commanded to observe before those of lower ids have sent their estimates,
+        since with the robust filter the order of messages matters.
+        """
         self.nodes = {node.id: node for node in nodes}
         self._frames = frames
         self._log = log
+        self._in_turn = in_turn
         self._check: Callable[[], None] = lambda: None
         self._held: list[can.Message] = []
         self._estimates: dict[int, can.Message] = {}
@@ -166,10 +167,12 @@ class Driver:
         """
         self._estimates = {}
         sent, self._held = self._held, []
-        self._lockstep.observe(observations)
-        due = [robot for robot, z in observations.items() if self.nodes[robot].begin(z)]
-        for robot, message in self._lockstep.estimates(due).items():
-            self._firmware(robot).take_estimate(message)
+        turns = [{robot: observations[robot]} for robot in sorted(observations)]
+        for turn in turns if self._in_turn else [observations]:
+            self._lockstep.observe(turn)
+            due = [robot for robot, z in turn.items() if self.nodes[robot].begin(z)]
+            for robot, message in self._lockstep.estimates(due).items():
+                self._firmware(robot).take_estimate(message)
         return [(self.nodes[_sender(f)], f) for f in sent] + [
             (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
         ]

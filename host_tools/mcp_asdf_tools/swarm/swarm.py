@@ -92,7 +92,8 @@ class Swarm:
         away = [node for node in self.nodes if node.id in wiring.remote]
         groups = [away] if wiring.is_shared and away else [[node] for node in away]
         ends = self._carrier.ends
-        return [Driver(ends[nodes[0].id].bus, nodes, self.settings.frames, log) for nodes in groups]
+        frames, in_turn = self.settings.frames, self.settings.filter == "robust"
+        return [Driver(ends[nodes[0].id].bus, nodes, frames, log, in_turn) for nodes in groups]
 
     def __enter__(self) -> Swarm:
         return self
