@@ -9,10 +9,12 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import can
 
+from mcp_asdf import mirror
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
 from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, rejects
 from mcp_asdf.robot import Filter, Observation, Status
@@ -46,7 +48,7 @@ Act = Callable[..., Any]
 
 def right(**config: Any) -> RobotRecord:
     """The controller as the verification is told that it is."""
-    return record(ID, "mirror", B_HAT, **config)
+    return record(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
 
 
 def surroundings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:
@@ -109,7 +111,7 @@ def set_up(
     phase: str,
     config: dict[str, Any] | None = None,
     kind: type = RobotNode,
-    firmware: type = MirrorRobot,
+    firmware: Callable[..., Any] = MirrorRobot,
     **actual: Any,
 ) -> Wrong:
     """A controller that is set up otherwise than said, which is ``config``."""
@@ -126,6 +128,24 @@ def set_up(
 def firmware(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> Wrong:
     """A controller whose firmware has other methods."""
     return set_up(phase, config, firmware=_replaced(Firmware, acts))
+
+
+VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
+
+
+def robust(phase: str, *changes: tuple[str, str], b_hat: float = B_HAT) -> Wrong:
+    """A controller with the robust filter, whose firmware is the mirror with other text in some places."""
+
+    def make(*arguments: Any) -> Any:
+        source = Path(mirror.__file__).read_text(encoding="utf-8")
+        for old, new in changes:
+            assert source.count(old) == 1, f"{old!r} is {source.count(old)} times in the mirror"
+            source = source.replace(old, new)
+        names = {"__name__": mirror.__name__}
+        exec(compile(source, f"wrong mirror: {changes}", "exec"), names)
+        return names["MirrorRobot"](*arguments)  # type: ignore[operator]
+
+    return set_up(phase, {**VOTES, "b_hat": b_hat}, firmware=make)
 
 
 def node(phase: str, **acts: Act) -> Wrong:
@@ -396,6 +416,15 @@ def numbers_of(bits: int) -> Wrong:
     )
 
 
+VOTE, CENTRE = "vote(s.crowd, sender, x_hat)", "if self.config.filter == Filter.ROBUST:\n            return"
+SUMS = "sums_add(s.open, x_hat, alpha)"
+SAID, CLAMP, GAIN = (
+    "said = x_hat << 7",
+    "min(distance, crowd.spread) >> shift",
+    "max(crowd.votes.bit_length() - 3, 3)",
+)
+KEPT = "min(max(spread, SPREAD_LEAST), SPREAD_START)"
+VOICES, MOVES = "if without_one & without_one - 1 == 0:", "if not 1 << 13 <= crowd.trend < 7 << 13:"
 HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
 
 WRONG |= {
@@ -459,6 +488,80 @@ WRONG |= {
     "broadcasts x": set_up(
         "messages and silence", firmware=type("X", (MirrorRobot,), {"x_hat_raw": MirrorRobot.x_raw})
     ),
+    # The robust filter: votes
+    "takes a large alpha for two votes": robust(
+        "few voices",
+        (VOTE, "[vote(s.crowd, sender, x_hat) for _ in range(1 + (alpha_units(alpha) > 1 << 40))]"),
+    ),
+    "takes alpha = 0 for a vote": robust("few voices", ("elif alpha >> 8:", "else:")),
+    "votes for repeated senders": robust(
+        "same sender", ("            return Status.REPEATED", f"            {VOTE}; return Status.REPEATED")
+    ),
+    "does not clamp": robust("few voices", (CLAMP, "distance >> shift")),
+    "clamps at 2 s": robust("few voices", (CLAMP, "min(distance, 2 * crowd.spread) >> shift")),
+    "constant gain": robust("stray commands", (GAIN, "3")),
+    "gain without end": robust(
+        "many votes", ("VOTES_MOST, VOTES_MOVED = 1 << 14", "VOTES_MOST, VOTES_MOVED = 1 << 15")
+    ),
+    "starts at the first vote": robust(
+        "few voices", (SAID, f"{SAID}\n    crowd.centre = crowd.centre if crowd.votes else said")
+    ),
+    "s never shrinks": robust(
+        "few voices", ("if distance > crowd.spread else -change", "if distance > crowd.spread else 0")
+    ),
+    "s grows at equality": robust(
+        "few voices", ("if distance > crowd.spread else -change", "if distance >= crowd.spread else -change")
+    ),
+    "s without a floor": robust("test of the least spread", (KEPT, "min(spread, SPREAD_START)")),
+    "s without a ceiling": robust("few voices", (KEPT, "max(spread, SPREAD_LEAST)")),
+    "sends its centre as x_hat": robust(
+        "few voices", ("lambda robot: robot.s.x_hat,", "lambda robot: robot.x_raw,")
+    ),
+    "x of the last round": robust(
+        "few voices",
+        (
+            f"if self.config.filter != Filter.ROBUST:\n            {SUMS}\n        elif",
+            f"{SUMS}\n        if",
+        ),
+        (CENTRE, "if False:\n            return"),
+    ),
+    "x is 1/2 before the first vote": robust(
+        "alone", ("self._estimate(self.s.x_hat, self.s.alpha)", "self._estimate(HALF, 0)")
+    ),
+    # Its test
+    "takes votes for voices": robust("few voices", (VOICES, "if crowd.votes < 3:")),
+    "voices modulo 128": robust("few voices", ("1 << (sender & 31)\n    crowd", "1 << sender\n    crowd")),
+    "two voices are enough": robust("few voices", (VOICES, "if without_one == 0:")),
+    "three voices are too few": robust("few voices", (VOICES, "if crowd.voices.bit_count() < 4:")),
+    "rejects at 3 sigma": robust("test of a moderate spread", ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 9")),
+    "forgets the spread in its test": robust("test of a moderate spread", ("* (g_spread * g_spread)", "* 0")),
+    "variance of the prediction alone": robust(
+        "test of a moderate spread", ("for value in (seen, p))", "for value in (p,))"), b_hat=0.95
+    ),
+    "variance of the count alone": robust(
+        "test of a moderate spread", ("for value in (seen, p))", "for value in (seen,))")
+    ),
+    "eq. 8 from its own estimate": robust(
+        "few voices", ("crowd_mean(crowd))\n        return", "s.x_hat << 9)\n        return")
+    ),
+    "tests the present b_hat": robust(
+        "messages and silence",
+        ("deviates(crowd, s.t", 'deviates(Crowd(**vars(crowd) | {"first": s.accuracy.b_hat}), s.t'),
+    ),
+    "no way back": robust(
+        "test of a moderate spread",
+        ("return crowd.first if s.accuracy.b_hat != crowd.first else None", "return None"),
+    ),
+    # A crowd that moves
+    "does not see that the crowd moves": robust("moving up", (MOVES, "if False:")),
+    "tests while the crowd moves": robust(
+        "moving up", ("VOTES_MOVED)\n            return None", "VOTES_MOVED)")
+    ),
+    "keeps its gain when the crowd moves": robust(
+        "moving up", ("crowd.votes = min(crowd.votes, VOTES_MOVED)\n", "\n")
+    ),
+    "sees only a crowd that moves up": robust("moving down", (MOVES, "if crowd.trend >= 7 << 13:")),
+    "a trend of 512 moves": robust("moving up", ("TREND_SHIFT, MAX_TREND = 8", "TREND_SHIFT, MAX_TREND = 9")),
     # What it hears
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),

@@ -1,6 +1,6 @@
-"""Phases that put the robust filter to the test: voices, votes, its test with the way back, a crowd that moves.
+"""Phases that put the robust filter to the test: voices, votes, its test, the way back, a crowd that moves.
 
-What is sent is chosen by the model's state, so that one vote or one observation more makes the difference.
+What is sent is chosen by the model's state, so that one vote or one observation makes the difference.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MODERATE, NARROW = 1 << 26, 1 << 18
 
 
 def few_voices(bench: Bench) -> None:
-    """Two voices are too few for a test that would reject, however many votes they have; a third is enough."""
+    """Two voices are too few for a test that would reject, whatever their votes; a third one is enough."""
     s, draw = bench.firmware.s, bench.draw
     bench.doing = "many black tiles"
     while 8 * s.n < 7 * s.t:
@@ -87,7 +87,7 @@ def moving(end: int) -> Callable[[Bench], None]:
     return play
 
 
-def test(spread: int) -> Callable[[Bench], None]:
+def thresholds(spread: int) -> Callable[[Bench], None]:
     """A phase in which the crowd's spread becomes at most ``spread``, and the test then rejects and just does
     not, and again: b_hat is found anew, and the first one comes back."""
 

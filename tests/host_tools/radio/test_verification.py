@@ -32,6 +32,10 @@ from wrong_robots import B_HAT, ID, WRONG, Wrong, node, right, surroundings
 pytestmark = pytest.mark.usefixtures("private_setup")
 
 TICKS = 25
+ROBUST = {phase.name for phase in PHASES if phase.play is not None and "robust" in phase.play.__module__}
+PAPERS = {phase.name for phase in PHASES if phase.play is not None and "filter_ph" in phase.play.__module__}
+PAPERS -= {"no filter", "halvings", "long run"}
+"""Phases of one filter alone."""
 CRAFTED = tuple(phase for phase in PHASES if phase.play is not None)
 """Phases made for their purpose."""
 
@@ -63,16 +67,22 @@ def obedient(firmware: str = "native", **config: Any) -> RobotNode:
 # Right controllers
 
 
-@pytest.mark.parametrize("memory", [64, *slow([2**31])])
-def test_a_right_controller_passes_every_phase(memory: int) -> None:
-    controller, ticks = obedient(memory=memory), list[int]()
-    done = verification(controller, surroundings(right(memory=memory)), progress=ticks.append)
+OFF: dict[str, Any] = {"filter": Filter.OFF, "table": None}
+ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
+VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
+
+
+@pytest.mark.parametrize("config", [{"memory": 64}, VOTES, *slow([{}])], ids=str)
+def test_a_right_controller_passes_every_phase(config: dict[str, Any]) -> None:
+    controller, ticks = obedient(**config), list[int]()
+    done = verification(controller, surroundings(right(**config)), progress=ticks.append)
     verdict, run = done.verdict, done.bench.firmware
     assert verdict.has_passed, verdict.headline
-    left_out = ("no filter", "halvings" if memory > 64 else "long run")
-    assert [phase.name for phase in verdict.phases] == [
-        phase.name for phase in PHASES if phase.name not in left_out
-    ]
+    assert {phase.name for phase in PHASES} - {phase.name for phase in verdict.phases} == {
+        *("no filter", "long run" if "memory" in config else "halvings"),
+        *(PAPERS if "filter" in config else ROBUST),
+    }
+    assert run.s.updates > 10
     assert all(0 < 10 * phase.ticks < 10 * phase.equal <= 21 * phase.ticks + 10 for phase in verdict.phases)
     assert all(phase.injected > 0 for phase in verdict.phases if phase.fault)
     assert all(
@@ -87,17 +97,21 @@ def test_a_right_controller_passes_every_phase(memory: int) -> None:
     assert equal.total() == sum(phase.equal for phase in verdict.phases)
     assert isinstance(controller.robot, FixedPointRobot)
     assert (controller.robot.counters, controller.robot.state()) == (run.counters, run.state())
-    assert run.s.t > 10_000 or memory == 64
+    assert run.s.t > 10_000 or "memory" in config
 
 
-OFF: dict[str, Any] = {"filter": Filter.OFF, "table": None}
-ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
 PERIODS = ((5, 10), (10, 10), (1, 1), (1, 2), (40, 600))
+B_HATS = (2**-20, 0.02, 0.4999, 0.5, 0.75, 0.95, 1 - 2**-20)
 CONFIGS: list[dict[str, Any]] = [
     *(OFF, ALWAYS, ALWAYS | {"comms_period": 5}, {"filter_period": 997, "memory": 2048}),
-    *({"comms_period": comms, "filter_period": tau} for comms, tau in PERIODS),
     *({"robot": robot} for robot in (0, 1, 125, 127)),
-    *({"b_hat": b_hat} for b_hat in (2**-20, 0.02, 0.4999, 0.5, 0.75, 1 - 2**-20)),
+    *(
+        {"comms_period": comms, "filter_period": tau, **kind}
+        for comms, tau in PERIODS
+        for kind in ({}, VOTES)
+    ),
+    *({"b_hat": b_hat, **kind} for b_hat in B_HATS for kind in ({}, VOTES)),
+    *({"memory": memory, **VOTES} for memory in (64, 2048)),
 ]
 
 
@@ -115,6 +129,7 @@ def test_other_configurations_pass(config: dict[str, Any]) -> None:
         ({"memory": 64}, "b4543c0c45dde264"),
         ({"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS}, "2db4381eeb2dbef6"),
         (OFF, "73f5e454332d2f08"),
+        (VOTES, "8c305c4a5a2a757a"),
     ],
     ids=str,
 )
@@ -362,10 +377,10 @@ def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.Mo
 
 
 def test_a_controller_may_be_started_afterwards() -> None:
-    assert judge(obedient(), phases=PHASES[:2], wait=0.05).has_passed  # it says at once that it is there
+    assert judge(obedient(), phases=PHASES[:3], wait=0.05).has_passed  # it says at once that it is there
     silent = Wire()
     silent.nodes.append(obedient())
-    verdict = judge(silent, phases=PHASES[:2], wait=0.05)
+    verdict = judge(silent, phases=PHASES[:3], wait=0.05)
     assert "did not send a heartbeat within 0.05 s" in str(verdict.difference)
     assert [phase.outcome for phase in verdict.phases] == ["failed", "not run"]
 
@@ -408,7 +423,7 @@ def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[
     verdict, text = content["verdict"], report.read_text()
     assert verdict["passed"]
     names = {phase["name"] for phase in verdict["phases"]}
-    assert names == {phase.name for phase in PHASES} - {"no filter", "long run"}
+    assert names == {phase.name for phase in PHASES} - {"no filter", "long run"} - ROBUST
     assert content["parameters"]["controller"] == record(ID, "mirror", B_HAT, memory=64).plain()
     assert (content["parameters"]["seed"], content["parameters"]["steps"]) == (1, 10)
     parameters = json.loads(text.partition("```json\n")[2].partition("```")[0])["parameters"]

@@ -72,7 +72,14 @@ def test_every_format_is_reproduced(
 
 @pytest.mark.parametrize(
     "options",
-    ["--firmware mirror", "--firmware reference", "--set comms-period=5", "--filter none --set subject=9"],
+    [
+        "--firmware mirror",
+        "--firmware reference",
+        "--set comms-period=5",
+        "--filter none --set subject=9",
+        "--filter robust",
+        "--filter robust --firmware mirror --topology dynamic --density 2",
+    ],
 )
 def test_every_robot_is_reproduced_and_gaps_are_no_difference(options: str, tmp_path: Path) -> None:
     frames, draw = swarm(tmp_path / "run.log", options), random.Random(8)
