@@ -49,6 +49,16 @@ FAULTS = {
     "halving: ties to even": ("s.n >> 1 & 1) >> 1", "s.n >> 1 & 0) >> 1"),
     "counters": ("COUNTER_MASK = 0xFFFF", "COUNTER_MASK = 0xFFFE"),
     "filter period": ("if s.filter_left == 0:", "if s.filter_left <= 1:"),
+    "vote: gain": ("crowd.votes.bit_length() - 3, 3)", "crowd.votes.bit_length() - 3, 2)"),
+    "vote: clamp": ("step = min(distance, crowd.spread) >> shift", "step = distance >> shift"),
+    "vote: spread": ("if distance > crowd.spread else", "if distance >= crowd.spread else"),
+    "vote: trend": ("if step != 0:", "if distance != 0:"),
+    "vote: without confidence": ("elif alpha >> 8:", "elif alpha:"),
+    "robust: moving": ("1 << 13 <= crowd.trend", "1 << 13 < crowd.trend"),
+    "robust: voices": ("if without_one & without_one - 1 == 0:", "if without_one == 0:"),
+    "robust: test": ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 13"),
+    "robust: variance": ("variance = max(", "variance = min("),
+    "robust: way back": ("return crowd.first if s.accuracy", "return None if s.accuracy"),
     "restore": ("repeated=words[27] >> 16", "repeated=words[27] >> 16 & 0x7FFF"),
 }
 """Lines of SOURCES, and the same with one bit wrong."""

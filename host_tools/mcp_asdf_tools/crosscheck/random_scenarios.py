@@ -223,6 +223,9 @@ class _Author:
 class _RobustAuthor(_Author):
     """Writes one scenario of a robot with the robust filter, which has a crowd in place of rounds."""
 
+    _last = 1 << 29, 1 << 28
+    """Centre and spread of the last crowd."""
+
     def _forge(self) -> None:
         """Restore a crowd with a member at its limits or beyond, or with something behind it."""
         source = self._source
@@ -245,12 +248,19 @@ class _RobustAuthor(_Author):
         voices = source.choice([7, 7 << 29, _BITS_32, 1 << source.randrange(32) | 1])
         power = 1 << source.randrange(18, 29)
         spread = min(max(power + source.choice([-1, 0, 1, source.randrange(power)]), 1 << 18), 1 << 28)
-        return [self._middle(), spread, voices, _b_hat(source), votes | min(max(trend, 0), _BITS_16) << 16]
+        self._last = self._middle(), spread
+        return [*self._last, voices, _b_hat(source), votes | min(max(trend, 0), _BITS_16) << 16]
+
+    def _x_hat(self) -> int:
+        """Now and then at the last crowd's centre, or one spread from it."""
+        place = self._last[0] + self._source.choice([-1, 0, 1]) * self._last[1] >> 7
+        return min(max(place, 0), ONE) if self._source.random() < 0.2 else super()._x_hat()
 
     def _middle(self) -> int:
-        """A centre: anywhere, at its ends, or near where messages are."""
+        """A centre: anywhere, at its ends, or near where messages are; half of them such as can be said."""
         near = (self._centre << 7) + self._source.randint(-1 << 20, 1 << 20)
-        return min(max(self._source.choice([near, self._source.randint(0, 1 << 30), 0, 1 << 30]), 0), 1 << 30)
+        place = self._source.choice([near, self._source.randint(0, 1 << 30), 0, 1 << 30])
+        return min(max(place, 0), 1 << 30) & self._source.choice([-1, -128])
 
     def _decide(self) -> None:
         """Run the test on a count at its threshold, on either side."""
@@ -280,7 +290,7 @@ class _RobustAuthor(_Author):
         words = [_B_HAT, b_hat, _T, t, _N, n, _FILTER_LEFT, 1, _LAST, last]
         words += source.choice([[], [], [_COUNTERS + 1, _BITS_16 << 16]])
         self._call("restore", *words, *(number for pair in enumerate(crowd, _CLOSED) for number in pair))
-        if source.random() < 0.2:
+        if source.random() < 0.3:
             self._call("receive", self._sender(), self._x_hat(), _alpha(source))
         self._call("settle")
 

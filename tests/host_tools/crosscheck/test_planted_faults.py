@@ -20,7 +20,8 @@ def test_a_planted_fault_is_caught(fault: str) -> None:
     "fault",
     [
         *("estimate: what says nothing", "estimate: mirror image", "alpha_word: cap", "mean", "test"),
-        *("test: fewest messages", "filter period"),
+        *("test: fewest messages", "filter period", "vote: gain", "vote: clamp", "vote: without confidence"),
+        *("robust: moving", "robust: voices", "robust: test", "robust: variance", "robust: way back"),
     ],
 )
 def test_what_both_do_wrong_is_caught_by_exact_arithmetic(fault: str) -> None:
