@@ -140,8 +140,59 @@ struct Round {
     uint128_t alpha_x() const { return low_x + (uint128_t(high_x) << 32); }
 };
 
+/* 13: what a robot with the robust filter knows of the others. */
+struct Crowd {
+    uint32_t r = uint32_t(1) << 29, s = uint32_t(1) << 28, voices = 0, first = 0;
+    uint16_t votes = 0, trend = 1 << 15;
+    std::array<uint32_t, 11> rest{}; /* 10: of an image */
+
+    void hear(uint8_t sender, uint32_t x_hat)
+    {
+        int64_t said = int64_t(x_hat) << 7;
+        int64_t distance = said > r ? said - r : r - said;
+        int64_t pull = std::min<int64_t>(distance, s);
+        votes = static_cast<uint16_t>(std::min(votes + 1, 1 << 14));
+        int shift = std::max(bits(votes) - 3, 3);
+        int64_t step = pull >> shift;
+        if (step > 0)
+            trend = static_cast<uint16_t>(said > r ? trend + ((65535 - trend) >> 8) : trend - (trend >> 8));
+        int64_t change = s >> (shift + 1);
+        r = static_cast<uint32_t>(said > r ? r + step : r - step);
+        s = static_cast<uint32_t>(
+            std::clamp<int64_t>(distance > s ? s + change : s - change, 1 << 18, 1 << 28));
+        voices |= uint32_t(1) << sender % 32;
+    }
+    bool is_moving() const { return trend < 1 << 13 || trend >= 7 << 13; }
+    uint64_t A() const { return std::min<uint64_t>(uint64_t(r) << 2, two32 - 1); }
+    /* Whether n of t are not what `first` sees where the crowd is right. */
+    bool rejects(uint64_t n, uint64_t t) const
+    {
+        auto mulhi = [](uint64_t u, uint64_t v) { return u * v >> 32; };
+        auto variance = [&](uint64_t q) { return q == 0 ? 0 : mulhi(q, two32 - q); };
+        uint64_t R = A();
+        uint64_t p = mulhi(first, R) + mulhi(two32 - 1 - first, two32 - 1 - R);
+        uint64_t seen = upper(n, t);
+        uint64_t v = std::max(variance(p), variance(seen));
+        uint64_t g = first < two31 ? two32 - 2 * uint64_t(first) : 2 * uint64_t(first) - two32;
+        uint64_t g_s = mulhi(g, uint64_t(s) << 2);
+        int128_t least = int128_t(12) * g_s * g_s;
+        int128_t difference = int128_t(seen) - p;
+        int128_t square = difference * difference;
+        return square > least && (int128_t(t) * (square - least) >> 32) > int128_t(12) * v;
+    }
+    /* 10: what the page says of it, for a robot that has this b_hat. */
+    bool is_possible(uint32_t b_hat) const
+    {
+        bool is_new =
+            r == uint32_t(1) << 29 && s == 1 << 28 && voices == 0 && first == b_hat && trend == 1 << 15;
+        return std::all_of(rest.begin(), rest.end(), [](uint32_t word) { return word == 0; }) &&
+               first >= MCP_ASDF_B_HAT_MIN && first <= MCP_ASDF_B_HAT_MAX && r <= uint32_t(1) << 30 &&
+               s >= 1 << 18 && s <= 1 << 28 && votes <= 1 << 14 && (voices != 0) == (votes != 0) &&
+               (votes != 0 || is_new);
+    }
+};
+
 using Image = std::array<uint8_t, MCP_ASDF_IMAGE_SIZE>;
-constexpr uint32_t image_version = 0x4D435302;
 
 struct Robot {
     mcp_asdf_config_t config{};
@@ -149,15 +200,20 @@ struct Robot {
     uint32_t b_hat = 0, t = 0, n = 0, filter_left = 0;
     Local local;
     Round open, closed; /* of the closed round, only alpha, low_x and high_x outlive settle */
+    Crowd crowd;
     std::array<uint32_t, 4> heard{};
     mcp_asdf_counters_t counters{};
     uint8_t updated = 0; /* u */
 
-    /* 2 and 9, in the order of the header. */
+    bool is_robust() const { return config.filter == MCP_ASDF_ROBUST; }
+    uint32_t image_version() const { return is_robust() ? 0x4D435382 : 0x4D435302; }
+
+    /* 2 and 9, in the order of the header, which also says what is built. */
     static mcp_asdf_status_t check(const mcp_asdf_config_t &config)
     {
         if (config.filter_period == 0 || config.memory % 4 != 0 || config.memory < MCP_ASDF_MEMORY_MIN ||
-            config.memory > MCP_ASDF_MEMORY_MAX || config.filter > MCP_ASDF_OFF)
+            config.memory > MCP_ASDF_MEMORY_MAX || config.filter > MCP_ASDF_ROBUST ||
+            !(config.filter == MCP_ASDF_ROBUST ? MCP_ASDF_WITH_ROBUST : MCP_ASDF_WITH_ASDF))
             return MCP_ASDF_ERR_CONFIG;
         if (config.filter == MCP_ASDF_ADAPTIVE && !table_is_sound(config.table))
             return MCP_ASDF_ERR_TABLE;
@@ -178,6 +234,7 @@ struct Robot {
         id = new_id;
         b_hat = new_b_hat;
         filter_left = config.filter_period;
+        crowd.first = is_robust() ? b_hat : 0;
         return MCP_ASDF_OK;
     }
 
@@ -209,7 +266,9 @@ struct Robot {
         ++counters.accepted;
         heard[sender / 32] |= uint32_t(1) << sender % 32;
         uint64_t worth = units(alpha);
-        if (worth != 0) {
+        if (worth != 0 && is_robust()) {
+            crowd.hear(sender, x_hat);
+        } else if (worth != 0) {
             open.alpha += worth;
             open.low_x += (worth % two32) * x_hat;
             open.high_x += (worth / two32) * x_hat;
@@ -228,7 +287,7 @@ struct Robot {
         closed = open;
         if (--filter_left == 0) {
             filter_left = config.filter_period;
-            changed = filter();
+            changed = is_robust() ? robust_filter() : filter();
         }
         open = Round();
         heard = {};
@@ -241,15 +300,19 @@ struct Robot {
         return status == MCP_ASDF_OK ? settle() : status;
     }
 
-    /* 7. */
+    /* 7 and 13. */
     uint32_t x() const
     {
+        if (is_robust())
+            return crowd.votes == 0 ? local.x_hat : crowd.r >> 7;
         uint128_t denominator = uint128_t(units(local.alpha)) + closed.alpha;
         uint128_t numerator = uint128_t(units(local.alpha)) * local.x_hat + closed.alpha_x();
         return denominator == 0 ? local.x_hat : static_cast<uint32_t>(numerator / denominator);
     }
     uint32_t x_bar() const
     {
+        if (is_robust())
+            return crowd.votes == 0 ? MCP_ASDF_HALF : crowd.r >> 7;
         return closed.alpha == 0 ? MCP_ASDF_HALF : static_cast<uint32_t>(closed.alpha_x() / closed.alpha);
     }
     uint64_t beta() const { return closed.alpha; }
@@ -276,8 +339,12 @@ struct Robot {
         }
 
         uint128_t widen = closed.alpha < two32 ? two32 : 1;
-        uint64_t A = upper(static_cast<uint64_t>(closed.alpha_x() * widen >> 23),
-                           static_cast<uint64_t>(closed.alpha * widen));
+        return reestimate(upper(static_cast<uint64_t>(closed.alpha_x() * widen >> 23),
+                                static_cast<uint64_t>(closed.alpha * widen)));
+    }
+
+    bool reestimate(uint64_t A)
+    {
         uint64_t black = n;
         if (A < two31) {
             A = two32 - 1 - A;
@@ -289,15 +356,36 @@ struct Robot {
         int128_t N = int128_t(two32) * black - int128_t(t) * (two32 - A);
         int128_t D = int128_t(t) * G;
         if (N <= 0)
-            b_hat = MCP_ASDF_B_HAT_MIN;
-        else if (N >= D)
-            b_hat = MCP_ASDF_B_HAT_MAX;
-        else
-            b_hat = u32(std::clamp<uint64_t>(upper(static_cast<uint64_t>(N), static_cast<uint64_t>(D)),
-                                             MCP_ASDF_B_HAT_MIN, MCP_ASDF_B_HAT_MAX));
+            return update(MCP_ASDF_B_HAT_MIN);
+        if (N >= D)
+            return update(MCP_ASDF_B_HAT_MAX);
+        return update(std::clamp<uint64_t>(upper(static_cast<uint64_t>(N), static_cast<uint64_t>(D)),
+                                           MCP_ASDF_B_HAT_MIN, MCP_ASDF_B_HAT_MAX));
+    }
+
+    bool update(uint64_t found)
+    {
+        b_hat = u32(found);
         ++counters.updates;
         updated = 1;
         return true;
+    }
+
+    /* 13. */
+    bool robust_filter()
+    {
+        if (t == 0)
+            return false;
+        if (crowd.is_moving()) {
+            crowd.votes = std::min<uint16_t>(crowd.votes, 1 << 8);
+            return false;
+        }
+        if (__builtin_popcount(crowd.voices) < 3)
+            return false;
+        ++counters.tests;
+        if (crowd.rejects(n, t))
+            return reestimate(crowd.A());
+        return b_hat != crowd.first && update(crowd.first);
     }
 
     /* 10: the image is the members in this order, each little-endian, between the first word and the
@@ -305,9 +393,16 @@ struct Robot {
     template <typename Self, typename Each> static void image_members(Self &r, Each each)
     {
         each(r.b_hat), each(r.t), each(r.n), each(r.local.x_hat), each(r.local.alpha), each(r.filter_left);
-        each(r.closed.alpha), each(r.closed.low_x), each(r.closed.high_x);
-        each(r.open.alpha), each(r.open.low_x), each(r.open.high_x), each(r.open.x_squared);
-        each(r.open.x), each(r.open.m);
+        if (r.is_robust()) {
+            each(r.crowd.r), each(r.crowd.s), each(r.crowd.voices), each(r.crowd.first);
+            each(r.crowd.votes), each(r.crowd.trend);
+            for (auto &word : r.crowd.rest)
+                each(word);
+        } else {
+            each(r.closed.alpha), each(r.closed.low_x), each(r.closed.high_x);
+            each(r.open.alpha), each(r.open.low_x), each(r.open.high_x), each(r.open.x_squared);
+            each(r.open.x), each(r.open.m);
+        }
         each(r.heard[0]), each(r.heard[1]), each(r.heard[2]), each(r.heard[3]);
         each(r.counters.accepted), each(r.counters.repeated), each(r.counters.rejected);
         each(r.counters.tests), each(r.counters.updates), each(r.updated), each(r.id);
@@ -321,7 +416,7 @@ struct Robot {
             for (uint32_t i = 0; i < sizeof v; ++i)
                 image[at++] = static_cast<uint8_t>(uint64_t(v) >> 8 * i);
         };
-        put(image_version);
+        put(image_version());
         image_members(*this, put);
         put(checksum(to_words(image), at / 4));
         return image;
@@ -333,10 +428,10 @@ struct Robot {
         if (status != MCP_ASDF_OK)
             return status;
         auto words = to_words(image);
-        if (words.front() != image_version || words.back() != checksum(words, words.size() - 1))
-            return MCP_ASDF_ERR_IMAGE;
         Robot r;
         r.config = new_config;
+        if (words.front() != r.image_version() || words.back() != checksum(words, words.size() - 1))
+            return MCP_ASDF_ERR_IMAGE;
         uint32_t at = 4;
         image_members(r, [&](auto &member) {
             uint64_t v = 0;
@@ -366,7 +461,7 @@ struct Robot {
             senders += static_cast<uint32_t>(__builtin_popcount(word));
         if (id > MCP_ASDF_MAX_ID || b_hat < MCP_ASDF_B_HAT_MIN || b_hat > MCP_ASDF_B_HAT_MAX ||
             t >= config.memory || n > t || filter_left == 0 || filter_left > config.filter_period ||
-            has_heard(id) || open.m > senders)
+            has_heard(id) || open.m > senders || (is_robust() && !crowd.is_possible(b_hat)))
             return false;
 
         /* With u = 1, x_hat and alpha are of a b_hat that is no longer known. */

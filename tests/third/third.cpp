@@ -6,6 +6,7 @@
 #include "model.hpp"
 
 #include <cinttypes>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 
@@ -86,7 +87,7 @@ class Run
     Robot model;
     bool same = true;
     uint64_t calls = 0, lives = 0, updates = 0, restored = 0;
-    uint32_t sender = 0, centre = 0, spread = 0, alphas = 0;
+    uint32_t sender = 0, stride = 1, centre = 0, spread = 0, alphas = 0;
     const char *call = "";
     uint32_t arguments[3] = {};
 
@@ -130,7 +131,19 @@ class Run
         expect("alpha", model.local.alpha, mcp_asdf_alpha(&c));
         expect("x", model.x(), mcp_asdf_x(&c));
         expect("x_bar", model.x_bar(), mcp_asdf_x_bar(&c));
+#if MCP_ASDF_WITH_ASDF
         expect("beta", model.beta(), mcp_asdf_beta(&c));
+#endif
+#if MCP_ASDF_WITH_ROBUST
+        const Crowd &page_crowd = model.crowd;
+        mcp_asdf_crowd_t crowd = mcp_asdf_crowd(&c);
+        expect("r", page_crowd.r, crowd.centre);
+        expect("s", page_crowd.s, crowd.spread);
+        expect("voices", page_crowd.voices, crowd.voices);
+        expect("first", page_crowd.first, crowd.first);
+        expect("votes", page_crowd.votes, crowd.votes);
+        expect("trend", page_crowd.trend, crowd.trend);
+#endif
         expect("accepted", a.accepted, b.accepted);
         expect("repeated", a.repeated, b.repeated);
         expect("rejected", a.rejected, b.rejected);
@@ -177,11 +190,18 @@ class Run
         }
     }
 
+    uint8_t some_filter()
+    {
+        if (!MCP_ASDF_WITH_ASDF || (MCP_ASDF_WITH_ROBUST && random.one_in(2)))
+            return MCP_ASDF_ROBUST;
+        return static_cast<uint8_t>(random.one_in(3) ? random.below(3) : 0u);
+    }
+
     void some_settings(Settings &settings)
     {
         mcp_asdf_config_t &config = settings.config;
         config.memory = some_memory();
-        config.filter = static_cast<uint8_t>(random.one_in(3) ? random.below(3) : 0u);
+        config.filter = some_filter();
         config.filter_period =
             random.one_in(2) ? 1 : std::max(1u, random.any_length(random.one_in(4) ? 32 : 5));
         settings.table = random.one_in(4) ? real : falling(2 + random.below(random.one_in(2) ? 6 : 126));
@@ -231,6 +251,38 @@ class Run
         return random.one_in(2) ? n : t - n;
     }
 
+    /* A crowd for the model's t and n: new, or any, often at an end of a range or where the test is
+     * undecided. */
+    Crowd some_crowd()
+    {
+        Crowd crowd;
+        crowd.first = random.one_in(4) ? some_b_hat() : model.b_hat;
+        if (random.one_in(16)) {
+            crowd.first = model.b_hat;
+            return crowd;
+        }
+        static const uint32_t votes[] = {1 << 14, 1 << 8, 63, 1},
+                              trends[] = {1 << 13, 7 << 13, 1 << 15, 0, 65535};
+        crowd.votes = static_cast<uint16_t>(std::max(1u, random.near(votes[random.below(4)], 1 << 14)));
+        crowd.trend = static_cast<uint16_t>(random.near(trends[random.below(5)], 65535));
+        crowd.voices = std::max(1u, random.one_in(4) ? 3u << random.below(32) : random.word());
+        crowd.s = random.near(random.one_in(2) ? 1 << 18 : 1 << 28, 1 << 28);
+        if (random.one_in(2))
+            crowd.s = random.any_length(28);
+        crowd.s = std::max(crowd.s, uint32_t(1) << 18);
+        crowd.r = random.near(random.one_in(2) ? 0 : 1 << 30, 1 << 30);
+        double g = (2.0 * crowd.first - double(two32)) / double(two32);
+        if (!random.one_in(4) && model.t != 0 && g != 0.0) {
+            double seen = double(model.n) / model.t, v = seen * (1 - seen) / model.t / g / g,
+                   s = crowd.s / 0x1p30;
+            double at = (seen - 0.5) / g + 0.5 + (random.one_in(2) ? 1 : -1) * std::sqrt(12 * (v + s * s));
+            crowd.r = random.near(int64_t(std::clamp(at, 0.0, 1.0) * 0x1p30), 1 << 30);
+        }
+        if (random.one_in(4))
+            crowd.r &= ~127u, crowd.s &= ~127u;
+        return crowd;
+    }
+
     /* A word nothing is known of, for alpha. */
     uint32_t some_alpha()
     {
@@ -254,6 +306,10 @@ class Run
     {
         if (random.one_in(50))
             return random.one_in(2) ? random.word() : MCP_ASDF_ONE + random.below(3);
+        if (random.one_in(8)) { /* as far from the crowd as its spread */
+            int64_t edge = int64_t(model.crowd.r) + (random.one_in(2) ? 1 : -1) * int64_t(model.crowd.s);
+            return random.near(edge >> 7, MCP_ASDF_ONE);
+        }
         int64_t x = int64_t(centre) + random.below(2 * uint64_t(spread) + 1) - spread;
         return static_cast<uint32_t>(std::clamp<int64_t>(x, 0, MCP_ASDF_ONE));
     }
@@ -261,9 +317,12 @@ class Run
     /* Where the next messages lie. */
     void some_centre()
     {
-        switch (random.below(6)) {
+        switch (random.below(7)) {
         case 0:
             centre = model.local.x_hat;
+            break;
+        case 4:
+            centre = model.crowd.r >> 7;
             break;
         case 1:
             centre = random.near(MCP_ASDF_HALF, MCP_ASDF_ONE);
@@ -302,7 +361,7 @@ class Run
         if (random.one_in(16))
             sender = random.below(256);
         else
-            sender = random.one_in(4) ? random.below(128) : (sender + 1) % 128;
+            sender = random.one_in(4) ? random.below(128) : (sender + stride) % 128;
         uint32_t x_hat = some_x_hat();
         uint32_t alpha = some_alpha();
         note("receive", sender, x_hat, alpha);
@@ -366,12 +425,57 @@ class Run
         saved();
     }
 
+    void doubt(Crowd &crowd)
+    {
+        bool over = random.one_in(2);
+        switch (random.below(10)) {
+        case 0:
+            crowd.r = (1 << 30) + over;
+            break;
+        case 1:
+            crowd.s = (1 << 28) + over;
+            break;
+        case 2:
+            crowd.s = (1 << 18) - over;
+            break;
+        case 3:
+            crowd.first = MCP_ASDF_B_HAT_MIN - over;
+            break;
+        case 4:
+            crowd.first = MCP_ASDF_B_HAT_MAX + over;
+            break;
+        case 5:
+            crowd.votes = static_cast<uint16_t>((1 << 14) + over);
+            break;
+        case 6:
+            crowd.voices = over;
+            break;
+        case 7:
+            crowd.rest[random.below(11)] = over;
+            break;
+        case 8:
+            crowd.votes = over;
+            break;
+        default: /* without votes, one member as no new robot has it */
+            crowd = Crowd();
+            crowd.first = model.b_hat;
+            uint32_t *const members[] = {&crowd.r, &crowd.s, &crowd.voices, &crowd.first};
+            uint32_t i = random.below(5);
+            if (i < 4)
+                *members[i] -= over;
+            else
+                crowd.trend = static_cast<uint16_t>(crowd.trend - over);
+        }
+    }
+
     /* A robot that can nearly be: it breaks one rule, or just keeps it. */
     void do_doubtful()
     {
         Robot robot = model;
         Round &open = robot.open;
-        switch (random.below(9)) {
+        if (robot.is_robust() && random.one_in(2))
+            doubt(robot.crowd);
+        switch (random.below(robot.is_robust() ? 6 : 9)) {
         case 0:
             robot.t = random.near(current->config.memory, 0xFFFFFFFF);
             break;
@@ -411,6 +515,8 @@ class Run
         some_settings(settings);
         mcp_asdf_config_t &config = settings.config;
         uint32_t word = random.below(settings.table.words[0] - 0x4D435400 + 3);
+        if (random.one_in(2)) /* the own kind of filter */
+            config.filter = current->config.filter;
         switch (random.below(6)) {
         case 0:
             config.filter_period = random.below(2);
@@ -419,7 +525,7 @@ class Run
             config.memory = random.near(random.one_in(2) ? 64 : int64_t(two31), 0xFFFFFFFF);
             break;
         case 2:
-            config.filter = static_cast<uint8_t>(random.below(256));
+            config.filter = static_cast<uint8_t>(random.below(random.one_in(2) ? 6 : 256));
             break;
         case 3:
             config.table = random.one_in(8) ? nullptr : settings.table.words;
@@ -487,6 +593,8 @@ class Run
         model.n = some_n(model.t, model.b_hat);
         model.local = form(model.t, model.n, model.b_hat);
         model.updated = 0;
+        if (model.is_robust())
+            model.crowd = some_crowd();
         model.filter_left = 1 + random.word() % current->config.filter_period;
         if (random.one_in(8))
             model.counters = {0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF};
@@ -504,8 +612,11 @@ class Run
         static const uint32_t lengths[] = {1, 3, 10, 40, 200, 1000};
         uint32_t length = lengths[random.below(6)];
         uint32_t odds = random.below(257);
-        for (uint32_t left = 1 + random.below(400); same && calls < limit_ && left > 0; --left) {
-            uint32_t what = random.below(1000);
+        stride = random.one_in(4) ? 32 : 1;
+        bool undisturbed = random.one_in(300); /* and so long that votes reach their limit */
+        for (uint32_t left = undisturbed ? 40000 : 1 + random.below(400); same && calls < limit_ && left > 0;
+             --left) {
+            uint32_t what = undisturbed ? 1000 : random.below(1000);
             if (what < 10) {
                 note("save");
                 saved();
