@@ -10,12 +10,13 @@
 #define MOST UINT64_C(127) /* messages in a round */
 
 static const mcp_asdf_config_t config = {0, 6, 1000, MCP_ASDF_OFF};
+static const mcp_asdf_config_t robust = {0, 6, 1000, MCP_ASDF_ROBUST};
 
 /* A robot in the middle of things: observations, a closed round, an open round with a silent message. */
-static mcp_asdf_t busy_robot(void)
+static mcp_asdf_t busy_robot(const mcp_asdf_config_t *its_config)
 {
     mcp_asdf_t robot;
-    CHECK_EQUAL(mcp_asdf_init(&robot, &config, 40, 0xC1000000), MCP_ASDF_OK);
+    CHECK_EQUAL(mcp_asdf_init(&robot, its_config, 40, 0xC1000000), MCP_ASDF_OK);
     for (uint32_t tick = 0; tick < 38; ++tick) {
         for (uint8_t sender = 0; sender < 5; ++sender) {
             (void)mcp_asdf_receive(&robot, sender, 0x200000 + sender, sender == 2 ? 0 : 0x8123450A);
@@ -29,9 +30,10 @@ static mcp_asdf_t busy_robot(void)
 }
 
 /* Whether the invariants hold after `change` of a busy robot. */
-#define IS_SOUND(change, expected)                                                                           \
+#define IS_SOUND(change, expected) IS_SOUND_WITH(&config, change, expected)
+#define IS_SOUND_WITH(config, change, expected)                                                              \
     do {                                                                                                     \
-        mcp_asdf_t robot = busy_robot();                                                                     \
+        mcp_asdf_t robot = busy_robot(config);                                                               \
         change;                                                                                              \
         CHECK_EQUAL(mcp_asdf_invariants_hold(&robot), expected);                                             \
     } while (0)
@@ -117,6 +119,23 @@ static void the_fullest_round_is_sound(void)
              true);
 }
 
+/* Rounds of a robust robot are empty, and another robot's crowd is as in a new robot; images hold neither. */
+static void only_one_filter_has_a_memory(void)
+{
+    mcp_asdf_open_t open = {1, 0, 0, 0, 0, 1};
+    IS_SOUND_WITH(&robust, (void)robot, true);
+    IS_SOUND_WITH(&robust, robot.open = open, false);
+    IS_SOUND_WITH(&robust, robot.closed.alpha = 1, false);
+    IS_SOUND_WITH(&robust, robot.config = &config, false);
+    IS_SOUND(robot.config = &robust, false);
+    IS_SOUND(robot.crowd.first = robot.accuracy.b_hat, false);
+    IS_SOUND(++robot.crowd.votes, false);
+    IS_SOUND(robot.crowd.voices = 1, false);
+    IS_SOUND(++robot.crowd.centre, false);
+    IS_SOUND(--robot.crowd.spread, false);
+    IS_SOUND(++robot.crowd.trend, false);
+}
+
 int main(void)
 {
     configurations_may_be_damaged();
@@ -124,5 +143,6 @@ int main(void)
     an_update_keeps_the_old_estimate();
     closed_round_is_a_mean();
     the_fullest_round_is_sound();
+    only_one_filter_has_a_memory();
     return check_report();
 }

@@ -22,10 +22,10 @@ def choices(variant: str) -> list[str]:
     return [*flags, f"-I{LANES.parent}", "-include", LANES.name]
 
 
-def third_object(folder: Path, sources: Path = CORE.parent) -> Path:
-    """The independent implementation, compiled once for all cores."""
+def third_object(folder: Path, flags: Sequence[str] = ()) -> Path:
+    """The independent implementation, compiled once for all cores of a build."""
     made = folder / "third.o"
-    run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{sources}", "-c", SOURCE, "-o", made)
+    run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{CORE.parent}", *flags, "-c", SOURCE, "-o", made)
     return made
 
 

@@ -12,6 +12,7 @@ from proofs.source import LANES_HEADER, SOURCES
 
 MUTATED = (
     "mcp_asdf.c",
+    "mcp_asdf_robust.h",
     "mcp_asdf_arithmetic.h",
     "mcp_asdf_target.h",
     "mcp_asdf_target_avr.h",

@@ -21,6 +21,8 @@ CLZ = Path(__file__).with_name("clz.h")
 AVR = Variant("3010", "__AVR__")
 VARIANTS = (*map(Variant, ("1001", "2100", "3010", "4000", "2000", "1000")), AVR, Variant("1000", "__riscv"))
 """The choices of each target, and the two targets with code of their own."""
+BUILDS = tuple(Variant("1001", f"MCP_ASDF_WITH_{filter}=0") for filter in ("ROBUST", "ASDF"))
+"""Builds without a filter; only the independent implementation is run with them."""
 VARIANTS_OF = {
     "mcp_asdf_target_avr.h": (AVR, Variant("3010")),
     "mcp_asdf_target_small.h": tuple(map(Variant, ("2100", "2000", "4000"))),
@@ -65,16 +67,20 @@ def passes(folder: Path, test: str, variant: Variant) -> bool:
             objects.append(Path(made) / f"{source.stem}.o")
             if not _limited("tcc", *flags, "-c", source, "-o", objects[-1]):
                 return False
-        is_linked = _limited("gcc", "-no-pie", _third(), *objects, "-lstdc++", "-lm", "-o", program)
+        is_linked = _limited("gcc", "-no-pie", _third(*_build(variant)), *objects, "-lstdc++", "-lm", "-o", program)
         return is_linked and _limited(program, "1", str(CALLS))
 
 
+def _build(variant: Variant) -> list[str]:
+    return [f"-D{variant.target}"] if variant in BUILDS else []
+
+
 @cache
-def _third() -> Path:
-    """The independent implementation, compiled; it is made once a process."""
+def _third(*flags: str) -> Path:
+    """The independent implementation, compiled; it is made once a process for each build."""
     folder = Path(mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return third_object(folder)
+    return third_object(folder, flags)
 
 
 def _flags(variant: Variant) -> list[str]:
@@ -107,6 +113,9 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
         for variant in VARIANTS_OF.get(mutant.file, VARIANTS)[:most]:
             if not passes(folder, test, variant):
                 return f"{test} {variant}"
+    for variant in () if mutant.file == "mcp_asdf_frame.c" else BUILDS:
+        if not passes(folder, THIRD, variant):
+            return f"{THIRD} {variant}"
     return ""
 
 
@@ -115,7 +124,7 @@ def same_code(mutant: Mutant, folder: Path) -> bool:
     source = "mcp_asdf.c" if mutant.file.endswith(".h") else mutant.file
     return all(
         _code(SOURCES / source, variant, folder) == _code(folder / source, variant, folder)
-        for variant in VARIANTS_OF.get(mutant.file, VARIANTS)
+        for variant in VARIANTS_OF.get(mutant.file, (*VARIANTS, *BUILDS))
     )
 
 

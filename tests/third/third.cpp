@@ -6,7 +6,6 @@
 #include "model.hpp"
 
 #include <cinttypes>
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 
@@ -251,8 +250,7 @@ class Run
         return random.one_in(2) ? n : t - n;
     }
 
-    /* A crowd for the model's t and n: new, or any, often at an end of a range or where the test is
-     * undecided. */
+    /* New, or any crowd, often at an end of a range. */
     Crowd some_crowd()
     {
         Crowd crowd;
@@ -271,16 +269,28 @@ class Run
             crowd.s = random.any_length(28);
         crowd.s = std::max(crowd.s, uint32_t(1) << 18);
         crowd.r = random.near(random.one_in(2) ? 0 : 1 << 30, 1 << 30);
-        double g = (2.0 * crowd.first - double(two32)) / double(two32);
-        if (!random.one_in(4) && model.t != 0 && g != 0.0) {
-            double seen = double(model.n) / model.t, v = seen * (1 - seen) / model.t / g / g,
-                   s = crowd.s / 0x1p30;
-            double at = (seen - 0.5) / g + 0.5 + (random.one_in(2) ? 1 : -1) * std::sqrt(12 * (v + s * s));
-            crowd.r = random.near(int64_t(std::clamp(at, 0.0, 1.0) * 0x1p30), 1 << 30);
-        }
         if (random.one_in(4))
             crowd.r &= ~127u, crowd.s &= ~127u;
         return crowd;
+    }
+
+    /* A centre beside which the test decides otherwise about the model's t > 0 and n, if a few tries find
+     * one. */
+    void undecide(Crowd &crowd)
+    {
+        auto rejects = [&](uint32_t r) {
+            crowd.r = r;
+            return crowd.rejects(model.n, model.t);
+        };
+        uint32_t ends[] = {crowd.r, crowd.r};
+        for (uint32_t tries = 0; tries < 8 && rejects(ends[0]) == rejects(ends[1]); ++tries)
+            ends[1] = tries < 2 ? tries << 30 : random.below((1 << 30) + 1);
+        while (rejects(ends[0]) != rejects(ends[1]) &&
+               std::max(ends[0], ends[1]) - std::min(ends[0], ends[1]) > 1) {
+            uint32_t middle = (ends[0] + ends[1]) / 2;
+            ends[rejects(middle) == rejects(ends[1])] = middle;
+        }
+        crowd.r = ends[random.below(2)];
     }
 
     /* A word nothing is known of, for alpha. */
@@ -593,12 +603,19 @@ class Run
         model.n = some_n(model.t, model.b_hat);
         model.local = form(model.t, model.n, model.b_hat);
         model.updated = 0;
+        model.filter_left = 1 + random.word() % current->config.filter_period;
         if (model.is_robust())
             model.crowd = some_crowd();
-        model.filter_left = 1 + random.word() % current->config.filter_period;
+        bool is_tested = model.is_robust() && model.t != 0 && model.crowd.votes != 0 && random.one_in(2);
+        if (is_tested) {
+            undecide(model.crowd);
+            model.filter_left = 1;
+        }
         if (random.one_in(8))
             model.counters = {0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF};
         do_restore("restore of an age", model.save());
+        if (is_tested)
+            do_settle();
     }
 
     void live()
