@@ -4,7 +4,7 @@
 #include "mcp_asdf.h"
 
 /* The budget of RAM, where a pointer has 32 bits. */
-typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 152 ? 1 : -1];
+typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 160 ? 1 : -1];
 
 /* Three messages at distances 1, 2 and 3 from the own estimate have the ratio 6: with q = 3 the entry of 3
  * decides, not the last one, which is for more. */

@@ -67,7 +67,9 @@ def passes(folder: Path, test: str, variant: Variant) -> bool:
             objects.append(Path(made) / f"{source.stem}.o")
             if not _limited("tcc", *flags, "-c", source, "-o", objects[-1]):
                 return False
-        is_linked = _limited("gcc", "-no-pie", _third(*_build(variant)), *objects, "-lstdc++", "-lm", "-o", program)
+        is_linked = _limited(
+            "gcc", "-no-pie", _third(*_build(variant)), *objects, "-lstdc++", "-lm", "-o", program
+        )
         return is_linked and _limited(program, "1", str(CALLS))
 
 
