@@ -117,17 +117,18 @@ def measured(folder: Path) -> Decisions:
 
 
 CONSTANT = "a constant of each build, so no run can change it; both its values are compiled and tested"
+OF_BUILDS = {
+    ("divide_24", "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U"): (1,),
+    ("is_robust", "!MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST"): (1,),
+    (
+        "has_crowd",
+        "MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST)",
+    ): (1, 2),
+}
 UNREACHED = {
-    (
-        "divide_24",
-        "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U",
-        "effect of condition 1",
-    ): CONSTANT,
-    (
-        "is_robust",
-        "!MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST",
-        "effect of condition 1",
-    ): CONSTANT,
+    (*place, f"effect of condition {number}"): CONSTANT
+    for place, numbers in OF_BUILDS.items()
+    for number in numbers
 }
 """Conditions that cannot be reached: function, text and value; and the reason."""
 
