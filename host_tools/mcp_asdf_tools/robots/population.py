@@ -96,7 +96,7 @@ class Population(WorldSettings):
 
     @property
     def filter_name(self) -> str:
-        """The paper's name of who filters, in ASCII."""
+        """The paper's name of who filters, or robust, in ASCII."""
         return FILTER_NAMES[self.filter]
 
     def is_flawed(self, robot: int) -> bool:

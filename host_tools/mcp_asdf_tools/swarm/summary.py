@@ -32,7 +32,7 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
             (f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
             for name in ("flawed", "other")
         ),
-        ("filter", f"{tests} tests, {results['updates']} updates"),
+        ("filter", f"{settings.filter_name}, {tests} tests, {results['updates']} updates"),
         (
             "frames",
             f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "

@@ -63,6 +63,7 @@ def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -
     assert again.startswith("again: mcp-asdf swarm ") and again.endswith("--seed 42")
     names = [line.split("\t")[0] for line in lines]
     assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
+    assert lines[-3].startswith("filter\tASDF+, ")
     assert set(names[:-7]) <= {"step", "robot"}
     assert command("--seed", "42", "--quiet") == 0
     shown = capsys.readouterr().out

@@ -34,6 +34,7 @@ WORLDS: list[dict[str, Any]] = [
     {"topology": "dynamic", "drift": "wiener", "drift_diffusion": 1e-3},
     {"topology": "graph", "graph": "0 1; 1 > 2; 3 6"},
     {},
+    {"filter": "robust", "topology": "dynamic", "density": 8, "fill_ratio": 0.95, "flawed": 2},
 ]
 
 
@@ -59,7 +60,7 @@ def plain(stage: Stage) -> dict[str, Any]:
     return stage_as_plain(stage) | {"title": stage.title.partition(", trial")[0]}
 
 
-@pytest.mark.parametrize("world", WORLDS, ids=["dynamic", "graph", "fully-connected"])
+@pytest.mark.parametrize("world", WORLDS, ids=["dynamic", "graph", "fully-connected", "robust"])
 def test_a_swarm_its_log_and_its_trial_make_one_film(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,6 +71,9 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     logged, trial = film_of_log(log), film_of_trial(trials_of(**world), 0)
     assert plain(live.stage) == plain(logged.stage) == plain(trial.stage)
     assert live.stage.title.endswith(", seed 3")
+    assert ("flawed, robust, " in live.stage.title) == (world.get("filter") == "robust")
+    x, _, b_hat, _ = np.stack([state[0] for state in states(live).values()], axis=1)
+    assert "graph" in world or min(np.ptp(each, axis=0).max() for each in (x, b_hat)) > 0.1
     assert logged.has_ended and trial.has_ended and not live.has_ended
     assert list(states(logged)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
