@@ -30,8 +30,11 @@ from mcp_asdf_tools.bus.frames import (
     encode,
     encode_command,
 )
+from mcp_asdf_tools.radio.bench import BenchOptions
+from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
+from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from support import PATIENCE, interruptible, require, slow
 from targets.c_node import (
     CORTEX_A8,
@@ -47,6 +50,7 @@ from targets.c_node import (
     twin,
 )
 from targets.unix_bus import UnixBus
+from wrong_robots import surroundings
 
 ID = 101
 CAN_ERR_CRTL, CAN_ERR_PROT, CAN_ERR_BUSOFF, CAN_ERR_RESTARTED = 0x4, 0x8, 0x40, 0x100
@@ -155,6 +159,14 @@ SPOILT: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
     lambda frame, draw: {"is_fd": True},
     lambda frame, draw: {"arbitration_id": CAN_ERR_PROT, "is_error_frame": True},
 )
+
+
+def test_the_verdict_on_a_node_with_the_robust_filter_is_good(start: Start, bus: UnixBus) -> None:
+    node = start("--lockstep", "--filter", "robust", "--b-hat", 0.95, "--filter-period", 5)
+    own = RobotRecord(ID, "mirror", 0.95, TickConfig(filter=Filter.ROBUST, filter_period=5))
+    verdict = Verification(surroundings(own), BenchOptions(bus, 20, PATIENCE)).run()
+    assert verdict.has_passed, verdict.headline
+    assert node.stop()["updates"] > 10
 
 
 # ---- Usage ----
@@ -341,9 +353,20 @@ def saved(node: RobotNode) -> bytes:
     return image
 
 
-def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path) -> None:
-    text, state, expected = tmp_path / "observations", tmp_path / "state", twin(ID, filter_period=10)
-    options = (*FAST, "--filter-period", 10, "--state", state, "--observations", text)
+@pytest.mark.parametrize("chosen", [Filter.ADAPTIVE, Filter.ROBUST])
+def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path, chosen: Filter) -> None:
+    text, state = tmp_path / "observations", tmp_path / "state"
+    expected = twin(ID, filter_period=10, filter=chosen)
+    options = (
+        *FAST,
+        "--filter-period",
+        10,
+        "--state",
+        state,
+        *FILTERS[chosen].split(),
+        "--observations",
+        text,
+    )
     for symbols in ("011", "100", "111"):
         text.write_text(symbols, encoding="ascii")
         node = start(*options)
@@ -372,6 +395,7 @@ def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, 
         (image + b"x", (), "damaged"),
         (image[:20] + bytes([image[20] ^ 1]) + image[21:], (), "damaged"),
         (image, ("--filter-period", 10), "periods"),
+        (image, ("--filter", "robust"), "damaged"),
         (saved(twin(6)), (), "another robot"),
         (None, (), str(tmp_path)),
     )
