@@ -213,6 +213,19 @@ def test_what_the_robust_filter_does_wrongly_is_told(
     assert Audit().judge(setup, call, before, replace(after, outcome=other)) != []
 
 
+def test_what_the_robust_filter_does_is_judged_from_the_first_vote_and_tile() -> None:
+    """One vote; a filter that is not due; one without a tile; and a test that rounding decides."""
+    audit = Audit()
+    list(judged("robot:3:2:64:0:3221225472,step:1,observe:1,receive:1:99:2147483649,observe:1,settle", audit))
+    assert audit.robust == {"voted": 1, "too few": 1}
+    blind = ",".join(f"receive:{sender}:99:2147483649" for sender in (1, 2, 3))
+    list(judged(f"robot:3:2:64:0:3221225472,{blind},settle,settle,observe:1,settle", audit))
+    assert audit.robust == {"voted": 4, "too few": 1}
+    count = "restore:1:2124665746:2:2147483643:3:1085233319:7:3:8:262144:9:7:10:2124665746:11:2147500032"
+    list(judged(f"robot:3:1:2147483648:0:3221225472,{count}:29:65536,settle", audit))
+    assert audit.robust == {"voted": 4, "too few": 1, "undecided": 1} and audit.tests == 1
+
+
 def test_errors_keep_the_largest() -> None:
     errors = Errors()
     for exact, reference in ((Fraction(-3, 4), 0.25), (Fraction(1, 4), -0.5)):
