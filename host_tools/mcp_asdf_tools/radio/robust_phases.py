@@ -104,7 +104,7 @@ def thresholds(spread: int) -> Callable[[Bench], None]:
         bench.doing = "votes that agree"
         _bring(
             bench,
-            f"a spread of {spread}",
+            f"a spread of {spread / 2**30:g}",
             lambda: crowd.spread <= spread,
             lambda: _vote(bench, [(crowd.centre >> 7) + draw.randint(-width, width) for _ in range(_ALL)]),
         )
@@ -187,6 +187,8 @@ def _cross(bench: Bench, side: int) -> None:
     for _ in range(2):
         bench.doing = "observations of one colour"
         colour = _up_to(bench, not _rejects(bench), side)
+        if colour is None:
+            return
         for z in (None, colour):
             bench.tick(z)
             bench.doing = "a test that " + ("just rejects" if _rejects(bench) else "just does not reject")

@@ -19,6 +19,7 @@ import pytest
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import Action, Command, Heartbeat, Message, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.radio import robust_phases
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
@@ -175,6 +176,16 @@ def test_what_is_not_put_to_the_test_proves_nothing(
     assert not verdict.has_passed
     assert verdict.headline.startswith("NOT EXERCISED: ")
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
+
+
+def test_what_the_crowd_cannot_be_brought_to_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robust_phases, "_MOST_ROUNDS", 0)
+    monkeypatch.setattr(robust_phases, "_MOST_OBSERVED", 0)
+    verdict = judge(obedient(**VOTES), surroundings(right(**VOTES)), CRAFTED)
+    assert verdict.difference is None
+    wanted = ("two voices", "a crowd in the middle", "a spread of 0.0625", "a spread of 0.000244141")
+    assert {*wanted} <= {*verdict.not_exercised}
+    assert any(told.startswith("observations of one colour: a test that") for told in verdict.not_exercised)
 
 
 SLOW = {"filter_period": 5, "comms_period": 5, "memory": 20_004}
