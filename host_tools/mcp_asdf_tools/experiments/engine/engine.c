@@ -1,8 +1,9 @@
 /* Trials side by side, with a lane for every robot. engine.h is the manual.
  *
- * Sixteen trials of fully connected swarms take their steps together, or one in its arena. Robots observe and
- * settle in lanes; the steps in which the filter may run or t reaches the memory, and the last one, are the
- * firmware's own: before them the lanes hand over what they changed. Without lanes every step is its own.
+ * Sixteen trials of fully connected swarms take their steps together, or one in its arena. Robots observe,
+ * hear (in an arena message by message) and settle in lanes; the steps in which the filter may run or t
+ * reaches the memory, and the last one, are the firmware's own: before them the lanes hand over what they
+ * changed. Without lanes every step is its own.
  */
 #include "lanes.h"
 #include "philox.h"
