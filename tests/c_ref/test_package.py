@@ -91,10 +91,10 @@ def cmake(*arguments: str | Path) -> str:
     return run(require("cmake"), *arguments)
 
 
-def installed(folder: Path) -> Path:
+def installed(folder: Path, *options: str) -> Path:
     """The library is installed and then moved, so that nothing may name the first place."""
     place = folder / "first"
-    cmake("-S", PACKAGE, "-B", folder / "made", f"-DCMAKE_INSTALL_PREFIX={place}")
+    cmake("-S", PACKAGE, "-B", folder / "made", f"-DCMAKE_INSTALL_PREFIX={place}", *options)
     cmake("--build", folder / "made", "--target", "mcp_asdf")
     cmake("--install", folder / "made")
     shutil.rmtree(folder / "made")
@@ -136,6 +136,23 @@ def found(project: Path) -> None:
     assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | config
 
 
+def without_the_robust_filter(project: Path) -> None:
+    """What leaves the filter out reaches the program."""
+    check = "#if MCP_ASDF_WITH_ROBUST\n#error it is there\n#endif\n"
+    (project / "main.c").write_text(CONSUMER + check)
+    built(project, f'add_subdirectory("{PACKAGE}" mcp_asdf)', "-DMCP_ASDF_WITH_ROBUST=OFF")
+
+
+def without_the_papers(project: Path) -> None:
+    """The same of an installed library, with a robot that has no table."""
+    robust = CONSUMER.replace("MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30)", "{0, 1, 64, MCP_ASDF_ROBUST}")
+    (project / "main.c").write_text(f"{robust}#if MCP_ASDF_WITH_ASDF\n#error it is there\n#endif\n")
+    prefix = installed(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
+    (description,) = prefix.rglob("mcp_asdf.pc")
+    assert "-DMCP_ASDF_WITH_ASDF=0" in description.read_text(encoding="utf-8")
+    built(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}")
+
+
 def pkg_config(project: Path) -> None:
     (folder,) = (path.parent for path in installed(project / "library").rglob("mcp_asdf.pc"))
     ask = (require("pkg-config", "pkgconf"), "mcp_asdf")
@@ -151,6 +168,8 @@ WAYS: dict[str, Callable[[Path], None]] = {
     "FetchContent": lambda project: built(project, FETCH.format(ROOT)),
     "find_package": found,
     "pkg-config": pkg_config,
+    "without the robust filter": without_the_robust_filter,
+    "without the paper's": without_the_papers,
 }
 
 
