@@ -76,7 +76,7 @@ HOT void vote(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
     const middle_t moved = middle_after(middle, x_hat);
     crowd->trend = (uint16_t)moved.trend;
     crowd->votes = (uint16_t)moved.votes;
-    crowd->voices |= UINT32_C(1) << (sender & 31U);
+    crowd->voices |= shift_left(1, sender & 31U);
     crowd->centre = moved.centre;
     crowd->spread = moved.spread;
 }

@@ -14,7 +14,7 @@ pytest.importorskip("unicorn", reason="the emulator that counts instructions is 
 from benchmarks.cost import report
 from benchmarks.cost.images import AVR, LEVELS, TARGETS, Image, Target, build
 from benchmarks.cost.machines import load
-from benchmarks.cost.measurement import Figures, kilobot, measure
+from benchmarks.cost.measurement import BUILDS, PAPER, ROBUST, Build, Figures, kilobot, measure
 from benchmarks.cost.paths import Paths
 from benchmarks.cost.robots import TESTED, UPDATED
 
@@ -44,13 +44,69 @@ def test_nothing_grows_and_the_cost_is_as_published(target: Target, tmp_path: Pa
     readme = report.README.read_text(encoding="utf-8")
     if target.version() not in readme:
         pytest.skip(f"the pages are of other compilers than {target.version()}: run make cost")
-    if target.name == "Cortex-M4":
-        assert f"at most {both['-O2'].bound[UPDATED]} instructions for a step" in readme
     check_row(readme, report.short_row(target.name, *both.values()))
+    for level, before in BEFORE.get(target.name, {}).items():
+        check_same(both[level], before)
     page = report.PAGE.read_text(encoding="utf-8")
     for level, found in both.items():
         check_row(page, report.call_row(f"{target.name} {level}", found))
         check_row(page, report.memory_row(f"{target.name} {level}", found))
+
+
+BEFORE = {
+    "ATmega328P": {
+        "-Os": (1322, 3559, 11084, 3344, 7527, 11267),
+        "-O2": (1339, 3626, 10895, 3079, 8409, 15731),
+    },
+    "Cortex-M4": {"-Os": (50, 147, 407, 85, 1574, 2736), "-O2": (49, 125, 376, 78, 2040, 4120)},
+}
+"""What receive, a step, one with test and update, and x took at most, and the bytes of code, before there was
+a robust filter: a build without it takes no more."""
+
+
+def check_same(found: Figures, before: tuple[int, ...]) -> None:
+    kinds = ("receive", "step", UPDATED, "x")
+    most = [found.bound[kind] if found.bound else found.most(kind, "cycles") for kind in kinds]
+    assert all(new <= 1.005 * old for new, old in zip((*most, *found.code), before, strict=True))
+
+
+@pytest.mark.parametrize(
+    "target", [TARGETS[3], *slow((*TARGETS[:3], TARGETS[4]))], ids=lambda target: target.name
+)
+def test_the_robust_filter_costs_what_is_published(target: Target, tmp_path: Path) -> None:
+    compared = {
+        level: [
+            measure(usable(target), level, tmp_path / f"{level}{number}", of)
+            for number, of in enumerate(BUILDS)
+        ]
+        for level in LEVELS
+    }
+    for paper, robust, alone in compared.values():
+        check_stacks(target, alone)
+        assert robust.seen and paper.code == robust.code and alone.ram < robust.ram
+        for kind, bound in alone.bound.items():
+            assert alone.most(kind) <= bound <= 1.1 * alone.most(kind), kind
+        for kind, bound in robust.bound.items():
+            most = max(paper.most(kind), robust.most(kind))
+            assert bound == paper.bound[kind] and most <= bound <= 1.1 * most, kind
+    readme = report.README.read_text(encoding="utf-8")
+    if target.version() not in readme:
+        pytest.skip(f"the pages are of other compilers than {target.version()}: run make cost")
+    if target.name == "Cortex-M4":
+        check_aims(compared)
+        assert f"at most {compared['-O2'][1].bound[UPDATED]} instructions for a step" in readme
+    page = report.PAGE.read_text(encoding="utf-8")
+    for level, found in compared.items():
+        check_row(page, report.filter_row(f"{target.name} {level}", *found))
+
+
+def check_aims(compared: dict[str, list[Figures]]) -> None:
+    """What the robust filter was built for on a Cortex-M4."""
+    for level, (_, robust, alone) in compared.items():
+        assert robust.bound["receive"] <= BEFORE["Cortex-M4"][level][0] + 25
+        assert alone.bound["receive"] <= 75
+        assert (robust.ram, alone.ram) == (160, 96)
+    assert compared["-O2"][2].bound[UPDATED] <= 370 and compared["-Os"][2].code[0] <= 1450
 
 
 def check_row(page: str, fresh: report.Row) -> None:
@@ -89,13 +145,14 @@ def check_stacks(target: Target, found: Figures) -> None:
         assert touched <= found.stack[name] <= touched + 2 * ALIGNMENT[target.tools] + 8, name
 
 
-def test_a_kilobot_holds_its_firmware(tmp_path: Path) -> None:
+@pytest.mark.parametrize("built", [PAPER, Build(), ROBUST], ids=("paper", "both", "robust"))
+def test_a_kilobot_holds_its_firmware(built: Build, tmp_path: Path) -> None:
     usable(AVR)
-    flash, ram = kilobot(tmp_path / "image")
+    flash, ram = kilobot(tmp_path / "image", built)
     assert flash <= report.FLASH / 2 and ram <= report.RAM / 2
     text = report.README.read_text(encoding="utf-8").replace("\n", " ")
     if AVR.version() in text:
-        assert f"{flash / report.FLASH:.0%} of its flash and {ram / report.RAM:.0%} of its RAM" in text
+        assert report.share((flash, ram)) in text
 
 
 # ---- What measures ----

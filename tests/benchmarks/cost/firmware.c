@@ -7,8 +7,12 @@ void bench_start(uint32_t b_hat, uint32_t filter);
 /* Let it filter every filter_period rounds and halve t when it reaches memory, and set the numbers of
  * observations and of black ones among them. */
 void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
-/* Times that b_hat was re-estimated since the start. */
-uint32_t bench_updates(void);
+/* Tests (times 2^16) and re-estimates of b_hat since the start. */
+uint32_t bench_filtered(void);
+#if MCP_ASDF_WITH_ROBUST
+/* Set what it knows of the others; votes in the lower half of a word, trend in the upper one. */
+void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t votes_trend);
+#endif
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
@@ -33,13 +37,18 @@ void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
     robot.n = n;
 }
 
-uint32_t bench_updates(void) { return robot.counters.updates; }
+uint32_t bench_filtered(void) { return (uint32_t)robot.counters.tests << 16 | robot.counters.updates; }
+
+#if MCP_ASDF_WITH_ROBUST
+void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t votes_trend)
+{
+    robot.crowd = (mcp_asdf_crowd_t){
+        centre, spread, voices, robot.crowd.first, (uint16_t)votes_trend, (uint16_t)(votes_trend >> 16)};
+}
+#endif
 
 int main(void)
 {
-#if !MCP_ASDF_WITH_ASDF
-    config.filter = MCP_ASDF_ROBUST;
-#endif
     (void)mcp_asdf_init(&robot, &config, 5, UINT32_C(0xF3333333));
     (void)mcp_asdf_observe(&robot, MCP_ASDF_BLACK);
     (void)mcp_asdf_receive(&robot, 6, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot));

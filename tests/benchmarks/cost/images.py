@@ -162,9 +162,12 @@ KILOBOT_CLOCK, KILOBOT_BAUD = 8_000_000, 38_400
 """Hertz, and the speed of its serial line: 115200 is out of an 8 MHz UART's reach."""
 
 
-def kilobot_image(folder: Path) -> Image:
-    """The whole firmware of a Kilobot: core, t-table, frame codec and the main loop of c_ref/ports/demo.c."""
+def kilobot_image(folder: Path, *flags: str) -> Image:
+    """The whole firmware of a Kilobot: core, frame codec, the main loop of c_ref/ports/demo.c and a t-table;
+    with the robust filter alone there is none."""
     ports = (PORTS / name for name in ("demo.c", "packet_radio.c", "avr/demo_atmega.c", "avr/atmega.c"))
     core = (FIRMWARE / f"mcp_asdf{part}.c" for part in ("", "_image", "_frame"))
     clock = (f"-DF_CPU={KILOBOT_CLOCK}UL", f"-DBAUD={KILOBOT_BAUD}")
-    return build(AVR, folder, [*ports, *core, TABLE], "-Os", f"-I{PORTS}", *clock)
+    is_robust = "-DMCP_ASDF_WITH_ASDF=0" in flags
+    table = f"-Wl,--defsym={TABLE.stem.replace('t_table', 'mcp_asdf_t_table')}=0" if is_robust else str(TABLE)
+    return build(AVR, folder, [*ports, *core], "-Os", f"-I{PORTS}", *clock, *flags, table)

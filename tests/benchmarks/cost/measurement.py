@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
+from mcp_asdf import Filter
+
 from .images import AVR, FIRMWARE, HERE, TABLE, Image, Target, build, kilobot_image
 from .machines import load
 from .paths import Paths, division
@@ -17,6 +19,23 @@ TICK_CALLS = ("observe", "receive", "settle", "step", "x")
 STACK_CALLS = (*TICK_CALLS, "init", "save", "restore", "invariants_hold")
 SEED = 1
 _OWN = re.compile(r"(main|config|bench_\w+|mcp_asdf_t_table_\w+)$")
+
+
+@dataclass(frozen=True)
+class Build:
+    """What is built of the firmware, the filter of the robot in it, and random situations of every age."""
+
+    flags: tuple[str, ...] = ()
+    filter: Filter = Filter.ROBUST
+    samples: int = 10
+
+
+PAPER = Build(("-DMCP_ASDF_WITH_ROBUST=0",), Filter.ADAPTIVE, samples=40)
+"""The paper's filter alone: what all figures are that name no other build."""
+ROBUST = Build(("-DMCP_ASDF_WITH_ASDF=0",))
+"""The robust filter alone."""
+BUILDS = (Build(filter=Filter.ADAPTIVE), Build(), ROBUST)
+"""Those compared: robots with the paper's filter and with the robust one, where both are built, and alone."""
 
 
 @dataclass
@@ -53,11 +72,12 @@ class Figures:
         return max(self.stack[name] for name in TICK_CALLS)
 
 
-def robot_image(target: Target, level: str, folder: Path) -> Image:
+def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:
     """The firmware, ready to be called."""
-    kept = [*(f"mcp_asdf_{name}" for name in STACK_CALLS), "bench_start", "bench_set", "bench_updates"]
+    kept = [f"mcp_asdf_{name}" for name in STACK_CALLS]
+    kept += [f"bench_{name}" for name in ("start", "set", "filtered", "crowd")]
     sources = [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
-    return build(target, folder, sources, level, *(f"-Wl,-u,{name}" for name in kept))
+    return build(target, folder, sources, level, *of.flags, *(f"-Wl,-u,{name}" for name in kept))
 
 
 def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
@@ -72,12 +92,12 @@ def plain_cost(target: Target, level: str, folder: Path, kind: str) -> float:
     return fmean(costs)
 
 
-def measure(target: Target, level: str, folder: Path) -> Figures:
-    """All of a target at a level."""
-    image = robot_image(target, level, folder / "firmware")
-    robot, paths = Robot(load(image)), Paths(image)
+def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figures:
+    """All of a target at a level; the baselines are compared with the paper's filter alone."""
+    image = robot_image(target, level, folder / "firmware", of)
+    robot, paths = Robot(load(image), of.filter), Paths(image)
     mean = robot.live()
-    robot.suffer(SEED)
+    robot.suffer(SEED, of.samples)
     bound = {}
     if target != AVR:
         bound = {name: paths.longest(f"mcp_asdf_{name}") for name in ("receive", "x")}
@@ -91,13 +111,13 @@ def measure(target: Target, level: str, folder: Path) -> Figures:
         divisions=0 if target == AVR else paths.longest("mcp_asdf_step", division),
         stack={name: paths.deepest(f"mcp_asdf_{name}") for name in STACK_CALLS},
         code=(
-            code_bytes(target, level, folder / "least"),
-            code_bytes(target, level, folder / "whole", "-DWHOLE"),
+            code_bytes(target, level, folder / "least", *of.flags),
+            code_bytes(target, level, folder / "whole", *of.flags, "-DWHOLE"),
         ),
         ram=int(image.symbols["robot"]["st_size"]),
         times={
             kind: plain_cost(target, level, folder / kind, kind) / (mean["step"] + mean["x"])
-            for kind in kinds
+            for kind in (kinds if of == PAPER else ())
         },
     )
 
@@ -117,9 +137,9 @@ def code_bytes(target: Target, level: str, folder: Path, *flags: str) -> int:
     return own - nothing
 
 
-def kilobot(folder: Path) -> tuple[int, int]:
+def kilobot(folder: Path, of: Build = PAPER) -> tuple[int, int]:
     """Bytes of flash and of RAM of a whole Kilobot: variables, main()'s stack and an interrupt's."""
-    image = kilobot_image(folder)
+    image = kilobot_image(folder, *of.flags)
     paths = Paths(image)
     handlers = [
         name

@@ -11,8 +11,10 @@ from .robots import SHORT, TESTED, UPDATED
 README, PAGE = ROOT / "README.md", ROOT / "docs/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
 """Bytes of an ATmega328P."""
-Cells = dict[tuple[str, str], Figures]
-"""Measurements by target and level."""
+Cells = dict[tuple[str, str], tuple[Figures, ...]]
+"""Measurements by target and level: of the paper's filter alone, then of BUILDS."""
+Kilobots = tuple[tuple[int, int], ...]
+"""Bytes of flash and of RAM: with the paper's filter alone, with both, with the robust one alone."""
 Row = dict[str, str]
 """Cells by the titles of their columns."""
 
@@ -31,16 +33,17 @@ def fill(text: str, sections: dict[str, str]) -> str:
     return text
 
 
-def sections(cells: Cells, kilobot: tuple[int, int]) -> dict[Path, dict[str, str]]:
+def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     """For every page what stands between its markers."""
     names = [target.name for target in TARGETS]
-    short = [short_row(name, *(cells[name, level] for level in LEVELS)) for name in names]
+    short = [short_row(name, *(cells[name, level][0] for level in LEVELS)) for name in names]
     every = [(f"{name} {level}", cells[name, level]) for name in names for level in LEVELS]
     return {
-        README: {"cost table": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'], kilobot)}"},
+        README: {"cost table": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}"},
         PAGE: {
-            "calls": table([call_row(*each) for each in every]),
-            "memory": table([memory_row(*each) for each in every]),
+            "calls": table([call_row(name, found[0]) for name, found in every]),
+            "memory": table([memory_row(name, found[0]) for name, found in every]),
+            "filters": table([filter_row(name, *found[1:]) for name, found in every]),
         },
     }
 
@@ -83,21 +86,42 @@ def memory_row(name: str, found: Figures) -> Row:
     return {"bytes": name, **{title: str(each) for title, each in bytes_of.items()}}
 
 
+def filter_row(name: str, *compared: Figures) -> Row:
+    """The most instructions of BUILDS in their order, and the bytes of what is built."""
+    calls = {
+        kind: ", ".join(str(found.most(kind)) for found in compared)
+        for kind in ("step", UPDATED, "receive", "x")
+    }
+    both, alone = compared[1:]
+    return {
+        "worst observed; bytes": name,
+        **calls,
+        "code": f"{both.code[0]}, {alone.code[0]}",
+        "RAM of a robot": f"{both.ram}, {alone.ram}",
+        "stack of a tick": f"{both.tick_stack()}, {alone.tick_stack()}",
+    }
+
+
 def table(rows: list[Row]) -> str:
     """Rows under their titles."""
     lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _kilobot(avr: Figures, kilobot: tuple[int, int]) -> str:
+def _kilobot(avr: Figures, kilobots: Kilobots) -> str:
     compilers = ", ".join(sorted({target.version() for target in TARGETS}))
-    flash, ram = kilobot
+    paper, both, alone = map(share, kilobots)
     rates = (
         KILOBOT_CLOCK // round(1.05 * avr.most(kind, "cycles")) for kind in ("step", UPDATED)
     )  # 5 % spare
     return (
         f"With {compilers}. A t-table takes 12 + 4 q bytes of flash. A whole Kilobot (ATmega328P, -Os:\n"
-        f"core, t-table, frames, main loop, radio) takes {flash / FLASH:.0%} of its flash and "
-        f"{ram / RAM:.0%} of its RAM, stack included; at 8 MHz it\ntakes at least {next(rates)} "
-        f"steps per second, or {next(rates)} if each of them tests and updates."
+        f"core, t-table, frames, main loop, radio) takes {paper}, stack included; at 8 MHz it\n"
+        f"takes at least {next(rates)} steps per second, or {next(rates)} if each of them tests and updates. "
+        f"With both filters it takes\n{both}, with the robust one alone {alone}."
     )
+
+
+def share(kilobot: tuple[int, int]) -> str:
+    """What a Kilobot takes of its memories."""
+    return f"{kilobot[0] / FLASH:.0%} of its flash and {kilobot[1] / RAM:.0%} of its RAM"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from statistics import mean
 
 from mcp_asdf import Config, Filter, NativeRobot, Observation
-from mcp_asdf.fixed_point import alpha_units
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 from .machines import Argument, Cost, Machine
@@ -18,8 +17,6 @@ NEVER, MEMORY = 2**31, 2**31
 """A filtering period that no run reaches; the longest memory."""
 ROUNDS = (1, 2, 4, 8, 16, 32, 64, 96, 127)
 """Messages in the rounds that are looked at one by one."""
-SAMPLES = 40
-"""Random situations of every age."""
 BLACK = 0.545
 """p(z = 1) for a fill ratio of 0.55 and sensors right 95 times out of 100."""
 _ONE = 2**23
@@ -75,6 +72,18 @@ def situation(rng: random.Random, messages: int, t: int) -> Situation:
     return Situation(b_hat, MEMORY, t - 1, n, tuple(heard), rng.getrandbits(1))
 
 
+def crowd(rng: random.Random, situation: Situation) -> tuple[Argument, ...]:
+    """What a robot with the robust filter can know of the others before the messages of a situation, beside
+    them or anywhere: centre, spread, voices, trend and votes."""
+    beside = [x_hat * 2**7 + rng.randint(-(2**20), 2**20) for _, x_hat, _ in situation.messages]
+    centre = _between(0, rng.choice((*beside, rng.randint(0, 2**30), 0, 2**30)), 2**30)
+    votes = rng.choice((1, 2**14 - 1, 2**14, rng.randrange(1, 2**14)))
+    trend = rng.choice((2**15, 2**13, rng.randrange(2**16)))
+    spread = _between(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28)
+    voices = rng.choice((1, rng.getrandbits(31) + 1))
+    return tuple((word, 4) for word in (centre, spread, voices, trend << 16 | votes))
+
+
 def _between(least: int, value: int, most: int) -> int:
     return max(least, min(value, most))
 
@@ -99,11 +108,12 @@ class Robot:
 
     Attributes:
         machine: Where it runs.
+        filter: The filter of its config.
         seen: All calls so far.
     """
 
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
+    def __init__(self, machine: Machine, filter: Filter = Filter.ADAPTIVE) -> None:
+        self.machine, self.filter = machine, filter
         self.seen: list[Seen] = []
         self._t = self._m = 0
 
@@ -116,7 +126,7 @@ class Robot:
 
     def start(self, b_hat: int, period: int, t: int = 0, n: int = 0, memory: int = MEMORY) -> None:
         """Make it new, then give it a past; it filters every ``period`` rounds."""
-        self.machine.call("bench_start", (b_hat, 4))
+        self.machine.call("bench_start", (b_hat, 4), (self.filter.value, 4))
         self.machine.call("bench_set", *((value, 4) for value in (period, memory, t, n)))
         self._t, self._m = t, 0
 
@@ -126,13 +136,13 @@ class Robot:
         self.call("receive", (sender, 1), (x_hat, 4), (alpha, 4))
         self._m += 1
 
-    def step(self, observation: int, due: bool, audible: int) -> None:
-        """Take a whole tick, whose kind depends on whether the filter is due and how many were heard."""
-        before = self.machine.call("bench_updates").value
+    def step(self, observation: int, due: bool) -> None:
+        """Take a whole tick, whose kind depends on whether the filter is due and what it does."""
+        before = self.machine.call("bench_filtered").value
         cost = self.call("step", (observation, 2))
         if due:
-            is_updated = self.machine.call("bench_updates").value != before
-            kind = SHORT if audible < 2 else UPDATED if is_updated else TESTED
+            tests, updates = divmod(self.machine.call("bench_filtered").value - before, 2**16)
+            kind = UPDATED if updates else TESTED if tests else SHORT
             self.seen[-1] = Seen(kind, self._t, self._m, cost)
         self._m = 0
 
@@ -141,8 +151,8 @@ class Robot:
         of the firmware on this machine; returns the mean instructions of each kind of call."""
         rng, config = random.Random(10), Config(filter=Filter.OFF)
         swarm = {sender: NativeRobot(config, sender, 0.95) for sender in senders(10)}
-        table = generate(parse_omega("0.05"), q=30)
-        twin = NativeRobot(Config(table=table, filter_period=period), OWN_ID, 0.55)
+        table = generate(parse_omega("0.05"), q=30) if self.filter == Filter.ADAPTIVE else None
+        twin = NativeRobot(Config(table=table, filter_period=period, filter=self.filter), OWN_ID, 0.55)
         self.start(int(0.55 * 2**32), period)
         for number in range(1, ticks + 1):
             for sender, other in swarm.items():
@@ -150,18 +160,18 @@ class Robot:
                 self.receive((sender, other.x_hat_raw, other.alpha_raw))
                 twin.receive_raw(sender, other.x_hat_raw, other.alpha_raw)
             z = Observation(int(rng.random() < BLACK))
-            self.step(z, number % period == 0, len(swarm))
+            self.step(z, number % period == 0)
             twin.step(z)
             if self.call("x").value != twin.x_raw:
                 raise RuntimeError(f"{self.machine.image.target.name} has other bits in tick {number}")
         kinds = {each.kind for each in self.seen}
         return {kind: mean(s.cost.instructions for s in self.seen if s.kind == kind) for kind in kinds}
 
-    def suffer(self, seed: int) -> None:
+    def suffer(self, seed: int, samples: int) -> None:
         """Live through the dear situations, random ones of every age, and rounds of every size."""
         rng = random.Random(seed)
         for age in range(32):
-            for _ in range(SAMPLES):
+            for _ in range(samples):
                 self.tick(situation(rng, rng.choice((0, 1, 3)), 2**age), NEVER)
                 self.tick(situation(rng, rng.choice((2, 5)), 2**age), 1)
         for each in DEAR:
@@ -174,11 +184,12 @@ class Robot:
     def tick(self, situation: Situation, period: int) -> None:
         """Take the situation's tick, and form x."""
         self._begin(situation, period)
-        audible = sum(alpha_units(alpha) > 0 for _, _, alpha in situation.messages)
-        self.step(situation.observation, period == 1, audible)
+        self.step(situation.observation, period == 1)
         self.call("x")
 
     def _begin(self, situation: Situation, period: int) -> None:
         self.start(situation.b_hat, period, situation.t, situation.n, situation.memory)
+        if self.filter == Filter.ROBUST:
+            self.machine.call("bench_crowd", *crowd(random.Random(repr(situation)), situation))
         for message in situation.messages:
             self.receive(message)
