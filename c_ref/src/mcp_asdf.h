@@ -80,7 +80,8 @@ typedef enum {
 typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
 
 /* What is built: the paper's filter and the robust one, unless a project defines one of these as 0, for all
- * sources alike. Without the robust filter a robot is smaller by 16 to 20 bytes, without the paper's by 64. */
+ * sources alike. Without the robust filter a robot is smaller by 16 to 20 bytes, without the paper's by 64.
+ */
 #ifndef MCP_ASDF_WITH_ASDF
 #define MCP_ASDF_WITH_ASDF 1
 #endif
