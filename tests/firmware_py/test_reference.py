@@ -278,6 +278,11 @@ SOUND = Message(0.5, 1.0)
         (assumed_accuracy_update, (5, 3, 0.9)),
         *((local_confidence, (1, 2, b)) for b in (math.nextafter(0, -1), math.nextafter(1, 2), math.nan)),
         (assumed_accuracy_update, (1, 2, math.nan)),
+        *((vote, (Crowd(), 1, x)) for x in (math.nextafter(0, -1), 1.5, math.nan)),
+        *(
+            (deviates, wrong)
+            for wrong in ((5, 3, 0.9, 0.5, 0.1), (1, 2, 1.5, 0.5, 0.1), (1, 2, 0.5, -0.1, 0.1))
+        ),
         *((t_score, wrong) for wrong in ((1, OMEGA), (math.nan, OMEGA), (5, 0.0), (5, 1.0), (5, math.nan))),
         *((rejects, (x_hat, [0.5, other], OMEGA)) for x_hat, other in ((math.nan, 0.6), (0.5, math.inf))),
         *((social_estimate, ([SOUND, Message(x, 1.0)],)) for x in (math.nextafter(0, -1), 1.5, math.nan)),
@@ -336,7 +341,7 @@ def test_votes_and_decisions_against_fractions() -> None:
         assert 2**-12 <= after.spread <= 0.25 and abs(after.spread / crowd.spread - 1) <= moved / 2 + 1e-12
         assert (after.spread > crowd.spread) <= (abs(said - crowd.centre) > crowd.spread)
         assert after.votes == min(crowd.votes + 1, 2**14) and list(after.voices) == [8]
-        assert (after.trend > 0.5, after.trend < 0.5) == (said > crowd.centre, said < crowd.centre)
+        assert after.trend == 0.5 + ((said > crowd.centre) - (said < crowd.centre)) / 512
         t, p = 10**6, b * crowd.centre + (1 - b) * (1 - crowd.centre)
         away = math.sqrt(12 * (p * (1 - p) / t + (2 * b - 1) ** 2 * crowd.spread**2)) * rng.uniform(
             0.99, 1.01
@@ -346,6 +351,10 @@ def test_votes_and_decisions_against_fractions() -> None:
         decisions[exact] += 1
         assert exact in (None, deviates(n, t, b, crowd.centre, crowd.spread))
     assert min(decisions[True], decisions[False]) > 100
+    assert vote(Crowd(), 1, 0.75).spread < vote(Crowd(), 1, 0.75).centre - 0.25, (
+        "one spread away is not beyond"
+    )
+    assert [vote(Crowd(votes=2**14), 1, 0.5 + far).trend > 0.5 for far in (2**-18, 2**-19)] == [True, False]
 
 
 @pytest.mark.random

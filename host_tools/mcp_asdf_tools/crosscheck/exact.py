@@ -126,7 +126,7 @@ def vote_limits(
     gain = Fraction(1, 2 ** max(votes.bit_length() - 3, 3))
     step = gain * min(max(said - centre, -spread), spread)
     change = gain / 2 * (spread if abs(said - centre) > spread else -spread)
-    centres = sorted((centre + step, centre + step - (Q30 if step > 0 else -Q30 if step else 0)))
+    centres = sorted((centre + step, centre + step - (Q30 if step > 0 else -Q30)))
     spreads = sorted((spread + change, spread + change - (Q30 if change > 0 else -Q30)))
     least, most = (min(max(each, SPREADS[0]), SPREADS[1]) for each in spreads)
     return [(max(centres[0], min(centre, said)), min(centres[1], max(centre, said))), (least, most)]

@@ -175,6 +175,7 @@ CROWDED = (  # 3 voices, 300 votes, centre 3/4, spread 2^-4, first 7/8
         (ONE, "crowd_centre", -2, "centre is"),
         (6291456, "crowd_centre", 1, "centre is"),  # said and centre are equal: it must not move
         (ONE, "crowd_spread", 2, "spread is"),
+        (ONE, "crowd_spread", -2, "spread is"),
         (6291456, "crowd_spread", -2, "spread is"),
         (0, "x()", 1, "x() is"),
         (0, "beta()", 1, "beta() is"),
