@@ -388,7 +388,8 @@ class MirrorRobot(FixedPointView):
         """The same by the robust filter: None while the crowd moves, or before three voices were heard."""
         s, crowd = self.s, self.s.crowd
         if not 1 << 13 <= crowd.trend < 7 << 13:
-            crowd.votes = min(crowd.votes, VOTES_MOVED)
+            if crowd.votes >= 2 * VOTES_MOVED:
+                crowd.votes >>= 1
             return None
         without_one = crowd.voices & crowd.voices - 1
         if without_one & without_one - 1 == 0:

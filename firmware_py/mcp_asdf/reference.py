@@ -393,7 +393,8 @@ class ReferenceRobot:
         if self._t == 0:
             return None
         if crowd.is_moving:
-            self._crowd = replace(crowd, votes=min(crowd.votes, VOTES_MOVED))
+            if crowd.votes >= 2 * VOTES_MOVED:
+                self._crowd = replace(crowd, votes=crowd.votes // 2)
             return None
         if len(crowd.voices) < FEWEST_VOICES:
             return None

@@ -377,7 +377,8 @@ struct Robot {
         if (t == 0)
             return false;
         if (crowd.is_moving()) {
-            crowd.votes = std::min<uint16_t>(crowd.votes, 1 << 8);
+            if (crowd.votes >= 1 << 9)
+                crowd.votes /= 2;
             return false;
         }
         if (__builtin_popcount(crowd.voices) < 3)

@@ -259,7 +259,7 @@ class Run
             crowd.first = model.b_hat;
             return crowd;
         }
-        static const uint32_t votes[] = {1 << 14, 1 << 8, 63, 1},
+        static const uint32_t votes[] = {1 << 14, 1 << 9, 63, 1},
                               trends[] = {1 << 13, 7 << 13, 1 << 15, 0, 65535};
         crowd.votes = static_cast<uint16_t>(std::max(1u, random.near(votes[random.below(4)], 1 << 14)));
         crowd.trend = static_cast<uint16_t>(random.near(trends[random.below(5)], 65535));

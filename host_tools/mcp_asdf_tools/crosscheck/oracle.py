@@ -134,7 +134,9 @@ class Audit:
             return _wrongly(is_updated, False)
         first, (centre, spread) = old["crowd_first"], _crowd(old)
         is_moving = not 1 / 8 <= old["crowd_trend"] / 2**16 < 7 / 8
-        problems = _differing(new, {"crowd_votes": min(old["crowd_votes"], 2**8)}) if is_moving else []
+        votes = old["crowd_votes"]
+        halved = votes // 2 if is_moving and votes >= 2**9 else votes
+        problems = _differing(new, {"crowd_votes": halved})
         if is_moving or old["crowd_voices"].bit_count() < 3:
             self.robust["moving" if is_moving else "too few"] += 1
             problems += _differing(new, {"b_hat()": old["b_hat()"], "tests": old["tests"]})

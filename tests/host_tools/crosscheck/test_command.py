@@ -45,14 +45,14 @@ def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 
 def test_the_command_reports_everything(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = main(capsys, "--steps", "3000", "--json")
+    code, out, _ = main(capsys, "--steps", "6000", "--json")
     report = json.loads(out)
     errors, tests, robust = (report.pop(name) for name in ("errors", "tests", "robust"))
     assert code == 0
     assert (report.pop("scenarios") > 10, tests > 20) == (True, True)
     assert robust.keys() >= {"voted", "moving", "too few", "rejected", "returned", "kept"}
     assert report == {
-        **{"ok": True, "seed": SEED, "steps": 3000, "interrupted": False, "failure": None, "problems": []},
+        **{"ok": True, "seed": SEED, "steps": 6000, "interrupted": False, "failure": None, "problems": []},
         **json.loads(json.dumps({"operations": COUNTS, "storage": STORAGE})),
     }
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)

@@ -196,7 +196,8 @@ def test_a_vote_beyond_its_limit_is_told(said: int, name: str, excess: int, told
     [
         (688, 32768 << 16 | 300, "returned", {"b_hat()": 3 << 30}),  # p = 11/16
         (300, 32768 << 16 | 300, "rejected", {"b_hat()": 7 << 29}),
-        (300, 8000 << 16 | 300, "moving", {"crowd_votes": 300}),
+        (300, 8000 << 16 | 512, "moving", {"crowd_votes": 512}),
+        (300, 8000 << 16 | 511, "moving", {"crowd_votes": 255}),
         (300, 8000 << 16 | 300, "moving", {"b_hat()": 7 << 29}),
         (300, 60000 << 16 | 300, "moving", {"tests": 1}),
     ],
