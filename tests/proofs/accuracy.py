@@ -19,7 +19,7 @@ import z3
 
 from proofs.arithmetic import are_leading_zeros
 from proofs.core import C_MOST, ONE
-from proofs.formulas import Claim, call, formed
+from proofs.formulas import Claim, call, formed, same
 from proofs.source import Program
 
 # --- Of the C --------------------------------------------------------------------------------------------
@@ -128,9 +128,8 @@ def of_square_of_ratio(program: Program) -> Iterator[Claim]:
 
 def of_reestimate(program: Program) -> Iterator[Claim]:
     """Which quotient is b_hat, and when there is none."""
-    given, (found, after) = formed(program, "reestimate")
-    t, n, closed = (given[name] for name in ("t", "n", "closed"))
-    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
+    given, (found, _) = formed(program, "reestimate")
+    t, n, mean = (given[name] for name in ("t", "n", "a"))
     is_below = z3.ULT(mean, 2**31)
     a, black = z3.If(is_below, ~mean, mean), z3.If(is_below, t - n, n)
     says_something = z3.UGE(2 * a, 2**20)
@@ -141,8 +140,31 @@ def of_reestimate(program: Program) -> Iterator[Claim]:
     quotient = call("quotient", z3.If(z3.ULT(above, span), above, span), span)
     least, most = z3.BitVecVal(2**12, 32), z3.BitVecVal(2**32 - 2**12, 32)
     kept = z3.If(z3.ULT(quotient, least), least, z3.If(z3.UGT(quotient, most), most, quotient))
-    b_hat = after["accuracy"]["b_hat"]
-    yield "N / D, in the range of b_hat", b_hat == kept, [says_something]
+    yield "N / D, in the range of b_hat", found == kept, [says_something]
+
+
+def of_round_b_hat(program: Program) -> Iterator[Claim]:
+    """The paper's filters re-estimate from the mean of the closed round."""
+    given, (found, after) = formed(program, "round_b_hat")
+    closed, count, mode = given["closed"], given["open"]["count"], given["config"]["filter"]
+    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
+    is_tested = z3.And(mode == 0, z3.UGE(count, 2))
+    runs = z3.Or(z3.And(is_tested, call("test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
+    yield "b_hat", found == z3.If(runs, call("reestimate", mean), 0), [z3.ULE(mode, 2)]
+    tests = z3.If(is_tested, z3.BitVecVal(1, 16), 0)
+    yield "tests", after["counters"]["tests"] == given["counters"]["tests"] + tests, [z3.ULE(mode, 2)]
+
+
+def of_filter(program: Program) -> Iterator[Claim]:
+    """What the robot's own filter found becomes b_hat, unless it is 0."""
+    given, (found, after) = formed(program, "filter")
+    is_robust = given["config"]["filter"] == 3
+    b_hat = z3.If(is_robust, call("crowd_b_hat"), call("round_b_hat"))
+    runs = z3.And(given["t"] != 0, b_hat != 0)
+    yield "updated", found == z3.If(runs, z3.BitVecVal(2, found.size()), 0), []
+    updated = [after["accuracy"]["b_hat"] == b_hat, after["updated"] == 1]
+    yield "b_hat", z3.Implies(runs, z3.And(updated)), []
+    yield "no b_hat", z3.Implies(given["t"] == 0, same(after, given)), []
 
 
 # --- Of the numbers --------------------------------------------------------------------------------------
@@ -378,7 +400,7 @@ def _of_exponents() -> Iterator[Claim]:
     yield "both terms", z3.And(total >= 2**28, total < 2**64), known
 
 
-OF_THE_CODE = (of_estimate, of_reestimate, of_set_b_hat, of_square_of_ratio)
+OF_THE_CODE = (of_estimate, of_reestimate, of_round_b_hat, of_filter, of_set_b_hat, of_square_of_ratio)
 OF_THE_NUMBERS = (
     of_lengths,
     of_shifts,

@@ -2,6 +2,7 @@
  * are sound, and a table has the 130 words that may be read of it. */
 #include "mcp_asdf.c"
 #include "mcp_asdf_frame.c"
+#define is_robust is_robust_image /* of a config; that of mcp_asdf.c is of a robot */
 #include "mcp_asdf_image.c"
 
 #ifdef __FRAMAC__

@@ -10,13 +10,15 @@ import z3
 from proofs.arithmetic import EXACT
 from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Number, Type, Words
-from proofs.prove import terms
+from proofs.prove import any_result, terms
 from proofs.source import Program
 
 RESULTS = {
     **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
     **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
     **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient"), 32),
+    **dict.fromkeys(("reestimate", "round_b_hat", "crowd_b_hat"), 32),
+    **dict.fromkeys(("test_rejects", "deviates"), 1),
 }
 """Called functions, of which nothing is known here, and bits of their results."""
 Claim = tuple[str, Any, list[Any]]
@@ -25,13 +27,19 @@ Claims = Callable[[], Iterator[Claim]]
 
 
 def call(name: str, *arguments: Any) -> Any:
-    """The result of a function of the C on these words: anything, but the same for the same arguments."""
+    """The result of a function of the C on these words, and on a robot, of which there is one: anything, but
+    the same for the same arguments."""
     function = z3.Function(name, *(each.sort() for each in arguments), z3.BitVecSort(RESULTS[name]))
     return function(*arguments)
 
 
 def _stands_in(name: str) -> Summary:
-    return lambda _, *arguments: Number(call(name, *(each.term for each in arguments)), Type(RESULTS[name]))
+    def summary(machine: Machine, *arguments: Any) -> Number:
+        any_result(name)(machine, *arguments)
+        words = (each.term for each in arguments if isinstance(each, Number))
+        return Number(call(name, *words), Type(RESULTS[name]))
+
+    return summary
 
 
 def units(alpha: Any) -> Any:
@@ -55,8 +63,15 @@ BY_LEMMA: dict[str, Summary] = {
 """Functions that are known by their lemmas, where they are not opaque."""
 
 
+def same(after: Any, before: Any) -> Any:
+    """That a structure is as it was, but for what pointers point to."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        return z3.And([same(after[name], each) for name, each in before.items() if name in after])
+    return after == before if isinstance(before, z3.ExprRef) else z3.BoolVal(True)
+
+
 def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
-    """set_b_hat(), as far as reestimate() is concerned."""
+    """set_b_hat(), as far as filter() is concerned."""
     machine.store(Place(robot.variable, (*robot.path, "accuracy", "b_hat")), b_hat)
 
 
@@ -70,5 +85,6 @@ def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tupl
     for parameter, value in zip(program.parameters(name), values, strict=True):
         seen = terms(machine.load(value) if isinstance(value, Place) else value)
         given |= seen if isinstance(seen, dict) else {parameter.name: seen}
+    given = {name: terms(machine.load(each)) if isinstance(each, Place) else each for name, each in given.items()}
     found = terms(machine.call(name, *values))
     return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)

@@ -48,12 +48,12 @@ class Obligation:
 
 @dataclass
 class Frame:
-    """A call: its number, the function, and what it returned under which condition."""
+    """A call: its number, the function, and under which condition it returned what, with which memory."""
 
     number: int
     definition: Any = None
     types: dict[str, Any] = field(default_factory=dict)
-    returned: list[tuple[Any, Any]] = field(default_factory=list)
+    returned: list[tuple[Any, Any, Any]] = field(default_factory=list)
 
 
 Summary = Callable[..., Any]
@@ -151,7 +151,7 @@ class Machine:
             return self.summaries[name](self, *arguments)
         definition = self.program.functions[name]
         self._names += 1
-        frame = Frame(self._names, definition)
+        frame, outside = Frame(self._names, definition), list(self._memory)
         self._frames.append(frame)
         for parameter, argument in zip(self.program.parameters(name), arguments, strict=True):
             self._declare(parameter.name, parameter.type, argument)
@@ -159,6 +159,9 @@ class Machine:
         self.execute(definition.body)
         del self._path[depth:]
         self._frames.pop()
+        for condition, _, memory in reversed(frame.returned):
+            for key in outside:
+                self._memory[key] = _merged(condition, memory[key], self._memory[key])
         return self._chosen(frame.returned)
 
     # --- Statements ---
@@ -189,7 +192,7 @@ class Machine:
         frame = self._frames[-1]
         value = None if node.expr is None else self.value(node.expr)
         value = self._converted(value, self._resolve(frame.definition.decl.type.type))
-        frame.returned.append((z3.And(self._path), value))
+        frame.returned.append((z3.And(self._path), value, dict(self._memory)))
         self._path.append(z3.BoolVal(False))
 
     def _If(self, node: Any) -> None:  # noqa: N802
@@ -272,6 +275,8 @@ class Machine:
             with self._under(left if node.op == "&&" else z3.Not(left)):
                 right = self.truth(node.right)
             return z3.And(left, right) if node.op == "&&" else z3.Or(left, right)
+        if isinstance(node, c_ast.UnaryOp) and node.op == "!":
+            return z3.Not(self.truth(node.expr))
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
             both = self._common(self.value(node.left), self.value(node.right))
             return self.arithmetic.compare(node.op, *both)
@@ -289,7 +294,8 @@ class Machine:
         raise NotImplementedError(node.value)
 
     def _value_ID(self, node: Any) -> Any:  # noqa: N802
-        return self.load(self._place(node))
+        constant = self.program.constants.get(node.name)
+        return self.load(self._place(node)) if constant is None else self.value(constant)
 
     def _value_StructRef(self, node: Any) -> Any:  # noqa: N802
         whole = self.value(node.name) if node.type == "." else self.load(self.value(node.name))
@@ -322,6 +328,8 @@ class Machine:
             return self.load(self.value(node.expr))
         if node.op in ("++", "--", "p++", "p--"):
             return self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
+        if node.op == "!":
+            return self._truth_value(self.truth(node))
         number = self._promoted(self.value(node.expr))
         operator, left = {"-": ("-", 0), "~": ("^", -1)}[node.op]
         return self.arithmetic.binary(operator, self.arithmetic.constant(left, number.type), number)
@@ -451,11 +459,11 @@ class Machine:
             return self._resolve(self.program.types[name]) if name in self.program.types else name
         return declared
 
-    def _chosen(self, returned: list[tuple[Any, Any]]) -> Any:
+    def _chosen(self, returned: list[tuple[Any, Any, Any]]) -> Any:
         if not returned:
             return None
         found = returned[-1][1]
-        for condition, value in reversed(returned[:-1]):
+        for condition, value, _ in reversed(returned[:-1]):
             found = _merged(condition, value, found)
         return found
 

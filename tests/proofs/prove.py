@@ -141,12 +141,16 @@ def prove_lemma(program: Program, name: str, contract: Contract, done: set[str])
 
 
 def any_result(name: str) -> Summary:
-    """Stands for a function of which nothing is known, neither what it returns nor what it writes."""
+    """Stands for a function of which nothing is known, neither what it returns nor what it writes; but no
+    function writes a pointer into a structure."""
 
     def summary(machine: Machine, *arguments: Any) -> Any:
         for parameter, each in zip(machine.program.parameters(name), arguments, strict=True):
             if isinstance(each, Place) and "const" not in parameter.type.type.quals:
-                machine.store(each, machine.unknown_of(parameter.type.type, name))
+                before, after = machine.load(each), machine.unknown_of(parameter.type.type, name)
+                if isinstance(before, dict):
+                    after |= {member: at for member, at in before.items() if isinstance(at, Place)}
+                machine.store(each, after)
         return machine.unknown_of(machine.program.functions[name].decl.type.type, name)
 
     return summary

@@ -65,6 +65,7 @@ class Program:
     Attributes:
         functions: Definitions by name.
         types: What each typedef stands for, by name.
+        constants: The values of enumerations, by name.
     """
 
     def __init__(self, path: Path, variant: Variant) -> None:
@@ -75,6 +76,7 @@ class Program:
         self.variant = variant
         tree = c_parser.CParser().parse(re.sub(r"^# .*pragma.*$", "", text, flags=re.MULTILINE), str(path))
         self.functions = {each.decl.name: each for each in tree.ext if isinstance(each, c_ast.FuncDef)}
+        self.constants = {each.name: each.value for each in nodes(tree, c_ast.Enumerator)}
         self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
 
     def defined_in(self, *paths: Path) -> list[str]:

@@ -18,7 +18,8 @@ OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS)
 
 
 FORMED = {
-    **dict.fromkeys(("estimate", "reestimate", "set_b_hat", "square_of_ratio"), tuple(RESULTS)),
+    **dict.fromkeys(("estimate", "set_b_hat", "square_of_ratio"), tuple(RESULTS)),
+    **dict.fromkeys(("reestimate", "round_b_hat", "filter", "crowd_b_hat"), tuple(RESULTS)),
     "mean": ("quotient",),
     "informed_estimate": ("mean", "multiply"),
 }
