@@ -7,28 +7,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from fractions import Fraction
+from functools import partial
 from typing import Any, cast
 
 import z3
 
-from proofs.arithmetic import WORDS
+from mcp_asdf_tools.crosscheck import exact
+from proofs.arithmetic import WORDS, are_leading_zeros
 from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, same
-from proofs.machine import Machine, Summary
-from proofs.numbers import Integers, Number, Type
-from proofs.prove import Contract, UnprovenError, prove
+from proofs.machine import Machine
+from proofs.numbers import Number
+from proofs.prove import Contract, UnprovenError, any_result, prove
 from proofs.source import Program
 
-MARGIN = Fraction(1, 2**13)
-"""By how much of itself the larger side of the test's inequality must exceed the other one."""
+MARGIN = exact.UNDECIDED
+"""By how much one side of the test's inequality must exceed the other, as a share of its right side."""
 B_HAT = (2**12, 2**32 - 2**12)
 
 # --- A vote ----------------------------------------------------------------------------------------------
 
 
 def _zeros(machine: Machine, votes: Number) -> Number:
-    """leading_zeros() by its lemma; its argument is the new number of votes."""
-    machine.claim(votes.term == _votes(machine.given["robot"]["crowd"]), "votes")
+    """leading_zeros() by its lemma; its argument is the new number of votes, at least 32."""
+    machine.claim(votes.term == _votes(machine.given["robot"]["crowd"]) | 32, "votes")
     return cast("Number", WORDS["leading_zeros"].stands_in("leading_zeros")(machine, votes))
 
 
@@ -77,8 +79,8 @@ def _wide(half_word: Any) -> Any:
     return z3.ZeroExt(16, half_word)
 
 
-def _is_voted(after: dict[str, Any], robot: dict[str, Any], sender: Any, x_hat: Any) -> Any:
-    """The section's formulas."""
+def _voted(after: dict[str, Any], robot: dict[str, Any], sender: Any, x_hat: Any) -> tuple[Any, ...]:
+    """The section's formulas, each by itself."""
     crowd, found = robot["crowd"], after["crowd"]
     r, s, trend, said = crowd["centre"], crowd["spread"], _wide(crowd["trend"]), x_hat * 2**7
     votes, shift = _votes(crowd), _shift(_votes(crowd))
@@ -87,15 +89,17 @@ def _is_voted(after: dict[str, Any], robot: dict[str, Any], sender: Any, x_hat: 
     step, change = z3.LShR(_least(distance, s), shift), z3.LShR(s, shift + 1)
     moved = z3.If(is_above, trend + z3.LShR(2**16 - 1 - trend, 8), trend - z3.LShR(trend, 8))
     wider = z3.If(z3.UGT(distance, s), s + change, s - change)
-    expected = {
-        "centre": z3.If(is_above, r + step, r - step),
-        "spread": z3.If(z3.ULT(wider, 2**18), 2**18, _least(wider, z3.BitVecVal(2**28, 32))),
-        "voices": crowd["voices"] | z3.BitVecVal(1, 32) << z3.ZeroExt(24, sender & 31),
-        "first": crowd["first"],
-    }
-    halves = [_wide(found["votes"]) == votes, _wide(found["trend"]) == z3.If(step != 0, moved, trend)]
+    kept = z3.If(z3.ULT(wider, 2**18), 2**18, _least(wider, z3.BitVecVal(2**28, 32)))
+    voices = crowd["voices"] | z3.BitVecVal(1, 32) << z3.ZeroExt(24, sender & 31)
     others = {name: each for name, each in robot.items() if name != "crowd"}
-    return z3.And(same(found, expected), *halves, same(after, others))
+    return (
+        _wide(found["votes"]) == votes,
+        _wide(found["trend"]) == z3.If(step != 0, moved, trend),
+        z3.Implies(is_above, found["centre"] == r + step),
+        z3.Implies(z3.Not(is_above), found["centre"] == r - step),
+        found["spread"] == kept,
+        z3.And(found["voices"] == voices, found["first"] == crowd["first"], same(after, others)),
+    )
 
 
 def _stays_in_range(after: dict[str, Any], robot: dict[str, Any], _: Any, x_hat: Any) -> Any:
@@ -108,6 +112,176 @@ def _stays_in_range(after: dict[str, Any], robot: dict[str, Any], _: Any, x_hat:
 VOTE = Contract(
     _stays_in_range,
     requires=_may_vote,
-    steps=(_is_voted,),
+    steps=tuple(partial(lambda part, *of: _voted(*of)[part], part) for part in range(6)),
     uses={"leading_zeros": _zeros, "shift_right": _shifted},
 )
+
+# --- The test ----------------------------------------------------------------------------------------------
+
+
+def of_deviates(program: Program) -> Iterator[Claim]:
+    """The section's test in words, of products and a quotient that may be any."""
+    given, (found, _) = formed(program, "deviates")
+    crowd, t, product = given["crowd"], given["t"], partial(call, "multiply")
+    first, centre, upper = crowd["first"], crowd["centre"], partial(call, "multiply_high")
+    r = z3.If(z3.LShR(centre, 30) == 0, 4 * centre, z3.BitVecVal(2**32 - 1, 32))
+    long = partial(z3.ZeroExt, 32)
+    yield "R", long(r) == _least(4 * long(centre), z3.BitVecVal(2**32 - 1, 64)), [in_range(crowd)]
+    p = upper(first, r) + upper(~first, ~r)
+    seen = call("quotient", long(given["n"]), long(t))
+    v_p, v_seen = upper(p, -p), upper(seen, -seen)
+    g = z3.If(z3.LShR(first, 31) == 0, -2 * first, 2 * first)
+    is_positive = z3.And(2 * long(first) - 2**32 == long(g), z3.UGE(first, 2**31))
+    yield "g", z3.Or(is_positive, 2**32 - 2 * long(first) == long(g)), [in_range(crowd)]
+    g_spread = upper(g, 4 * crowd["spread"])
+    distance = z3.If(z3.UGT(seen, p), seen - p, p - seen)
+    square, least = product(distance, distance), 12 * product(g_spread, g_spread)
+    high, low = call("high_word", square - least), call("low_word", square - least)
+    above = product(t, high) + long(call("high_word", product(t, low)))
+    most = product(z3.BitVecVal(12, 32), z3.If(z3.UGT(v_seen, v_p), v_seen, v_p))
+    rejects = z3.And(z3.UGT(square, least), z3.UGT(above, most))
+    yield "the test", (found == 1) == rejects, []
+
+
+def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
+    """What becomes of b_hat, which is 0 or in range, and of the crowd."""
+    given, (found, after) = formed(program, "crowd_b_hat")
+    crowd, counters = given["crowd"], given["counters"]
+    trend, first, centre = _wide(crowd["trend"]), crowd["first"], crowd["centre"]
+    is_moving = z3.Or(z3.ULT(trend, 2**13), z3.UGE(trend, 7 * 2**13))
+    voices = sum(z3.LShR(crowd["voices"], bit) & 1 for bit in range(32))
+    is_tested = z3.And(z3.Not(is_moving), z3.UGE(voices, 3))
+    anew = call("reestimate", z3.If(centre == 2**30, z3.BitVecVal(2**32 - 1, 32), 4 * centre))
+    kept = z3.If(given["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
+    known = [in_range(crowd), _is_b_hat(anew)]
+    b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, anew, kept), z3.BitVecVal(0, 32))
+    yield "b_hat", found == b_hat, known
+    yield "in range", _is_b_hat(found), known
+    votes = z3.If(is_moving, _least(crowd["votes"], z3.BitVecVal(2**8, 16)), crowd["votes"])
+    tests = counters["tests"] + z3.If(is_tested, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16))
+    changed = {"crowd": {**crowd, "votes": votes}, "counters": {**counters, "tests": tests}}
+    yield "the rest", same(after, {**given, **changed}), known
+
+
+def _is_b_hat(found: Any) -> Any:
+    return z3.Or(found == 0, z3.And(z3.UGE(found, B_HAT[0]), z3.ULE(found, B_HAT[1])))
+
+
+REESTIMATE = Contract(
+    lambda found, *_: _is_b_hat(found),
+    uses={name: any_result(name) for name in ("multiply", "join", "quotient")},
+)
+
+
+# --- Of the numbers: the test's integers, and how far they are from what they stand for -----------------
+
+UNIT = Fraction(1, 2**32)
+
+
+def of_integers() -> Iterator[Claim]:
+    """No sum or product of the test wraps, so that its words are the section's integers."""
+    first, r, product, other = z3.Ints("first R product other")
+    one, most = 2**32, 2**32 - 1
+    known = [first >= B_HAT[0], first <= B_HAT[1], r >= 0, r <= most]
+    known += [_floor(product, first * r), _floor(other, (most - first) * (most - r))]
+    p = product + other
+    yield "p", z3.And(p > 0, p < most), known
+    g, spread, g_spread = z3.Ints("g s g_spread")
+    known = [g >= 0, g <= most, spread >= 0, spread <= 2**28, _floor(g_spread, g * (4 * spread))]
+    yield "g s", z3.And(g_spread >= 0, g_spread < 2**30), known
+    yield "least", 12 * (g_spread * g_spread) < 2**64, [g_spread >= 0, g_spread < 2**30]
+    seen, v = z3.Ints("seen v")
+    known = [seen >= 1, seen <= most, _floor(v, seen * (one - seen))]
+    yield "v", z3.And(v >= 0, v <= 2**30), known
+    t, excess, high, low, above = z3.Ints("t excess high low above")
+    known = [t >= 0, t < one, excess >= 0, excess < 2**64, excess == one * high + low, low >= 0, low < one]
+    known += [_floor(above, t * low), high >= 0]
+    total = t * high + above
+    yield "t excess", z3.And(_floor(total, t * excess), total >= 0, total < 2**64), known
+
+
+def _floor(found: Any, product: Any) -> Any:
+    return z3.And(2**32 * found <= product, product < 2**32 * (found + 1))
+
+
+def of_errors() -> Iterator[Claim]:
+    """p, n / t, v and g s, in units of 2^-32, are too small by what the section says."""
+    first, r, product, other = z3.Reals("first R product other")
+    one, most = 2**32, 2**32 - 1
+    known = [first >= B_HAT[0], first <= B_HAT[1], r >= 0, r <= most]
+    known += [_floor(product, first * r), _floor(other, (most - first) * (most - r))]
+    lost = first * r + (one - first) * (one - r) - one * (product + other)
+    yield "p", z3.And(lost >= 0, lost < 4 * one), known
+    known = [first >= B_HAT[0], first <= B_HAT[1], _floor(product, first * most)]
+    yield "p where r is 1", z3.And(first - product >= 0, first - product < 4), known
+    x, total, half, seen = z3.Reals("x T half seen")
+    known = [x >= 0, x <= 1, total >= 2**31, 2 * half > total, 2 * half <= total + 2]
+    known += [seen * half <= 2**31 * x * total, 2**31 * x * total < (seen + 1) * half]
+    yield "n / t", z3.And(seen <= one * x, one * x < seen + 4 * x + 1), known
+    b, g, h, p = z3.Reals("b g h p")
+    known = [h >= -1, h <= 1, 2 * p - 1 == g * h]
+    yield "v is at least b_hat (1 - b_hat)", 4 * p * (1 - p) >= 1 - g * g, known
+    error, v = z3.Reals("error v")
+    exact, u = p * (1 - p), UNIT
+    known = [p >= 0, p <= 1, error >= 0, p - error >= 0, v <= (p - error) * (1 - p + error)]
+    known += [v > (p - error) * (1 - p + error) - _real(u)]
+    for name, most_lost in (("v of p", _real(4 * u)), ("v of n / t", _real(u) * (4 * p + 1))):
+        near = z3.And(v <= exact + _real(5 * u), v >= exact - _real(6 * u))
+        yield name, near, [*known, error <= most_lost]
+
+
+def _real(value: Fraction) -> Any:
+    return z3.Q(value.numerator, value.denominator)
+
+
+def of_the_decision() -> Iterator[Claim]:
+    """Rejected is D^2 > L = 12 (v w + h^2), where h is g s and w is 1 / t, with errors of D, v and h as above:
+    right wherever one side exceeds the other by MARGIN of the larger one. Where g^2 <= 1/2, v is not small,
+    else h is not; for few observations neither is D."""
+    p, x, d, v, g, h, w = z3.Reals("p x D v g h w")
+    u, m, limit = _real(UNIT), _real(MARGIN), 12 * (v * w + h * h)
+    known = [p >= 0, x <= 1, d == x - p, d >= 0, 3 * d <= 1, v >= p * (1 - p), v >= x * (1 - x)]
+    yield "v", 3 * v >= 2 * d, known
+    ranges = [v > 0, 4 * v <= 1, w > 0, w <= 1, h >= 0, d >= 0, d <= 1, w * 2**31 >= 1, v * 2**21 >= 1]
+    known = [*ranges, g >= 0, g <= 1, 4 * v >= 1 - g, h * h * 2**24 >= g]
+    yield "L", limit * 2**33 >= 12, known
+    large = z3.Or(8 * v >= 1, h * h * 2**25 >= 1)
+    yield "v or h", large, known
+    few = z3.Or(3 * d >= 1, 3 * v >= 2 * d)
+    errors = 10 * u * d + 61 * u * w
+    for name, case in (("v", 8 * v >= 1), ("h", h * h * 2**25 >= 1)):
+        known = [*ranges, limit * 2**33 >= 12, case, few]
+        above = [*known, d * d >= (1 + m) * limit]
+        yield f"above, {name}", d * d - errors >= limit, above
+        below = [*known, d * d <= (1 - m) * limit]
+        lost = 10 * u * d + 25 * u * u + 71 * u * w + 24 * u * h
+        yield f"below, {name}", d * d + lost < limit, below
+
+
+def of_the_formed() -> Iterator[Claim]:
+    """What the claims of the decision show is what the test needs: d, V and G are formed of D, v and h."""
+    zeros, value = z3.BitVecs("zeros value", 32)
+    known = [are_leading_zeros(zeros, value), z3.UGE(value, 32)]
+    yield "what any_calls.c admits", z3.ULE(zeros, 26), known
+    p, x, formed_p, formed_x = z3.Reals("p x formed_p formed_x")
+    u = _real(UNIT)
+    known = [x <= 1, p >= formed_p, p < formed_p + 4 * u, x >= formed_x, x < formed_x + (4 * x + 1) * u]
+    off = z3.If(x > p, x - p, p - x) - z3.If(formed_x > formed_p, formed_x - formed_p, formed_p - formed_x)
+    yield "D", z3.And(off <= 5 * u, -off <= 5 * u), known
+    product, above, v = z3.Ints("product above v")
+    is_more = (above > 12 * v) == (product >= 2**32 * (12 * v + 1))
+    yield "rejected", is_more, [_floor(above, product)]
+    d, formed_d, formed_v, v, h, formed_h, w = z3.Reals("D d V v h G w")
+    limit, formed = 12 * (v * w + h * h), 12 * (formed_v * w + formed_h * formed_h) + u * w
+    known = [w > 0, w <= 1, h >= 0, formed_h >= 0, formed_h <= h, d >= 5 * u, formed_d >= d - 5 * u]
+    known += [formed_v <= v + 5 * u, d * d - (10 * u * d + 61 * u * w) >= limit]
+    yield "above", formed_d * formed_d >= formed, known
+    known = [w > 0, w <= 1, h >= 0, formed_h >= 0, h < formed_h + u, d >= 0, formed_d >= 0]
+    known += [formed_d <= d + 5 * u, formed_v >= v - 6 * u]
+    lost = 10 * u * d + 25 * u * u + 71 * u * w + 24 * u * h
+    yield "below", formed_d * formed_d < formed, [*known, d * d + lost < limit]
+
+
+CONTRACTS = {"vote": VOTE, "reestimate": REESTIMATE}
+OF_THE_CODE = {"deviates": of_deviates, "crowd_b_hat": of_crowd_b_hat}
+OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)

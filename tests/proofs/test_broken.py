@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import z3
 
-from proofs import accuracy, arithmetic, core, sums
+from proofs import accuracy, arithmetic, core, robust, sums
 from proofs.core import CORE
 from proofs.prove import UnprovenError, prove_all, prove_lemma
-from proofs.source import ARITHMETIC, HEADER, Program, Variant
+from proofs.source import ARITHMETIC, HEADER, SOURCES, Program, Variant
 
 BROKEN = (
     ("shift_left_wide", "1000", "((masked) ^ 31U)", "((masked) ^ 15U)"),
@@ -40,6 +40,23 @@ BROKEN = (
     ("", "1000", "middle << 9 | low >> 23", "middle << 9 | low >> 24"),
     ("", "1000", "sum - product >= alpha", "sum - product > alpha"),
     ("", "1000", "b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
+    ("", "1000", "? crowd_b_hat(robot) : round_b_hat(robot)", "? round_b_hat(robot) : crowd_b_hat(robot)"),
+    ("", "1000", "if (robot->t == 0U)", "if (robot->n == 0U)"),
+    ("", "1000", "mode == MCP_ASDF_ADAPTIVE ? 2U : 1U", "mode == MCP_ASDF_ADAPTIVE ? 1U : 2U"),
+    ("", "1000", "multiply_high(~b_hat, ~r)", "multiply_high(~b_hat, r)"),
+    ("", "1000", "v_seen > v_p ? v_seen", "v_seen < v_p ? v_seen"),
+    ("", "1000", "? 0U - 2U * b_hat", "? 1U - 2U * b_hat"),
+    ("", "1000", "high_word(multiply(robot->t, low", "low_word(multiply(robot->t, low"),
+    ("", "1000", "trend + 0x2000U", "trend + 0x1FFFU"),
+    ("", "1000", "voices & (voices - 1U)", "voices & (voices - 2U)"),
+    ("", "1000", "b_hat != crowd->first ?", "b_hat == crowd->first ?"),
+    ("vote", "1000", "votes | VOTES_FEW", "votes | 1U"),
+    ("vote", "1000", "< MCP_ASDF_VOTES_MAX ? 1U", "<= MCP_ASDF_VOTES_MAX ? 1U"),
+    ("vote", "1000", "if (distance > spread)", "if (distance >= spread)"),
+    ("vote", "1000", "pull = spread;", "pull = distance;"),
+    ("vote", "1000", "width > MCP_ASDF_SPREAD_MIN ? width", "width > 0U ? width"),
+    ("vote", "1000", "other >> TREND_SHIFT", "other >> 7"),
+    ("reestimate", "1000", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
 )
 """A function that loses its lemma, or none where the numbers change that the code forms; a variant; what is
 replaced, and by what."""
@@ -48,20 +65,21 @@ replaced, and by what."""
 @pytest.mark.parametrize(("name", "digits", "right", "wrong"), BROKEN)
 def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str, tmp_path: Path) -> None:
     variant, found = Variant(digits), 0
-    for path in (*ARITHMETIC, CORE):
+    for path in (*ARITHMETIC, CORE, SOURCES / "mcp_asdf_robust.h"):
         text = path.read_text(encoding="utf-8")
         place = text.index(f" {name}(") if path == CORE and f" {name}(" in text else 0
         found += right in text[place:]
         text = text[:place] + text[place:].replace(right, wrong)
         (tmp_path / path.name).write_text(text, encoding="utf-8")
     assert found
-    contracts = {**arithmetic.contracts(variant), **core.CONTRACTS}
+    contracts = {**arithmetic.contracts(variant), **core.CONTRACTS, **robust.CONTRACTS}
     is_arithmetic = name in arithmetic.contracts(variant)
     code = Program(tmp_path / (HEADER if is_arithmetic else CORE).name, variant)
     with pytest.raises(UnprovenError):
         if name:
             prove_lemma(code, name, contracts[name], set())
-        for claims in () if name else (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE):
+        of_the_code = (*robust.OF_THE_CODE.values(), *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
+        for claims in () if name else of_the_code:
             prove_all(claims(code))
 
 
