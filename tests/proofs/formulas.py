@@ -85,6 +85,8 @@ def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tupl
     for parameter, value in zip(program.parameters(name), values, strict=True):
         seen = terms(machine.load(value) if isinstance(value, Place) else value)
         given |= seen if isinstance(seen, dict) else {parameter.name: seen}
-    given = {name: terms(machine.load(each)) if isinstance(each, Place) else each for name, each in given.items()}
+    given = {
+        name: terms(machine.load(each)) if isinstance(each, Place) else each for name, each in given.items()
+    }
     found = terms(machine.call(name, *values))
     return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)

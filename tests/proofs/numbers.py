@@ -172,11 +172,6 @@ def _joined(left: Number, right: Number, claim: Claim) -> Any:
     return left.term + right.term
 
 
-def _inverted(left: Number, right: Number, _: Claim) -> Any:
-    assert known(left.term) % (left.type.most + 1) == left.type.most, "whole numbers know no other ^"
-    return left.type.most - right.term
-
-
 _ON_INTEGERS: dict[str, Callable[[Number, Number, Claim], Any]] = {
     "+": lambda a, b, _: a.term + b.term,
     "-": lambda a, b, _: a.term - b.term,
@@ -186,5 +181,4 @@ _ON_INTEGERS: dict[str, Callable[[Number, Number, Claim], Any]] = {
     "/": _divided,
     "&": _masked,
     "|": _joined,
-    "^": _inverted,
 }

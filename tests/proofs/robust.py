@@ -218,7 +218,7 @@ def of_errors() -> Iterator[Claim]:
     known = [x >= 0, x <= 1, total >= 2**31, 2 * half > total, 2 * half <= total + 2]
     known += [seen * half <= 2**31 * x * total, 2**31 * x * total < (seen + 1) * half]
     yield "n / t", z3.And(seen <= one * x, one * x < seen + 4 * x + 1), known
-    b, g, h, p = z3.Reals("b g h p")
+    g, h, p = z3.Reals("g h p")
     known = [h >= -1, h <= 1, 2 * p - 1 == g * h]
     yield "v is at least b_hat (1 - b_hat)", 4 * p * (1 - p) >= 1 - g * g, known
     error, v = z3.Reals("error v")
@@ -235,9 +235,9 @@ def _real(value: Fraction) -> Any:
 
 
 def of_the_decision() -> Iterator[Claim]:
-    """Rejected is D^2 > L = 12 (v w + h^2), where h is g s and w is 1 / t, with errors of D, v and h as above:
-    right wherever one side exceeds the other by MARGIN of the larger one. Where g^2 <= 1/2, v is not small,
-    else h is not; for few observations neither is D."""
+    """Rejected is D^2 > L = 12 (v w + h^2), where h is g s and w is 1 / t: right, with errors of D, v and h as
+    above, wherever the sides differ by MARGIN of L. Where g^2 <= 1/2, v is not small, else h is not; where
+    observations are few, D is not small either."""
     p, x, d, v, g, h, w = z3.Reals("p x D v g h w")
     u, m, limit = _real(UNIT), _real(MARGIN), 12 * (v * w + h * h)
     known = [p >= 0, x <= 1, d == x - p, d >= 0, 3 * d <= 1, v >= p * (1 - p), v >= x * (1 - x)]

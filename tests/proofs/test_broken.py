@@ -48,7 +48,7 @@ BROKEN = (
     ("", "1000", "? 0U - 2U * b_hat", "? 1U - 2U * b_hat"),
     ("", "1000", "high_word(multiply(robot->t, low", "low_word(multiply(robot->t, low"),
     ("", "1000", "trend + 0x2000U", "trend + 0x1FFFU"),
-    ("", "1000", "voices & (voices - 1U)", "voices & (voices - 2U)"),
+    ("", "1000", "voices & (voices - 1U)", "voices & (voices + 1U)"),
     ("", "1000", "b_hat != crowd->first ?", "b_hat == crowd->first ?"),
     ("vote", "1000", "votes | VOTES_FEW", "votes | 1U"),
     ("vote", "1000", "< MCP_ASDF_VOTES_MAX ? 1U", "<= MCP_ASDF_VOTES_MAX ? 1U"),
