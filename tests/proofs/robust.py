@@ -235,8 +235,8 @@ def _real(value: Fraction) -> Any:
 
 
 def of_the_decision() -> Iterator[Claim]:
-    """Rejected is D^2 > L = 12 (v w + h^2), where h is g s and w is 1 / t: right, with errors of D, v and h as
-    above, wherever the sides differ by MARGIN of L. Where g^2 <= 1/2, v is not small, else h is not; where
+    """Rejected is D^2 > L = 12 (v w + h^2), h being g s and w 1 / t: right, with errors as above,
+    wherever the sides differ by MARGIN of the larger. Where g^2 <= 1/2, v is not small, else h is not; where
     observations are few, D is not small either."""
     p, x, d, v, g, h, w = z3.Reals("p x D v g h w")
     u, m, limit = _real(UNIT), _real(MARGIN), 12 * (v * w + h * h)
