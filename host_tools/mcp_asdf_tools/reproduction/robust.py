@@ -1,0 +1,223 @@
+"""The study of the robust filter, which is not the paper's: medians over trials, with their intervals.
+
+What is run stands in ``studies/robust_grid.toml``, the paper's cells, and ``studies/robust_beyond.toml``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import paper_limits, score
+from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, interval, summarized
+from mcp_asdf_tools.robots.population import FILTER_NAMES
+
+GRID, BEYOND = "robust_grid", "robust_beyond"
+SAMPLING_INTERVAL = 1000
+"""Steps between the values of x of which the late error is made."""
+CONFIDENCE = 0.95
+OFF = 0.05
+"""A healthy robot whose b_hat ends as far from b was harmed by its filter."""
+
+
+def experiments_of(name: str, trials: int | None, steps: int, seed: int | None) -> list[Experiment]:
+    """The experiments of a file, with other trials, at most ``steps`` steps and another seed where given."""
+    return [
+        replace(
+            each,
+            trials=each.trials if trials is None else trials,
+            steps=min(each.steps, steps),
+            seed=each.seed if seed is None else seed,
+        )
+        for each in read_experiments(STUDIES / f"{name}.toml")
+    ]
+
+
+@dataclass(frozen=True)
+class Special:
+    """What a world has that its parameters do not say.
+
+    Attributes:
+        liars: How many of the last robots lie and are not counted, by experiment.
+        late_f: The share of black tiles in the last quarter.
+        column: Who filters, as the head of a column.
+    """
+
+    liars: Callable[[Experiment], int] = lambda experiment: 0
+    late_f: Callable[[Experiment], float] = lambda experiment: experiment.fill_ratio
+    column: Callable[[Experiment], str] = lambda experiment: FILTER_NAMES[experiment.filter]
+
+
+PLAIN = Special()
+
+
+def measures_of(trials: Trials, special: Special = PLAIN) -> dict[str, Sample]:
+    """By name a value for each trial, over the honest robots.
+
+    ``H``; ``e``, the paper's error, from K on; ``late``, the mean error of the last quarter; and ``harmed``,
+    the share of the healthy robots whose b_hat is wrong in the end, NaN if there are none.
+    """
+    experiment = trials.experiment
+    honest = experiment.robots - special.liars(experiment)
+    k, e = trials.convergence_steps[:, :honest], trials.errors[:, :honest]
+    x = trials.records["x"][..., :honest]
+    late = x[:, -max(1, x.shape[1] // 4) :]
+    last = trials.b_hat[:, -1, experiment.flawed : honest]
+    off = abs(last - experiment.true_accuracy) > OFF
+    return {
+        "H": score(k, e, paper_limits(experiment)).h,
+        "e": e.mean(axis=1),
+        "late": abs(late - special.late_f(experiment)).mean(axis=(1, 2)),
+        "harmed": off.mean(axis=1) if off.size else np.full(len(e), np.nan),
+    }
+
+
+def mean_of_medians(samples: Sequence[Sample]) -> Estimate:
+    """The mean of the samples' medians; their trials are drawn alike, as they saw the same worlds."""
+    if any(np.isnan(each).any() for each in samples):
+        return Estimate(np.nan, np.nan, np.nan)
+    each = [summarized(sample, MEDIAN) for sample in samples]
+    value = float(np.mean([one.value for one in each]))
+    return interval(value, np.mean([one.again for one in each], axis=0), CONFIDENCE)
+
+
+class Entry(NamedTuple):
+    """A place of a table: over how many trials of each cell, and the measures by name."""
+
+    trials: int
+    measures: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Entries by row and column, in the order of the experiments."""
+
+    title: str
+    entries: Mapping[tuple[str, str], Entry]
+    columns: list[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", list(dict.fromkeys(column for _, column in self.entries)))
+
+    def lines(self, shown: Callable[[Entry], str], head: str) -> str:
+        """The table in Markdown."""
+        rows = dict.fromkeys(row for row, _ in self.entries)
+        lines = [f"| {head} | {' | '.join(self.columns)} |", "|---" * (len(self.columns) + 1) + "|"]
+        for row in rows:
+            own = [self.entries.get((row, column)) for column in self.columns]
+            lines.append(f"| {row} | {' | '.join(shown(each) if each else '' for each in own)} |")
+        return "\n".join(lines)
+
+
+def table_of(
+    title: str,
+    results: Iterable[Trials],
+    row_of: Callable[[Experiment], str],
+    special: Special = PLAIN,
+) -> Table:
+    """Experiments of one row and column are cells, of whose medians the mean is taken."""
+    cells: dict[tuple[str, str], list[Trials]] = {}
+    for trials in results:
+        place = (row_of(trials.experiment), special.column(trials.experiment))
+        cells.setdefault(place, []).append(trials)
+    entries = {}
+    for place, own in cells.items():
+        measured = [measures_of(trials, special) for trials in own]
+        estimates = {name: mean_of_medians([one[name] for one in measured]) for name in measured[0]}
+        if not np.isnan(estimates["harmed"].value):  # rare: the mean over all trials, as medians would be 0
+            harmed = float(np.mean([one["harmed"].mean() for one in measured]))
+            estimates["harmed"] = Estimate(harmed, harmed, harmed)
+        entries[place] = Entry(min(len(trials.numbers) for trials in own), estimates)
+    return Table(title, entries)
+
+
+def grid_row(experiment: Experiment) -> str:
+    """The row of a cell of the paper's grid."""
+    share = round(100 * experiment.flawed / experiment.robots)
+    return f"{'moving' if experiment.is_dynamic else 'fully connected'}, {share} % flawed"
+
+
+def row_of(experiment: Experiment) -> str:
+    """The row of any experiment: what sets it apart from 20 robots of which 30 % are flawed."""
+    own = experiment
+    words = ["moving" if own.is_dynamic else "fully connected"]
+    share = round(100 * own.flawed / own.robots)
+    usual_latency = int(own.is_dynamic)
+    for is_said, word in (
+        (own.robots != 20, f"{own.robots} robots"),
+        (share != 30 and own.robots == 20, f"{share} % flawed"),
+        (own.density != 1, f"density {own.density:g}"),
+        (own.latency != usual_latency, f"latency {own.latency}"),
+        (own.white_offset, f"b {own.white_offset:+g} on white"),
+        (own.drift == "wiener", "sensors age each in its own way"),
+        (own.drift == "linear", "sensors age alike"),
+    ):
+        if is_said:
+            words.append(word)
+    if own.flawed:
+        words.append("underconfident" if own.flawed_accuracy < own.true_accuracy else "overconfident")
+    return ", ".join(words)
+
+
+def whole(entry: Entry) -> str:
+    """H, the late error, e, and the share of healthy robots harmed."""
+    values = {name: estimate.value for name, estimate in entry.measures.items()}
+    harmed = "" if np.isnan(values["harmed"]) else f", {100 * values['harmed']:.1f} %"
+    return f"{values['H']:.1f}, {error(values['late'])}, {error(values['e'])}{harmed}"
+
+
+def late(entry: Entry) -> str:
+    """The late error with its interval."""
+    value, low, high = entry.measures["late"]
+    return f"{error(value)} ({error(low)}-{error(high)})"
+
+
+def error(value: float) -> str:
+    """An error with two to three digits that count."""
+    return f"{value:.4f}" if value < 0.01 else f"{value:.3f}"
+
+
+def report_of(tables: Mapping[str, Table]) -> str:
+    """Both tables in Markdown."""
+    grid, beyond = tables[GRID], tables[BEYOND]
+    return (
+        f"# The robust filter\n\n## {grid.title}\n\n{grid.lines(whole, 'H, error of the last quarter, e, harmed')}\n\n"
+        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter')}\n"
+    )
+
+
+def csv_of(tables: Iterable[Table]) -> str:
+    """Every estimate with its interval, one a line."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("table", "row", "filter", "trials", "measure", "value", "low", "high"))
+    for table in tables:
+        for (row, column), entry in table.entries.items():
+            for name, estimate in entry.measures.items():
+                bounds = (f"{value:.6g}" for value in estimate)
+                writer.writerow((table.title, row, column, entry.trials, name, *bounds))
+    return text.getvalue()
+
+
+def tables_of(results: Mapping[str, Sequence[Trials]]) -> dict[str, Table]:
+    """The tables of both files' results."""
+    return {
+        GRID: table_of("The paper's grid", results[GRID], grid_row),
+        BEYOND: table_of("Beyond it", results[BEYOND], row_of),
+    }
+
+
+def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
+    """Write ``robust.md`` and ``robust.csv``."""
+    tables = tables_of(results)
+    (folder / "robust.md").write_text(report_of(tables), encoding="utf-8")
+    (folder / "robust.csv").write_text(csv_of(tables.values()), encoding="utf-8")

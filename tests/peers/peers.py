@@ -1,0 +1,201 @@
+"""What the robust filter is compared with, and worlds that make it hard, as extensions.
+
+``PYTHONPATH=tests/peers mcp-asdf sweep tests/peers/peers.toml`` finds them; docs/extending.md says how.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf import Config, ReferenceRobot, Status
+from mcp_asdf.fixed_point import ALPHA_MAX
+from mcp_asdf.mirror import MirrorRobot, b_hat_from, crowd_mean, deviates
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.world.settings import WorldSettings
+
+ROBOTS = 20
+"""Robots of the swarms with liars."""
+
+
+class RememberingRobot(ReferenceRobot):
+    """The paper's filter, or none, with a memory: x_bar and x are means of all that was heard, weighted by
+    alpha per observation, with the gains of the robust filter."""
+
+    _votes, _weight, _sum = 0, 0.0, 0.0
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        status = super().receive(sender, x_hat, alpha)
+        if status is Status.OK and alpha > 0:
+            self._votes += 1
+            gain = 2.0 ** -min(max(self._votes.bit_length() - 3, 3), 12)
+            weight = alpha / max(self.t, 1)
+            self._weight += gain * (weight - self._weight)
+            self._sum += gain * (weight * x_hat - self._sum)
+        return status
+
+    @property
+    def x_bar(self) -> float:
+        return self._sum / self._weight if self._weight else 0.5
+
+    @property
+    def x(self) -> float:
+        return self._sum / self._weight if self._weight else self.x_hat
+
+
+class BayesCpfRobot(ReferenceRobot):
+    """BayesCPF (Chin and Pinciroli 2025, arXiv 2504.04774) where sensors do not age, in all robots.
+
+    An extended Kalman filter over b: measured is how many of the tiles since the last update were black,
+    given x', the mean of the informed estimates since then in which older ones weigh more. The estimate
+    is cut to [1/2, 1] as the mean of a truncated normal distribution. At the start b has the variance 0.04.
+    """
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        self._mean, self._variance, self._before = b_hat, 0.04, (0, 0)
+        self._informed: list[float] = []
+
+    def settle(self) -> Status:
+        self._informed.append(self.x)
+        return super().settle()
+
+    def _is_activated(self) -> bool:
+        return self._config.filter != Filter.OFF and self.t > self._before[1]
+
+    def reestimated(self) -> float | None:
+        n, t = self.n - self._before[0], self.t - self._before[1]
+        x = float(np.average(self._informed, weights=range(len(self._informed), 0, -1)))
+        self._before, self._informed = (self.n, self.t), []
+        if t * min(self._mean, 1 - self._mean) < 5:  # no normal approximation
+            return None
+        slope = t * (2 * x - 1)
+        expected = t * (x * (2 * self._mean - 1) + 1 - self._mean)
+        noise = t * ((2 * self._mean - 1) ** 2 * (x - x**2 - 0.25) + 0.25)
+        gain = self._variance * slope / (slope**2 * self._variance + noise)
+        self._mean += gain * (n - expected)
+        self._variance *= 1 - gain * slope
+        return min(max(self._truncated_mean(), 0.5 + 1e-6), 1 - 1e-6)
+
+    def _truncated_mean(self) -> float:
+        if 0.5 < self._mean < 1:
+            return self._mean
+        deviation = math.sqrt(self._variance)
+        low, high = ((bound - self._mean) / deviation for bound in (0.5, 1.0))
+        mass = math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))
+        if mass < 1e-12:
+            return self._mean
+        return self._mean + deviation * math.sqrt(2 / math.pi) / mass * (
+            math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
+        )
+
+
+class OmniscientRobot(ReferenceRobot):
+    """A bound, not a peer: every tau the posterior mean of f from the counts of all robots at once.
+
+    A robot's b_hat is right with probability 0.9, otherwise any accuracy in [1/2, 1] is as likely.
+    """
+
+    _swarm: list[OmniscientRobot]
+    _latest: list[OmniscientRobot] = []  # noqa: RUF012 (robots are made one swarm after the other, from id 0)
+    _f = np.linspace(0.0005, 0.9995, 1000)
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        if robot_id == 0:
+            OmniscientRobot._latest = []
+        self._swarm, self._known = OmniscientRobot._latest, 0.5
+        self._swarm.append(self)
+
+    def settle(self) -> Status:
+        status = super().settle()
+        if self.id == len(self._swarm) - 1 and self._filter_left == self._config.filter_period:
+            likelihood = np.sum([robot._log_likelihood() for robot in self._swarm], axis=0)
+            known = float(np.average(self._f, weights=np.exp(likelihood - likelihood.max())))
+            for robot in self._swarm:
+                robot._known = known
+        return status
+
+    def _log_likelihood(self) -> NDArray[np.float64]:
+        from scipy.special import betainc, betaln  # type: ignore[import-untyped] # noqa: PLC0415 (slow)
+
+        n, white = self.n, self.t - self.n
+        p = self._f * self.b_hat + (1 - self._f) * (1 - self.b_hat)
+        right = n * np.log(p) + white * np.log1p(-p)
+        between = betainc(n + 1, white + 1, self._f) - betainc(n + 1, white + 1, 0.5)
+        wrong = betaln(n + 1, white + 1) + np.log(np.maximum(between / (self._f - 0.5), 1e-300))
+        return np.logaddexp(np.log(0.9) + right, np.log(0.1) + wrong)
+
+    x = property(lambda self: self._known)
+
+
+class FirstDraftRobot(MirrorRobot):
+    """The robust filter as it was first: a rejection is for life, and no trend is watched."""
+
+    _flag = False
+
+    def _crowd_b_hat(self) -> int | None:
+        state, crowd = self.s, self.s.crowd
+        if crowd.voices.bit_count() < 3:
+            return None
+        crowd.first = state.accuracy.b_hat
+        self._flag = self._flag or deviates(crowd, state.t, state.n)
+        return b_hat_from(state.t, state.n, crowd_mean(crowd)) if self._flag else None
+
+
+class LossyRobot(NativeRobot):
+    """The firmware behind a radio that loses three messages in ten."""
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        self._random = random.Random(robot_id)
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        return Status.OK if self._random.random() < 0.3 else super()._receive(sender, x_hat, alpha)
+
+
+class Liar(NativeRobot):
+    """Says "no tile is black" with the largest confidence."""
+
+    x_hat_raw = property(lambda self: 0)
+    alpha_raw = property(lambda self: ALPHA_MAX)
+
+
+def one_liar(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """The last robot is a liar."""
+    return (Liar if robot_id >= ROBOTS - 1 else NativeRobot)(config, robot_id, b_hat)
+
+
+def two_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """The last two robots are liars."""
+    return (Liar if robot_id >= ROBOTS - 2 else NativeRobot)(config, robot_id, b_hat)
+
+
+def five_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """The last five robots are liars; one with five ids is as bad where all hear all."""
+    return (Liar if robot_id >= ROBOTS - 5 else NativeRobot)(config, robot_id, b_hat)
+
+
+class ChangingFloor:
+    """A floor of which AFTER is black from the middle of the trial on.
+
+    Sensors cannot change the floor, but they can make its colours as frequent: white tiles are called black
+    as often as it takes.
+    """
+
+    AFTER = 0.95
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        self._settings, self._step = settings, 0
+
+    def advance(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        f, b = self._settings.fill_ratio, self._settings.true_accuracy
+        black_seen = self.AFTER * b + (1 - self.AFTER) * (1 - b)
+        step = np.arange(self._step, self._step + steps)[:, np.newaxis]
+        self._step += steps
+        changed = np.where(step < self._settings.steps // 2, b, 1 - (black_seen - f * b) / (1 - f))
+        return np.full((1, 1), b), changed
