@@ -10,6 +10,7 @@ import random
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betainc, betaln  # type: ignore[import-untyped]
 
 from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
@@ -121,14 +122,13 @@ class OmniscientRobot(ReferenceRobot):
         return status
 
     def _log_likelihood(self) -> NDArray[np.float64]:
-        from scipy.special import betainc, betaln  # type: ignore[import-untyped] # noqa: PLC0415 (slow)
-
         n, white = self.n, self.t - self.n
         p = self._f * self.b_hat + (1 - self._f) * (1 - self.b_hat)
         right = n * np.log(p) + white * np.log1p(-p)
         between = betainc(n + 1, white + 1, self._f) - betainc(n + 1, white + 1, 0.5)
         wrong = betaln(n + 1, white + 1) + np.log(np.maximum(between / (self._f - 0.5), 1e-300))
-        return np.logaddexp(np.log(0.9) + right, np.log(0.1) + wrong)
+        both: NDArray[np.float64] = np.logaddexp(np.log(0.9) + right, np.log(0.1) + wrong)
+        return both
 
     x = property(lambda self: self._known)
 

@@ -19,6 +19,7 @@ from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, interval, summarized
+from mcp_asdf_tools.reproduction.study import Scale
 from mcp_asdf_tools.robots.population import FILTER_NAMES
 
 GRID, BEYOND = "robust_grid", "robust_beyond"
@@ -29,13 +30,13 @@ OFF = 0.05
 """A healthy robot whose b_hat ends as far from b was harmed by its filter."""
 
 
-def experiments_of(name: str, trials: int | None, steps: int, seed: int | None) -> list[Experiment]:
-    """The experiments of a file, with other trials, at most ``steps`` steps and another seed where given."""
+def experiments_of(name: str, scale: Scale, seed: int | None) -> list[Experiment]:
+    """The experiments of a file; trials and a seed are the file's where None are given."""
     return [
         replace(
             each,
-            trials=each.trials if trials is None else trials,
-            steps=min(each.steps, steps),
+            trials=each.trials if scale.trials is None else scale.trials,
+            steps=min(each.steps, scale.steps),
             seed=each.seed if seed is None else seed,
         )
         for each in read_experiments(STUDIES / f"{name}.toml")
@@ -168,8 +169,11 @@ def row_of(experiment: Experiment) -> str:
     return ", ".join(words)
 
 
+WHOLE = "H, error of the last quarter, e, healthy robots harmed"
+
+
 def whole(entry: Entry) -> str:
-    """H, the late error, e, and the share of healthy robots harmed."""
+    """What WHOLE says."""
     values = {name: estimate.value for name, estimate in entry.measures.items()}
     harmed = "" if np.isnan(values["harmed"]) else f", {100 * values['harmed']:.1f} %"
     return f"{values['H']:.1f}, {error(values['late'])}, {error(values['e'])}{harmed}"
@@ -177,8 +181,8 @@ def whole(entry: Entry) -> str:
 
 def late(entry: Entry) -> str:
     """The late error with its interval."""
-    value, low, high = entry.measures["late"]
-    return f"{error(value)} ({error(low)}-{error(high)})"
+    value, low, high = (error(each) for each in entry.measures["late"])
+    return f"{value} ({low}-{high})"
 
 
 def error(value: float) -> str:
@@ -190,8 +194,8 @@ def report_of(tables: Mapping[str, Table]) -> str:
     """Both tables in Markdown."""
     grid, beyond = tables[GRID], tables[BEYOND]
     return (
-        f"# The robust filter\n\n## {grid.title}\n\n{grid.lines(whole, 'H, error of the last quarter, e, harmed')}\n\n"
-        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter')}\n"
+        f"# The robust filter\n\n## {grid.title}\n\n{grid.lines(whole, WHOLE)}\n\n"
+        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter (95 % interval)')}\n"
     )
 
 

@@ -28,6 +28,14 @@ class Run:
     decided: Decided
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for results if there is none. Raises UsageError if that cannot be done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+
+
 class StudyFolder:
     """The results of parts of the study in a folder, whole or not: a store for each seed and part."""
 
@@ -42,10 +50,7 @@ class StudyFolder:
             for index in range(scale.effort(part).seeds)
         ]
         wanted = [[experiment_of(cell, own) for cell in cells_of(part)] for own, part in grids]
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
+        make_folder(folder)
         self._by_scale: dict[Scale, dict[Part, Store]] = {}
         for (own, part), experiments in zip(grids, wanted, strict=True):
             suffix = "" if own.seed == scale.seed else f"_seed{own.seed}"

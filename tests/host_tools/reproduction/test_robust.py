@@ -1,0 +1,127 @@
+"""The study of the robust filter: measures by hand, tables, its command; and its peers as extensions."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import paper_limits, score
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.reproduction import robust
+from support import ROOT, run
+
+PEERS = ROOT / "tests/peers"
+UNDER = {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55}
+MOVING: dict[str, Any] = UNDER | {"topology": "dynamic", "latency": 1, "steps": 4000, "trials": 1, "seed": 77}
+
+
+@pytest.fixture
+def peers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The extensions of tests/peers, found by this process."""
+    monkeypatch.syspath_prepend(str(PEERS))
+    extensions._points.cache_clear()
+    yield
+    extensions._points.cache_clear()
+
+
+def test_measures_by_hand() -> None:
+    """Four robots, one flawed and the last a liar; of two trials the second harms one healthy robot."""
+    experiment = Experiment(robots=4, flawed=1, steps=4000, fill_ratio=0.5, true_accuracy=0.9, trials=2)
+    k, e = np.array([[0, 1000, 2000, 9]] * 2), np.array([[0.1, 0.2, 0.3, 9.0]] * 2)
+    b_hat = np.array([[[0.5, 0.9, 0.9, 0.1]], [[0.5, 0.84, 0.94, 0.1]]])
+    x = np.full((2, 5, 4), 0.7)
+    x[:, -1] = [0.4, 0.6, 0.8, 0.0]  # the last quarter of five values is one
+    counts = np.zeros((2, 4), np.int64)
+    trials = Trials(experiment, [0, 1], k, e, b_hat, counts, counts, {"x": x})
+    special = robust.Special(liars=lambda each: 1, late_f=lambda each: 0.6)
+    measures = robust.measures_of(trials, special)
+    assert measures["H"] == pytest.approx(score(k[:, :3], e[:, :3], paper_limits(experiment)).h)
+    assert measures["e"] == pytest.approx([0.2, 0.2])
+    assert measures["late"] == pytest.approx([0.4 / 3] * 2)
+    assert measures["harmed"] == pytest.approx([0, 0.5])
+    assert robust.measures_of(trials)["late"] == pytest.approx([(0.1 + 0.1 + 0.3 + 0.5) / 4] * 2)
+    (entry,) = robust.table_of("", [trials], robust.grid_row, special).entries.values()
+    assert (entry.trials, entry.measures["harmed"].value) == (2, 0.25)
+
+
+def test_a_mean_of_medians_lies_in_its_interval_and_needs_all_its_cells() -> None:
+    estimate = robust.mean_of_medians([np.arange(9.0), np.arange(100.0, 109.0)])
+    assert estimate.value == 54 and 50 < estimate.low < 54 < estimate.high < 58
+    assert np.isnan(robust.mean_of_medians([np.arange(9.0), np.full(9, np.nan)]).value)
+
+
+def test_the_command_runs_both_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (robust.GRID, robust.BEYOND):
+        (tmp_path / f"{name}.toml").write_text('robots = 4\nsteps = 9000\nfilter = ["none", "robust"]\n')
+    monkeypatch.setattr(robust, "STUDIES", tmp_path)
+    from mcp_asdf_tools.cli.main import main  # noqa: PLC0415
+
+    options = ["--part", "robust", "--trials", "2", "--steps", "5000", "--workers", "1"]
+    output = str(tmp_path / "out")
+    assert main(["reproduce", *options, "--output", output, "--seed", "9", "--json"]) == 0
+    rows = list(csv.DictReader((tmp_path / "out/robust.csv").read_text().splitlines()))
+    assert {(row["filter"], row["trials"]) for row in rows} == {("no filter", "2"), ("robust", "2")}
+    assert len(rows) == 2 * 2 * 4
+    late = next(row for row in rows if row["measure"] == "late" and row["filter"] == "robust")
+    assert float(late["low"]) <= float(late["value"]) <= float(late["high"]) < 0.2
+    assert robust.experiments_of(robust.GRID, robust.Scale(2, 5000), 9)[0].seed == 9
+    assert main(["reproduce", "--part", "robust", "--part", "dynamic", "--output", output]) == 2
+
+
+@pytest.mark.parametrize("share", ["10 %", "30 %"])
+def test_the_page_has_what_the_grid_gives(share: str) -> None:
+    """Few trials of another seed, so within what seeds differ."""
+    page = (ROOT / "docs/robust.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| moving, {share} flawed \|(.*)\|$", page, re.M)
+    assert row is not None
+    names = {"none": 0, "asdf-minus": 1, "robust": 3}
+    cells = [cell for cell in robust.read_experiments(robust.STUDIES / "robust_grid.toml") if cell.is_dynamic]
+    for name, column in names.items():
+        own = [c for c in cells if c.filter == name and 100 * c.flawed == int(share[:2]) * c.robots]
+        results = [run_trials(Experiment(**each.parameters() | {"seed": 5}), 0, 3, 1000) for each in own]
+        (entry,) = robust.table_of("", results, robust.grid_row).entries.values()
+        h, late = (float(value) for value in row[1].split("|")[column].split(", ")[:2])
+        assert entry.measures["H"].value == pytest.approx(h, abs=5)
+        assert entry.measures["late"].value == pytest.approx(late, rel=0.5)
+
+
+def late_error(f: float = 0.55, **changes: Any) -> float:
+    """The error in the last quarter of a short trial, without the last five robots."""
+    (experiment,) = grid(**MOVING | changes)
+    x = run_trials(experiment, 0, 1, 50).records["x"][0, -20:, :15]
+    return float(abs(x - f).mean())
+
+
+@pytest.mark.usefixtures("peers")
+def test_peers_and_worlds_do_what_they_are_for() -> None:
+    none, robust_error = late_error(filter="none"), late_error(filter="robust")
+    assert late_error(firmware="all-counts", filter="none") < robust_error < none / 3
+    assert late_error(firmware="remembering", filter="none") < none / 2  # it hears many in the end
+    assert late_error(firmware="bayescpf", filter="asdf-plus") != late_error(filter="asdf-plus")
+    assert late_error(firmware="lossy", filter="robust") != robust_error
+    one, five = (late_error(firmware=f"liars-{count}", filter="none", flawed=0) for count in (1, 5))
+    assert late_error(filter="none", flawed=0) < one < five
+    assert late_error(firmware="liars-2", filter="robust", flawed=0) < five / 2
+    changed = {"sensor": "changing-floor", "filter": "none", "flawed": 0, "memory": 1024}
+    assert late_error(0.95, **changed) < 0.1 < late_error(0.55, **changed)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_find_the_peers(tmp_path: Path) -> None:
+    small = (
+        (PEERS / "peers.toml").read_text().replace("steps = 20_000", "steps = 1000").replace("40_000", "1000")
+    )
+    (tmp_path / "peers.toml").write_text(re.sub(r"trials = \d", "trials = 1", small))
+    output = run("sweep", "peers.toml", "--record", "500", "--json", cwd=tmp_path, PYTHONPATH=str(PEERS))
+    chosen = {each["parameters"]["firmware"] for each in json.loads(output)["experiments"]}
+    assert len(chosen) == 9
