@@ -16,7 +16,10 @@ CONNECTED = {"steps": 40_000, "fill_ratio": 0.95, "true_accuracy": 0.55, "flawed
 SOME: list[tuple[str, dict[str, Any]]] = [
     ("dynamic | underconfident | 50 % | {none} | {minus} | {robust} |", DYNAMIC | {"flawed": "50%"}),
     ("fully-connected | overconfident | 10 % | {none} | {minus} | {robust} |", CONNECTED | {"flawed": "10%"}),
-    ("| filter_period 100 | {none} | {minus} | {robust} |", DYNAMIC | {"flawed": "30%", "filter_period": 100}),
+    (
+        "| filter_period 100 | {none} | {minus} | {robust} |",
+        DYNAMIC | {"flawed": "30%", "filter_period": 100},
+    ),
     ("| density 4.0 | {none} | {minus} | {robust} |", DYNAMIC | {"flawed": "30%", "density": 4.0}),
 ]
 
@@ -40,7 +43,9 @@ def test_the_defaults_are_the_advice() -> None:
     """The configuration of a robot in C has them, and so have the tools."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
     assert re.search(
-        r"MCP_ASDF_CONFIG\(t_table\) \{\(t_table\), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE\}", header
+        r"MCP_ASDF_CONFIG\(t_table\)[ \\]*\n *\{\(t_table\), 1000, MCP_ASDF_MEMORY_MAX, "
+        r"MCP_ASDF_WITH_ASDF \? MCP_ASDF_ADAPTIVE",
+        header,
     )
     default = m.Experiment()
     assert (default.filter_period, float(default.omega), default.memory) == (1000, 0.05, 2**31)
