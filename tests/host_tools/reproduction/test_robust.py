@@ -14,10 +14,12 @@ import pytest
 
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction import robust
+from mcp_asdf_tools.reproduction.study import Scale
 from support import ROOT, run
 
 PEERS = ROOT / "tests/peers"
@@ -74,7 +76,7 @@ def test_the_command_runs_both_files(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(rows) == 2 * 2 * 4
     late = next(row for row in rows if row["measure"] == "late" and row["filter"] == "robust")
     assert float(late["low"]) <= float(late["value"]) <= float(late["high"]) < 0.2
-    assert robust.experiments_of(robust.GRID, robust.Scale(2, 5000), 9)[0].seed == 9
+    assert robust.experiments_of(robust.GRID, Scale(2, 5000), 9)[0].seed == 9
     assert main(["reproduce", "--part", "robust", "--part", "dynamic", "--output", output]) == 2
 
 
@@ -85,7 +87,7 @@ def test_the_page_has_what_the_grid_gives(share: str) -> None:
     row = re.search(rf"^\| moving, {share} flawed \|(.*)\|$", page, re.M)
     assert row is not None
     names = {"none": 0, "asdf-minus": 1, "robust": 3}
-    cells = [cell for cell in robust.read_experiments(robust.STUDIES / "robust_grid.toml") if cell.is_dynamic]
+    cells = [cell for cell in read_experiments(STUDIES / "robust_grid.toml") if cell.is_dynamic]
     for name, column in names.items():
         own = [c for c in cells if c.filter == name and 100 * c.flawed == int(share[:2]) * c.robots]
         results = [run_trials(Experiment(**each.parameters() | {"seed": 5}), 0, 3, 1000) for each in own]
