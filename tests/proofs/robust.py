@@ -157,7 +157,8 @@ def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
     b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, anew, kept), z3.BitVecVal(0, 32))
     yield "b_hat", found == b_hat, known
     yield "in range", _is_b_hat(found), known
-    votes = z3.If(is_moving, _least(crowd["votes"], z3.BitVecVal(2**8, 16)), crowd["votes"])
+    halved = z3.And(is_moving, z3.UGE(crowd["votes"], 2**9))
+    votes = z3.If(halved, z3.LShR(crowd["votes"], 1), crowd["votes"])
     tests = counters["tests"] + z3.If(is_tested, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16))
     changed = {"crowd": {**crowd, "votes": votes}, "counters": {**counters, "tests": tests}}
     yield "the rest", same(after, {**given, **changed}), known

@@ -48,6 +48,7 @@ BROKEN = (
     ("", "1000", "? 0U - 2U * b_hat", "? 1U - 2U * b_hat"),
     ("", "1000", "high_word(multiply(robot->t, low", "low_word(multiply(robot->t, low"),
     ("", "1000", "trend + 0x2000U", "trend + 0x1FFFU"),
+    ("", "1000", ">= 2U * VOTES_MOVED", "> 2U * VOTES_MOVED"),
     ("", "1000", "voices & (voices - 1U)", "voices & (voices + 1U)"),
     ("", "1000", "b_hat != crowd->first ?", "b_hat == crowd->first ?"),
     ("vote", "1000", "votes | VOTES_FEW", "votes | 1U"),
