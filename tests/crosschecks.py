@@ -55,6 +55,7 @@ FAULTS = {
     "vote: trend": ("if step != 0:", "if distance != 0:"),
     "vote: without confidence": ("elif alpha >> 8:", "elif alpha:"),
     "robust: moving": ("1 << 13 <= crowd.trend", "1 << 13 < crowd.trend"),
+    "robust: votes that halve": ("if crowd.votes >= 2 * VOTES_MOVED", "if crowd.votes > 2 * VOTES_MOVED"),
     "robust: voices": ("if without_one & without_one - 1 == 0:", "if without_one == 0:"),
     "robust: test": ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 13"),
     "robust: variance": ("variance = max(", "variance = min("),

@@ -52,7 +52,26 @@ _ALPHAS = (
 )
 """Nothing, one unit, 1.0 and the largest, as different words; ends of the mantissa, and of 32-bit units."""
 
-_VOTES = (0, 1, 2, 30, 31, 32, 62, 63, 64, 255, 256, 257, 4095, (1 << 14) - 2, (1 << 14) - 1, 1 << 14)
+_VOTES = (
+    0,
+    1,
+    2,
+    30,
+    31,
+    32,
+    62,
+    63,
+    64,
+    255,
+    256,
+    511,
+    512,
+    513,
+    4095,
+    (1 << 14) - 2,
+    (1 << 14) - 1,
+    1 << 14,
+)
 """Messages of the robust filter's crowd, where its gain changes and where it no longer counts."""
 
 _X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, _BITS_32)
