@@ -512,7 +512,7 @@ WRONG |= {
     "s grows at equality": robust(
         "few voices", ("if distance > crowd.spread else -change", "if distance >= crowd.spread else -change")
     ),
-    "s without a floor": robust("moving down", (KEPT, "min(spread, SPREAD_START)")),
+    "s without a floor": robust("test of the least spread", (KEPT, "min(spread, SPREAD_START)")),
     "s without a ceiling": robust("few voices", (KEPT, "max(spread, SPREAD_LEAST)")),
     "sends its centre as x_hat": robust(
         "few voices", ("lambda robot: robot.s.x_hat,", "lambda robot: robot.x_raw,")

@@ -18,8 +18,10 @@ _ALL = 126
 """Votes of a round in which every other robot has one."""
 _MOST_OBSERVED = 10_000
 """Observations that a threshold of the test is looked for."""
-_MOST_ROUNDS = 60
+_MOST_ROUNDS = 120
 """Rounds that the crowd is brought somewhere in."""
+_MORE_ROUNDS = 8
+"""Rounds after it has come there, in which a spread without a limit would shrink on."""
 _LEAST_ALPHA = 0x0000_0100
 MODERATE, NARROW = 1 << 26, 1 << 18
 """Spreads: 1/16, with which there are counts to reject any accuracy, and the least."""
@@ -102,12 +104,14 @@ def thresholds(spread: int) -> Callable[[Bench], None]:
         )
         width = spread >> 7
         bench.doing = "votes that agree"
-        _bring(
-            bench,
-            f"a spread of {spread / 2**30:g}",
-            lambda: crowd.spread <= spread,
-            lambda: _vote(bench, [(crowd.centre >> 7) + draw.randint(-width, width) for _ in range(_ALL)]),
-        )
+
+        def agree() -> None:
+            values = [(crowd.centre >> 7) + draw.randint(-width, width) for _ in range(_ALL)]
+            _vote(bench, [min(max(value, 0), ONE) for value in values])
+
+        _bring(bench, f"a spread of {spread / 2**30:g}", lambda: crowd.spread <= spread, agree)
+        for _ in range(_MORE_ROUNDS if spread == NARROW else 0):
+            agree()
         for side in (1, -1 if spread == NARROW else 1):
             _cross(bench, side)
 
