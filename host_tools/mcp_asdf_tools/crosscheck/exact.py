@@ -136,9 +136,9 @@ def deviates(n: int, t: int, b: Fraction, centre: Fraction, spread: Fraction) ->
     """Whether the robust filter's test rejects ``b`` for t > 0; None where rounding may decide.
 
     With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike, as t < 2**31, v >= (1 - g**2) / 4
-    and spread >= 2**-12. So D is at least 160,000 units of 2**-32, of which p lacks up to 3 and n/t up to 7:
-    D**2 is off by 2**-13.4 of itself. The product of g and the spread, rounded down, takes 2**-15.5 from the
-    other side, and v, which lacks 5 units, far less.
+    and spread >= 2**-12. So D is at least 160,000 units of 2**-32, of which p lacks less than 4, and n/t less
+    than 5: D**2 is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5
+    from the other side, and v, which lacks 5 units, far less.
     """
     seen, p = Fraction(n, t), b * centre + (1 - b) * (1 - centre)
     variance = max(p * (1 - p), seen * (1 - seen))
