@@ -124,6 +124,8 @@ def test_the_commands_of_the_page_find_the_peers(tmp_path: Path) -> None:
         (PEERS / "peers.toml").read_text().replace("steps = 20_000", "steps = 1000").replace("40_000", "1000")
     )
     (tmp_path / "peers.toml").write_text(re.sub(r"trials = \d", "trials = 1", small))
-    output = run("sweep", "peers.toml", "--record", "500", "--json", cwd=tmp_path, PYTHONPATH=str(PEERS))
+    output = run(
+        "mcp-asdf", "sweep", "peers.toml", "--record", "500", "--json", cwd=tmp_path, PYTHONPATH=str(PEERS)
+    )
     chosen = {each["parameters"]["firmware"] for each in json.loads(output)["experiments"]}
     assert len(chosen) == 9
