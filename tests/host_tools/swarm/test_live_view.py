@@ -75,3 +75,8 @@ def test_a_terminal_gets_a_bar_with_the_present_error(width: int, compare: bool)
 @pytest.mark.parametrize("is_terminal", [False, True])
 def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
     assert shown(20, True, quiet=True, force_terminal=is_terminal)[0] == ""
+
+
+def test_the_other_swarms_keep_step_and_have_no_clock() -> None:
+    swarms = Companions(replace(MOVING, clock="real-time")).swarms
+    assert [*swarms] == ["none", "robust"] and all(each.clock is None for each in swarms.values())
