@@ -4,8 +4,8 @@
  * settle. Then the robot goes on for 600 ticks, and checks its invariants before each observation and each
  * settle.
  *
- * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS` tries every
- * bit so many times; the same numbers everywhere. */
+ * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS FILTER` tries
+ * every bit so many times with a robot of this filter, a number; the same numbers everywhere. */
 #include "mcp_asdf.c"
 
 #include "mcp_asdf_image.c"
@@ -23,8 +23,7 @@
 #define PER_CENT (MCP_ASDF_ONE / 100)
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[];
-static const mcp_asdf_config_t config = {mcp_asdf_t_table_omega05_q30, 100, MCP_ASDF_MEMORY_MAX,
-                                         MCP_ASDF_ADAPTIVE};
+static mcp_asdf_config_t config = {mcp_asdf_t_table_omega05_q30, 100, MCP_ASDF_MEMORY_MAX, 0};
 
 /* The sound run: the robot as each tick begins, and what it saw and heard. */
 static struct {
@@ -55,6 +54,12 @@ static const member_t members[] = {MEMBER(heard),
                                    MEMBER(x_hat),
                                    MEMBER(alpha),
                                    MEMBER(filter_left),
+                                   MEMBER(crowd.centre),
+                                   MEMBER(crowd.spread),
+                                   MEMBER(crowd.voices),
+                                   MEMBER(crowd.first),
+                                   MEMBER(crowd.votes),
+                                   MEMBER(crowd.trend),
                                    MEMBER(open.alpha),
                                    MEMBER(open.alpha_x_low),
                                    MEMBER(open.alpha_x_high),
@@ -180,6 +185,7 @@ static void watch(int begin, int phase, size_t bit)
 int main(int count, char **arguments)
 {
     const unsigned long flips = count > 1 ? strtoul(arguments[1], 0, 10) : 1;
+    config.filter = (uint8_t)(count > 2 ? strtoul(arguments[2], 0, 10) : MCP_ASDF_ADAPTIVE);
     record();
     for (size_t i = 0; i < sizeof members / sizeof *members; ++i) {
         memset(counts, 0, sizeof counts);

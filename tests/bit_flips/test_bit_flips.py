@@ -6,16 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from bit_flips.flips import FLIPS, OUTCOMES, PAGE, Member, members, table, total
+from bit_flips.flips import FILTERS, FLIPS, OUTCOMES, PAGE, Member, members, table, total
+from mcp_asdf import Filter
 
-BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 40 + 24)
-"""Of all members but the pointer: senders, id, updated, counters, accuracy, five words and two rounds."""
+BITS = 8 * (16 + 1 + 1 + 10 + 24 + 20 + 20 + 40 + 24)
+"""All members but the pointer: senders, id, updated, counters, accuracy, five words, crowd, two rounds."""
 COUNTED = {"t", "n", "filter_left"}
 """Members whose change may alter the robot's counted data, and b_hat with it, and show nowhere else."""
 
 
-def check(found: dict[str, Member], flips: int) -> None:
+def check(kind: Filter, found: dict[str, Member], flips: int) -> None:
     """Properties of any number of flips."""
+    idle = "open." if kind is Filter.ROBUST else "crowd."
+    assert all(found[name]["in_time"] == found[name]["flips"] for name in found if name.startswith(idle))
     every = total(found.values())
     assert every["flips"] == flips * BITS
     assert every["unexplained"] == 0
@@ -27,15 +30,18 @@ def check(found: dict[str, Member], flips: int) -> None:
     )
 
 
-def test_each_bit_flips_once(tmp_path: Path) -> None:
-    check(members(tmp_path, 1), 1)
+@pytest.mark.parametrize("kind", FILTERS)
+def test_each_bit_flips_once(kind: Filter, tmp_path: Path) -> None:
+    check(kind, members(tmp_path, 1, kind), 1)
 
 
 @pytest.mark.slow
 def test_the_published_table_is_true(tmp_path: Path) -> None:
     """To the last digit; and no flip is undefined behaviour."""
-    found = members(tmp_path, FLIPS)
-    check(found, FLIPS)
+    found = {kind: members(tmp_path, FLIPS, kind) for kind in FILTERS}
+    for kind, counts in found.items():
+        check(kind, counts, FLIPS)
     assert table(found) in PAGE.read_text(encoding="utf-8"), "PYTHONPATH=tests python -m bit_flips.flips"
     sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-    assert members(tmp_path, 2, *sanitizers) == members(tmp_path, 2)
+    for kind in FILTERS:
+        assert members(tmp_path, 2, kind, *sanitizers) == members(tmp_path, 2, kind)
