@@ -527,7 +527,10 @@ class Run
         uint32_t word = random.below(settings.table.words[0] - 0x4D435400 + 3);
         if (random.one_in(2)) /* the own kind of filter */
             config.filter = current->config.filter;
-        switch (random.below(6)) {
+        uint32_t fault = random.below(6);
+        if (MCP_ASDF_WITH_ASDF && (fault == 3 || fault == 4)) /* the only one that has a table */
+            config.filter = MCP_ASDF_ADAPTIVE;
+        switch (fault) {
         case 0:
             config.filter_period = random.below(2);
             break;
