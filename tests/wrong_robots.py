@@ -559,7 +559,13 @@ WRONG |= {
     ),
     "keeps its gain when the crowd moves": robust("moving up", ("votes >>= 1\n", "votes >>= 0\n")),
     "sees only a crowd that moves up": robust("moving down", (MOVES, "if crowd.trend >= 7 << 13:")),
-    "a trend of 512 moves": robust("moving up", ("TREND_SHIFT, MAX_TREND = 8", "TREND_SHIFT, MAX_TREND = 9")),
+    "a trend of 512 moves": robust(
+        "moving up",
+        (
+            "TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 8, 1 << 7, 0xFF",
+            "TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 9, 1 << 6, 0x7F",
+        ),
+    ),
     # What it hears
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),

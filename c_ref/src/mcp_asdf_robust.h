@@ -19,8 +19,9 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a);
 
 #define VOTES_FEW 32U                  /* after so few a vote moves the centre by 2^-3 of its distance; */
 #define VOTES_MOVED (UINT32_C(1) << 8) /* by 2^-6 after the crowd has moved far, 2^-12 in the end */
-#define TREND_SHIFT 8U                 /* memory of the trend: 256 moves of the centre */
-#define SIGMAS_SQUARED 12U             /* a sound robot deviates so far in 1 of 2000 tests */
+#define TREND_UP 255U                  /* 2^-8 of the trend that a vote leads to: it remembers 256 */
+#define TREND_EVEN 128U
+#define SIGMAS_SQUARED 12U /* a sound robot deviates so far in 1 of 2000 tests */
 
 /* Whether a robot's config says so; a constant where there is no choice. */
 ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot)
@@ -52,7 +53,7 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
     const uint32_t away = centre - (x_hat << 7); /* Q30, modulo 2^32: within 2^30 of 0 */
     const uint32_t up = 0U - (away >> 31);       /* all ones where the vote is above the centre, else 0 */
     const uint32_t distance = (away ^ up) - up;  /* abs(away) */
-    uint32_t pull = distance, width = spread - change, trend = middle.trend; /* change <= spread / 16 */
+    uint32_t pull = distance, width = spread - change; /* change <= spread / 16 */
     if (distance > spread) {
         pull = spread;
         width = spread + change; /* < 2^29 */
@@ -61,10 +62,9 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
         width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
     }
     const uint32_t step = shift_right(pull, shift);
-    if (step != 0U) {
-        const uint32_t other = trend ^ (up >> 16); /* share of the moves that went the other way */
-        trend = (other - (other >> TREND_SHIFT)) ^ (up >> 16);
-    }
+    const uint32_t way =
+        step == 0U ? TREND_EVEN : up & TREND_UP; /* a vote for the centre weighs neither way */
+    const uint32_t trend = middle.trend - (middle.trend >> 8) + way;           /* < 2^16 */
     const middle_t moved = {centre - ((step ^ up) - up), width, votes, trend}; /* the centre modulo 2^32 */
     return moved;
 }

@@ -44,7 +44,7 @@ from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 INFORMATIVE_G = 1 << 20
 SPREAD_LEAST, SPREAD_START = 1 << 18, 1 << 28
 VOTES_MOST, VOTES_MOVED = 1 << 14, 1 << 8
-TREND_SHIFT, MAX_TREND = 8, 0xFFFF
+TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 8, 1 << 7, 0xFF, 0xFFFF
 SIGMAS_SQUARED = 12
 COUNTER_MASK = 0xFFFF
 IMAGE_MAGIC = 0x4D435302
@@ -187,9 +187,11 @@ def vote(crowd: Crowd, sender: int, x_hat: int) -> None:
     shift = max(crowd.votes.bit_length() - 3, 3)
     step = min(distance, crowd.spread) >> shift
     change = crowd.spread >> shift + 1
-    if step != 0:
-        late = MAX_TREND - crowd.trend if is_above else crowd.trend
-        crowd.trend += late >> TREND_SHIFT if is_above else -(late >> TREND_SHIFT)
+    crowd.trend -= crowd.trend >> TREND_SHIFT
+    if step == 0:
+        crowd.trend += TREND_EVEN
+    elif is_above:
+        crowd.trend += TREND_UP
     crowd.voices |= 1 << (sender & 31)
     crowd.centre += step if is_above else -step
     spread = crowd.spread + (change if distance > crowd.spread else -change)

@@ -197,7 +197,7 @@ class Crowd:
     Attributes:
         centre: Of the estimates heard, in [0, 1].
         spread: Their median distance from it, in [LEAST_SPREAD, MOST_SPREAD].
-        trend: Share of the centre's late moves that went up; a move below LEAST_MOVE is none.
+        trend: Share of the centre's late moves that went up; a move below LEAST_MOVE is half of one.
         votes: Messages that moved it, up to MOST_VOTES.
         voices: Who was heard, modulo 32.
     """
@@ -225,11 +225,11 @@ def vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
     gain, distance = 2.0 ** -max(votes.bit_length() - 3, 3), x_hat - crowd.centre
     step = gain * max(-crowd.spread, min(distance, crowd.spread))
     widening = gain / 2 if abs(distance) > crowd.spread else -gain / 2
-    late = (step > 0) - crowd.trend if abs(step) >= LEAST_MOVE else 0.0
+    way = float(step > 0) if abs(step) >= LEAST_MOVE else 0.5
     return Crowd(
         centre=crowd.centre + step,
         spread=max(LEAST_SPREAD, min(crowd.spread * (1 + widening), MOST_SPREAD)),
-        trend=crowd.trend + late / 256,
+        trend=crowd.trend + (way - crowd.trend) / 256,
         votes=votes,
         voices=crowd.voices | {sender % 32},
     )

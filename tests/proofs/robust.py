@@ -87,14 +87,14 @@ def _voted(after: dict[str, Any], robot: dict[str, Any], sender: Any, x_hat: Any
     is_above = z3.UGT(said, r)
     distance = z3.If(is_above, said - r, r - said)
     step, change = z3.LShR(_least(distance, s), shift), z3.LShR(s, shift + 1)
-    moved = z3.If(is_above, trend + z3.LShR(2**16 - 1 - trend, 8), trend - z3.LShR(trend, 8))
+    way = z3.If(step == 0, z3.BitVecVal(128, 32), z3.If(is_above, z3.BitVecVal(255, 32), z3.BitVecVal(0, 32)))
     wider = z3.If(z3.UGT(distance, s), s + change, s - change)
     kept = z3.If(z3.ULT(wider, 2**18), 2**18, _least(wider, z3.BitVecVal(2**28, 32)))
     voices = crowd["voices"] | z3.BitVecVal(1, 32) << z3.ZeroExt(24, sender & 31)
     others = {name: each for name, each in robot.items() if name != "crowd"}
     return (
         _wide(found["votes"]) == votes,
-        _wide(found["trend"]) == z3.If(step != 0, moved, trend),
+        _wide(found["trend"]) == trend - z3.LShR(trend, 8) + way,
         z3.Implies(is_above, found["centre"] == r + step),
         z3.Implies(z3.Not(is_above), found["centre"] == r - step),
         found["spread"] == kept,

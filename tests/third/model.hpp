@@ -154,8 +154,8 @@ struct Crowd {
         votes = static_cast<uint16_t>(std::min(votes + 1, 1 << 14));
         int shift = std::max(bits(votes) - 3, 3);
         int64_t step = pull >> shift;
-        if (step > 0)
-            trend = static_cast<uint16_t>(said > r ? trend + ((65535 - trend) >> 8) : trend - (trend >> 8));
+        int way = step == 0 ? 128 : said > r ? 255 : 0;
+        trend = static_cast<uint16_t>(trend - (trend >> 8) + way);
         int64_t change = s >> (shift + 1);
         r = static_cast<uint32_t>(said > r ? r + step : r - step);
         s = static_cast<uint32_t>(
