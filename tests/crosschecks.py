@@ -52,7 +52,7 @@ FAULTS = {
     "vote: gain": ("crowd.votes.bit_length() - 3, 3)", "crowd.votes.bit_length() - 3, 2)"),
     "vote: clamp": ("step = min(distance, crowd.spread) >> shift", "step = distance >> shift"),
     "vote: spread": ("if distance > crowd.spread else", "if distance >= crowd.spread else"),
-    "vote: trend": ("if step != 0:", "if distance != 0:"),
+    "vote: trend": ("if step == 0:", "if distance == 0:"),
     "vote: without confidence": ("elif alpha >> 8:", "elif alpha:"),
     "robust: moving": ("1 << 13 <= crowd.trend", "1 << 13 < crowd.trend"),
     "robust: votes that halve": ("if crowd.votes >= 2 * VOTES_MOVED", "if crowd.votes > 2 * VOTES_MOVED"),

@@ -56,7 +56,7 @@ BROKEN = (
     ("vote", "1000", "if (distance > spread)", "if (distance >= spread)"),
     ("vote", "1000", "pull = spread;", "pull = distance;"),
     ("vote", "1000", "width > MCP_ASDF_SPREAD_MIN ? width", "width > 0U ? width"),
-    ("vote", "1000", "other >> TREND_SHIFT", "other >> 7"),
+    ("vote", "1000", "middle.trend >> 8", "middle.trend >> 7"),
     ("reestimate", "1000", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
 )
 """A function that loses its lemma, or none where the numbers change that the code forms; a variant; what is
