@@ -1,22 +1,17 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
  * gives it eq. 8. docs/robust.md explains it, docs/design.md, section 13, states every bit.
- *
- * Every message is one vote, whatever its alpha. The votes move the centre of the crowd, a Huber M-estimate
- * of where the estimates lie, and the spread, the median of their distances from it: both by stochastic
- * approximation, with a gain of 4 / votes to 8 / votes, and at least 2^-12. Against the centre a robot tests
- * its own count of black tiles.
- */
+ * Every message is one vote, whatever its alpha. Votes move the centre of the crowd, a Huber M-estimate of
+ * where the estimates lie, and the spread, the median of their distances from it: by stochastic approximation
+ * with a gain of 4 / votes to 8 / votes, at least 2^-12. Against the centre a robot tests its own count. */
 #ifndef MCP_ASDF_ROBUST_H
 #define MCP_ASDF_ROBUST_H
 
 #include "mcp_asdf.h"
 #include "mcp_asdf_arithmetic.h"
 
-/* b_hat by eq. 8 from an estimate of the fill ratio as Q32; 0 where that says nothing. */
-static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a);
+static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a); /* eq. 8; 0 where a, as Q32, says nothing */
 
 #if MCP_ASDF_WITH_ROBUST
-
 #define VOTES_FEW 32U                  /* after so few a vote moves the centre by 2^-3 of its distance; */
 #define VOTES_MOVED (UINT32_C(1) << 8) /* by 2^-6 after the crowd has moved far, 2^-12 in the end */
 #define TREND_UP 255U                  /* 2^-8 of the trend that a vote leads to: it remembers 256 */
@@ -62,9 +57,8 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
         width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
     }
     const uint32_t step = shift_right(pull, shift);
-    const uint32_t way =
-        step == 0U ? TREND_EVEN : up & TREND_UP; /* a vote for the centre weighs neither way */
-    const uint32_t trend = middle.trend - (middle.trend >> 8) + way;           /* < 2^16 */
+    const uint32_t way = step == 0U ? TREND_EVEN : up & TREND_UP;    /* neither way without a move */
+    const uint32_t trend = middle.trend - (middle.trend >> 8) + way; /* < 2^16 */
     const middle_t moved = {centre - ((step ^ up) - up), width, votes, trend}; /* the centre modulo 2^32 */
     return moved;
 }
@@ -90,8 +84,7 @@ ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone)
 /* The centre as Q32, 1.0 as 2^32 - 1. */
 ALWAYS_INLINE uint32_t crowd_mean(const mcp_asdf_t *robot)
 {
-    const uint32_t centre = robot->crowd.centre;
-    return centre >> 30 == 0U ? centre << 2 : UINT32_MAX;
+    return robot->crowd.centre >> 30 == 0U ? robot->crowd.centre << 2 : UINT32_MAX;
 }
 
 /* Whether three robots were heard, of whom one that is wrong can be outvoted. Of robots whose ids are equal
@@ -148,15 +141,10 @@ static uint32_t crowd_b_hat(mcp_asdf_t *robot)
 }
 
 #else /* without it: calls of what follows disappear */
-
 ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot) { return (void)robot, false; }
 ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
-ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
-{
-    (void)robot, (void)sender, (void)x_hat;
-}
+ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t id, uint32_t x) { (void)robot, (void)id, (void)x; }
 ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone) { return (void)robot, alone; }
 ALWAYS_INLINE uint32_t crowd_b_hat(const mcp_asdf_t *robot) { return (void)robot, 0; }
-
 #endif
 #endif

@@ -70,9 +70,8 @@ def check_same(found: Figures, before: tuple[int, ...]) -> None:
     assert all(new <= 1.005 * old for new, old in zip((*most, *found.code), before, strict=True))
 
 
-@pytest.mark.parametrize(
-    "target", [TARGETS[3], *slow((*TARGETS[:3], TARGETS[4]))], ids=lambda target: target.name
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_the_robust_filter_costs_what_is_published(target: Target, tmp_path: Path) -> None:
     compared = {
         level: [
