@@ -20,7 +20,6 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, interval, summarized
 from mcp_asdf_tools.reproduction.study import Scale
-from mcp_asdf_tools.robots.population import FILTER_NAMES
 
 GRID, BEYOND = "robust_grid", "robust_beyond"
 SAMPLING_INTERVAL = 1000
@@ -55,7 +54,7 @@ class Special:
 
     liars: Callable[[Experiment], int] = lambda experiment: 0
     late_f: Callable[[Experiment], float] = lambda experiment: experiment.fill_ratio
-    column: Callable[[Experiment], str] = lambda experiment: FILTER_NAMES[experiment.filter]
+    column: Callable[[Experiment], str] = lambda experiment: experiment.filter_name
 
 
 PLAIN = Special()
