@@ -57,8 +57,9 @@ def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
 
 @pytest.mark.slow
 @settings(max_examples=24)
-@given(st.integers(1, 900_000_000), st.integers(2, 127))
+@given(st.integers(1000, 900_000_000), st.integers(2, 127))
 def test_every_entry_of_any_table_is_correctly_rounded(billionths: int, q: int) -> None:
+    """SciPy's quantiles are too coarse to judge the smallest omega, which are next to the median."""
     omega = Decimal(billionths).scaleb(-9)
     assert wrong_entries(generate(omega, q), omega) == []
 
