@@ -130,7 +130,7 @@ def test_other_configurations_pass(config: dict[str, Any]) -> None:
         ({"memory": 64}, "b4543c0c45dde264"),
         ({"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS}, "2db4381eeb2dbef6"),
         (OFF, "73f5e454332d2f08"),
-        (VOTES, "ea42992ceb9fe8b0"),
+        *slow([(VOTES, "ea42992ceb9fe8b0")]),
     ],
     ids=str,
 )

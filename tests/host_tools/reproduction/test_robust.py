@@ -104,6 +104,7 @@ def late_error(f: float = 0.55, **changes: Any) -> float:
     return float(abs(x - f).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("peers")
 def test_peers_and_worlds_do_what_they_are_for() -> None:
     none, robust_error = late_error(filter="none"), late_error(filter="robust")
