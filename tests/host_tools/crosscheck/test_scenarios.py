@@ -94,9 +94,9 @@ def test_scenarios_differ_and_are_lines_that_read_back() -> None:
     assert len(set(lines)) == len(lines)
     assert [parse_scenario(line) for line in lines] == scenarios
     assert all(shlex.quote(line) == line for line in lines), "a line needs no quotes"
-    digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()
-    assert digest[:16] == "76bd364abfe01d07", "the pools have changed: golden vectors are made of them, too"
     robust = [robust_scenario(1, number) for number in range(100)]
+    digests = [hashlib.sha256("\n".join(map(str, each)).encode()).hexdigest()[:8] for each in (lines, robust)]
+    assert digests == ["76bd364a", "5ac9a318"], "the pools have changed: golden vectors are made of them, too"
     assert [parse_scenario(str(each)) for each in robust] == robust
     assert len(set(map(str, robust))) == 100 and {each.setup.filter for each in robust} == {Filter.ROBUST}
 
