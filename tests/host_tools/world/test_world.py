@@ -239,6 +239,13 @@ def test_answers_of_installed_sensors_are_checked() -> None:
                 CheckedSensors(model(pair), settings).advance(5)
 
 
+def test_an_installed_sensor_takes_the_place_of_the_built_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings, pair = make().settings, (np.full((1, 1), 0.25), np.full((1, 1), 0.75))
+    object.__setattr__(settings, "sensor", "mine")
+    monkeypatch.setattr("mcp_asdf_tools.common.extensions.load", lambda group, name: lambda *_: model(pair))
+    assert sensor_model(settings, 0).advance(5) == pair
+
+
 def test_answers_of_installed_topologies_are_checked() -> None:
     hears = np.zeros((5, 4, 4), np.bool_)
     assert Checked(model(hears), "mine", 4).advance(5) is hears
