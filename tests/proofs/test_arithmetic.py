@@ -10,12 +10,13 @@ import pytest
 from proofs.arithmetic import PREPARED, contracts, is_tried
 from proofs.prove import prove_lemma
 from proofs.source import ARITHMETIC, HEADER, LANES, LANES_HEADER, VARIANTS, program
-from support import require, run
+from support import require, run, slow
 
 LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
+LONG = ("divide_by_bits", "ratio")
 
 
-@pytest.mark.parametrize("name", LEMMAS)
+@pytest.mark.parametrize("name", [*(each for each in LEMMAS if each not in LONG), *slow(LONG)])
 def test_lemma(name: str) -> None:
     done: set[str] = set()
     for variant in VARIANTS:

@@ -80,7 +80,8 @@ def test_the_command_runs_both_files(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert main(["reproduce", "--part", "robust", "--part", "dynamic", "--output", output]) == 2
 
 
-@pytest.mark.parametrize("share", ["30 %", pytest.param("10 %", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("share", ["10 %", "30 %"])
 def test_the_page_has_what_the_grid_gives(share: str) -> None:
     """Few trials of another seed, so within what seeds differ."""
     page = (ROOT / "docs/robust.md").read_text(encoding="utf-8")
