@@ -424,7 +424,7 @@ SAID, CLAMP, GAIN = (
     "max(crowd.votes.bit_length() - 3, 3)",
 )
 KEPT = "min(max(spread, SPREAD_LEAST), SPREAD_START)"
-VOICES, MOVES = "if without_one & without_one - 1 == 0:", "if not 1 << 13 <= crowd.trend < 7 << 13:"
+VOICES, MOVES = "if crowd.voices.bit_count() < 3:", "if crowd.is_moving:"
 HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
 
 WRONG |= {
@@ -531,7 +531,7 @@ WRONG |= {
     # Its test
     "takes votes for voices": robust("few voices", (VOICES, "if crowd.votes < 3:")),
     "voices modulo 128": robust("few voices", ("1 << (sender & 31)\n    crowd", "1 << sender\n    crowd")),
-    "two voices are enough": robust("few voices", (VOICES, "if without_one == 0:")),
+    "two voices are enough": robust("few voices", (VOICES, "if crowd.voices.bit_count() < 2:")),
     "three voices are too few": robust("few voices", (VOICES, "if crowd.voices.bit_count() < 4:")),
     "rejects at 3 sigma": robust("test of a moderate spread", ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 9")),
     "forgets the spread in its test": robust("test of a moderate spread", ("* (g_spread * g_spread)", "* 0")),

@@ -254,6 +254,11 @@ class Crowd:
     votes: int = 0
     trend: int = 1 << 15
 
+    @property
+    def is_moving(self) -> bool:
+        """True if more than 7 of 8 late moves of the centre went one way."""
+        return not 1 << 13 <= self.trend < 7 << 13
+
     def is_possible(self, b_hat: int) -> bool:
         """True if votes can have made it so, where the robust filter runs and b_hat is ``b_hat`` now."""
         if self.votes == 0:
@@ -389,12 +394,11 @@ class MirrorRobot(FixedPointView):
     def _crowd_b_hat(self) -> int | None:
         """The same by the robust filter: None while the crowd moves, or before three voices were heard."""
         s, crowd = self.s, self.s.crowd
-        if not 1 << 13 <= crowd.trend < 7 << 13:
+        if crowd.is_moving:
             if crowd.votes >= 2 * VOTES_MOVED:
                 crowd.votes >>= 1
             return None
-        without_one = crowd.voices & crowd.voices - 1
-        if without_one & without_one - 1 == 0:
+        if crowd.voices.bit_count() < 3:
             return None
         s.tests = s.tests + 1 & COUNTER_MASK
         if deviates(crowd, s.t, s.n):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from copy import copy, deepcopy
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
-from mcp_asdf.mirror import VOTES_MOST, Crowd, deviates, vote
+from mcp_asdf.mirror import VOTES_MOST, deviates, vote
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.rounds import ordinary_alpha
@@ -158,14 +158,10 @@ def _rejects(bench: Bench, z: Observation | None = None) -> bool:
 def _votes_until_moving(bench: Bench, end: int) -> int:
     """Votes for ``end`` with which the crowd moves."""
     crowd, count = copy(bench.firmware.s.crowd), 0
-    while not _is_moving(crowd):
+    while not crowd.is_moving:
         vote(crowd, 0, end)
         count += 1
     return count
-
-
-def _is_moving(crowd: Crowd) -> bool:
-    return not 1 << 13 <= crowd.trend < 7 << 13
 
 
 def _up_to(bench: Bench, wanted: bool, side: int = 1) -> Observation | None:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mcp_asdf_tools.common.files import write_together
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
@@ -222,5 +223,4 @@ def tables_of(results: Mapping[str, Sequence[Trials]]) -> dict[str, Table]:
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``robust.md`` and ``robust.csv``."""
     tables = tables_of(results)
-    (folder / "robust.md").write_text(report_of(tables), encoding="utf-8")
-    (folder / "robust.csv").write_text(csv_of(tables.values()), encoding="utf-8")
+    write_together({folder / "robust.md": report_of(tables), folder / "robust.csv": csv_of(tables.values())})

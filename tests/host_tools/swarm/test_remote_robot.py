@@ -25,6 +25,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
+from wire import meanwhile
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -64,13 +65,11 @@ def robot_elsewhere(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
             for frame in [] if heard is None else node.hear(heard):
                 bus.send(frame, timeout=1)
 
-    thread = threading.Thread(target=live)
-    thread.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        thread.join()
+    with meanwhile(live):
+        try:
+            yield
+        finally:
+            is_over.set()
 
 
 def run_elsewhere(

@@ -13,6 +13,7 @@
 
 /* Trials under way; lanes beyond the last trial or robot run idle.
  *   is_robust  whether the robots have the robust filter: messages are votes then, and there are no sums
+ *   columns   series of x in a trial
  *   index     of the first trial
  *   used      trials in use, of `side` side by side
  *   count     lanes in use: lane j side + l is robot j of trial l, here and in all arrays below
@@ -29,6 +30,7 @@ typedef struct {
     const mcp_asdf_experiment_t *experiment;
     bool has_lanes;
     bool is_robust;
+    uint32_t columns;
     uint32_t index;
     uint32_t side;
     uint32_t used;
@@ -153,7 +155,7 @@ static void hear(block_t *block)
 
 static void inform(block_t *block, uint32_t step)
 {
-    const uint32_t columns = mcp_asdf_engine_columns(block->experiment), side = block->side;
+    const uint32_t columns = block->columns, side = block->side;
     const size_t length = (size_t)block->experiment->steps + 1;
     uint32_t x[LANES];
     if (block->is_robust) {
@@ -331,6 +333,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
     block.experiment = experiment;
     block.has_lanes = lanes;
     block.is_robust = trial_is_robust(experiment, 0);
+    block.columns = mcp_asdf_engine_columns(experiment);
     block.side = lanes && experiment->arenas == NULL ? LANES_OF_TRIALS : 1;
     for (block.index = 0; block.index < experiment->trials && status == MCP_ASDF_OK;
          block.index += block.side) {
