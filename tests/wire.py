@@ -15,11 +15,12 @@ from unittest.mock import Mock
 import can
 import pytest
 
+from mcp_asdf.robot import Config
 from mcp_asdf_tools.bus.frames import Heartbeat, encode_heartbeat
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE
 
@@ -105,9 +106,10 @@ class EndlessWire(Wire):
 
 def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotRecord:
     """Initial state of a robot; by default it filters every 10 ticks."""
-    usual: dict[str, Any] = {"table": TABLE, "filter_period": 10}
-    settings = TickConfig(**(usual | config))
-    return RobotRecord(robot, firmware, b_hat, settings)
+    usual: dict[str, Any] = {"table": TABLE, "filter_period": 10, "comms_period": 1} | config
+    comms_period = usual.pop("comms_period")
+    usual["filter_period"] //= comms_period
+    return RobotRecord(robot, firmware, b_hat, Config(**usual), comms_period)
 
 
 def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:

@@ -120,7 +120,7 @@ def set_up(
     def make() -> RobotNode:
         settings = {"robot": ID, "b_hat": B_HAT, **said, **actual}
         own = record(firmware="mirror", **settings)
-        return kind(own, make=lambda: firmware(own.config.in_rounds(), own.id, own.b_hat))  # type: ignore[no-any-return]
+        return kind(own, make=lambda: firmware(own.config, own.id, own.b_hat))  # type: ignore[no-any-return]
 
     return Wrong(phase, said, make)
 

@@ -16,12 +16,12 @@ import can
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import DEFAULT_FILTER_PERIOD, Filter, Observation
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE, ROOT, made_once, require, run
+from wire import record
 
 NODES = "MCP_ASDF_NODES"
 """Environment variable: a folder with builds of the node, by name."""
@@ -131,8 +131,8 @@ def twin(
     **config: Any,
 ) -> RobotNode:
     """The Python node of the same options, on plain integers."""
-    settings = TickConfig(**{"table": TABLE, "filter": Filter.ADAPTIVE, **config})
-    return RobotNode(RobotRecord(robot_id, "mirror", b_hat, settings), subjects, steps_per_second)
+    usual = {"table": TABLE, "filter": Filter.ADAPTIVE, "filter_period": DEFAULT_FILTER_PERIOD}
+    return RobotNode(record(robot_id, "mirror", b_hat, **(usual | config)), subjects, steps_per_second)
 
 
 def content(frames: Iterable[can.Message]) -> list[str]:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from benchmarks.cost.images import TARGETS, Image
-from mcp_asdf.robot import Filter
+from mcp_asdf.robot import Config, Filter
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     Action,
@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate
 from support import CORE, PATIENCE, ROOT, blocks, made_once, require, run, slow
 from targets.c_node import SANITIZERS, WARNINGS
@@ -85,7 +85,7 @@ TABLE = generate(Decimal("0.05"), 30)
 
 def switched_on(filters: Filter) -> RobotNode:
     """The image's robot, in plain integers."""
-    return RobotNode(RobotRecord(IMAGE_ID, "mirror", B_HAT, TickConfig(TABLE, filters, 1, FILTER_PERIOD)))
+    return RobotNode(RobotRecord(IMAGE_ID, "mirror", B_HAT, Config(TABLE, filters, FILTER_PERIOD)))
 
 
 # ---- The image once more, from the documents: the tools' server reads lines, the robot is the mirror ----

@@ -18,7 +18,7 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
@@ -34,7 +34,7 @@ from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from support import PATIENCE, interruptible, require, slow
 from targets.c_node import (
     CORTEX_A8,
@@ -163,7 +163,7 @@ SPOILT: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
 
 def test_the_verdict_on_a_node_with_the_robust_filter_is_good(start: Start, bus: UnixBus) -> None:
     node = start("--lockstep", "--filter", "robust", "--b-hat", 0.95, "--filter-period", 5)
-    own = RobotRecord(ID, "mirror", 0.95, TickConfig(filter=Filter.ROBUST, filter_period=5))
+    own = RobotRecord(ID, "mirror", 0.95, Config(filter=Filter.ROBUST, filter_period=5))
     verdict = Verification(surroundings(own), BenchOptions(bus, 20, PATIENCE)).run()
     assert verdict.has_passed, verdict.headline
     assert node.stop()["updates"] > 10

@@ -51,10 +51,11 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
     own = argparse.Namespace(**{name: getattr(args, name) for name in _OF_ROBOT})
-    config = settings_from(own, Population, robots=neighbours + 1, flawed=1).config(0)
+    swarm = settings_from(own, Population, robots=neighbours + 1, flawed=1)
+    config = swarm.config(0)
     if config.table is None and args.neighbours is not None:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
-    record = RobotRecord(args.id, args.firmware, args.b_hat, config)
+    record = RobotRecord(args.id, args.firmware, args.b_hat, config, swarm.comms_period)
     try:
         record.make()
     except FirmwareError as error:

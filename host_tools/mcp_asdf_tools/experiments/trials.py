@@ -213,8 +213,7 @@ def _make_robots(experiment: Experiment) -> list[Robot]:
         conventions = AUTHORS if experiment.conventions == "authors" else PAPER
         make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
-        make(experiment.config(robot).in_rounds(), robot, experiment.b_hat(robot))
-        for robot in range(experiment.robots)
+        make(experiment.config(robot), robot, experiment.b_hat(robot)) for robot in range(experiment.robots)
     ]
 
 

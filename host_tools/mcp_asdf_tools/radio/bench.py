@@ -85,7 +85,8 @@ class Bench:
 
     Attributes:
         settings: The surroundings.
-        config: The controller's configuration.
+        record: How the controller starts.
+        config: Its configuration.
         options: Connection, time limits and observers.
         firmware: The firmware that the controller must equal, bit for bit.
         model: The node around it, which says what the controller must say.
@@ -99,8 +100,9 @@ class Bench:
 
     def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
         own, subjects = settings.controller, settings.subjects
-        self.settings, self.config, self.options = settings, own.config, options
-        self.firmware = MirrorRobot(own.config.in_rounds(), own.id, own.b_hat)
+        self.settings, self.record, self.options = settings, own, options
+        self.config = own.config
+        self.firmware = MirrorRobot(own.config, own.id, own.b_hat)
         self.model = RobotNode(
             own, subjects, settings.swarm.steps_per_second, options.recorder, lambda: self.firmware
         )
@@ -210,7 +212,7 @@ class Bench:
 
     def round_of(self, frames: Sequence[can.Message]) -> None:
         """A whole round in which these frames come, in its first tick and in its last."""
-        period = self.config.comms_period
+        period = self.record.comms_period
         self.skip(-self.model.ticks % period)
         half = len(frames) // 2
         if period > 1:
@@ -232,17 +234,17 @@ class Bench:
 
     def to_test(self, observe: Callable[[], Observation | None] = lambda: None, before: int = 0) -> None:
         """Let ticks pass until the round of the next test begins, or ``before`` rounds earlier."""
-        period = self.config.filter_period
-        round_begins = period - (1 + before) * self.config.comms_period
+        period = self.record.filter_period
+        round_begins = period - (1 + before) * self.record.comms_period
         self.skip((round_begins - self.model.ticks) % period, observe)
 
     def avoid_test(self, rounds: int = 1) -> None:
         """Let rounds without messages pass if one of the next ``rounds`` has a test, unless all have."""
         config = self.config
-        if config.filter is Filter.OFF or config.filter_period == config.comms_period:
+        if config.filter is Filter.OFF or config.filter_period == 1:
             return
         for number in range(rounds, 0, -1):
-            if (self.model.ticks + number * config.comms_period) % config.filter_period == 0:
+            if (self.model.ticks + number * self.record.comms_period) % self.record.filter_period == 0:
                 self.round()
 
     # --- Comparing ---

@@ -15,7 +15,7 @@ from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
 from mcp_asdf_tools.radio import robust_phases as robust
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.robots.record import TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 
 _TESTS = 20
 """Tests of the filter that a run waits for."""
@@ -40,29 +40,29 @@ class Phase:
     name: str
     play: Callable[[Bench], None] | None = None
     fault: str = ""
-    applies: Callable[[TickConfig], bool] = lambda config: True
+    applies: Callable[[RobotRecord], bool] = lambda record: True
 
 
-def is_in_reach(config: TickConfig) -> bool:
+def is_in_reach(record: RobotRecord) -> bool:
     """True if the tests of the filter come often enough for a run."""
-    return _TESTS * config.filter_period <= _MOST_TICKS
+    return _TESTS * record.filter_period <= _MOST_TICKS
 
 
-def is_halved(config: TickConfig) -> bool:
+def is_halved(record: RobotRecord) -> bool:
     """True if the memory is short enough for a run to fill it."""
-    return config.memory <= _LONGEST_MEMORY
+    return record.config.memory <= _LONGEST_MEMORY
 
 
-def _tests(config: TickConfig) -> bool:
-    return config.filter is Filter.ADAPTIVE and is_in_reach(config)
+def _tests(record: RobotRecord) -> bool:
+    return record.config.filter is Filter.ADAPTIVE and is_in_reach(record)
 
 
-def _re_estimates(config: TickConfig) -> bool:
-    return config.filter in (Filter.ADAPTIVE, Filter.ALWAYS) and is_in_reach(config)
+def _re_estimates(record: RobotRecord) -> bool:
+    return record.config.filter in (Filter.ADAPTIVE, Filter.ALWAYS) and is_in_reach(record)
 
 
-def _votes(config: TickConfig) -> bool:
-    return config.filter is Filter.ROBUST and is_in_reach(config)
+def _votes(record: RobotRecord) -> bool:
+    return record.config.filter is Filter.ROBUST and is_in_reach(record)
 
 
 PHASES: tuple[Phase, ...] = (
@@ -82,7 +82,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("its own id", protocol.own_id),
     Phase("unusual identifiers", protocol.unusual_messages),
     Phase("invalid frames", protocol.invalid),
-    Phase("no filter", filtering.quiet, applies=lambda config: config.filter is Filter.OFF),
+    Phase("no filter", filtering.quiet, applies=lambda record: record.config.filter is Filter.OFF),
     Phase("no information", filtering.no_information, applies=_re_estimates),
     Phase("rounds without a test", filtering.no_test, applies=_re_estimates),
     *(Phase(f"threshold of {m} messages", play, applies=_tests) for m, play in filtering.THRESHOLDS.items()),
@@ -95,7 +95,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("moving down", robust.moving(0), applies=_votes),
     Phase("many votes", robust.many_votes, applies=_votes),
     Phase("halvings", filtering.halvings, applies=is_halved),
-    Phase("long run", filtering.long_run, applies=lambda config: not is_halved(config)),
+    Phase("long run", filtering.long_run, applies=lambda record: not is_halved(record)),
     Phase("among neighbours"),
     Phase("loss", fault="loss=0.5,receivers={me}"),
     Phase("delay", fault="delay=0.5,ticks=3,receivers={me}"),

@@ -20,7 +20,7 @@ from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.record import TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"
@@ -112,7 +112,7 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     A phase among neighbours has ``ticks`` ticks, and its faults alone, from its first tick to its last.
     Raises UsageError if the controller broadcasts too rarely.
     """
-    comms_period = settings.controller.config.comms_period
+    comms_period = settings.controller.comms_period
     if comms_period > LONGEST_ROUND:
         raise UsageError(
             f"comms-period is {comms_period}; a verification has hundreds of rounds, so "
@@ -120,7 +120,7 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
         )
     ids = [str(neighbour.id) for neighbour in settings.neighbours]
     names = {"me": settings.controller.id, "them": "+".join(ids), "one": ids[0]}
-    applying = [phase for phase in phases if phase.applies(settings.controller.config)]
+    applying = [phase for phase in phases if phase.applies(settings.controller)]
     plan = [replace(phase, fault=phase.fault.format(**names)) for phase in applying]
     plan += [Phase(fault.kind.value, fault=str(fault)) for fault in settings.faults]
     faults = [
@@ -131,17 +131,18 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     return plan, faults
 
 
-def not_checked(config: TickConfig) -> list[str]:
+def not_checked(record: RobotRecord) -> list[str]:
     """Properties that a verdict on a controller of this configuration leaves open."""
+    config = record.config
     filters = config.filter is not Filter.OFF
     sizes = ", ".join(map(str, CRAFTED_SIZES))
     limits = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
         (not filters, "the test and re-estimates: it does not filter"),
         (config.filter is Filter.ALWAYS, "the test: it re-estimates always"),
-        (filters and config.filter_period == config.comms_period, "rounds without a test: all have one"),
-        (config.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
-        (not is_halved(config), f"forgetting: its memory is {config.memory}, too long for a run"),
+        (filters and config.filter_period == 1, "rounds without a test: all have one"),
+        (record.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
+        (not is_halved(record), f"forgetting: its memory is {config.memory}, too long for a run"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
         (True, "its behaviour on a bus with error frames, CAN FD frames or a bus-off of its own"),
@@ -157,14 +158,13 @@ class Verification:
         self, settings: RadioSettings, options: BenchOptions, phases: Sequence[Phase] = PHASES
     ) -> None:
         """Prepare the phases, with one more for each fault of the settings. Raises as ``planned``."""
-        config = settings.controller.config
         # Everything that a fault may strike, a broadcast too, comes in each phase.
-        self._phase_ticks = max(options.ticks, 2 * config.comms_period)
+        self._phase_ticks = max(options.ticks, 2 * settings.controller.comms_period)
         self._phases, faults = planned(settings, phases, self._phase_ticks)
         self.bench = Bench(replace(settings, faults=tuple(faults)), options)
         self.verdict = ControllerVerdict(
             [PhaseResult(phase.name, phase.fault or None) for phase in self._phases],
-            not_checked=not_checked(config),
+            not_checked=not_checked(settings.controller),
         )
 
     def run(self) -> ControllerVerdict:
@@ -195,7 +195,7 @@ class Verification:
 
     def _not_exercised(self) -> list[str]:
         config = self.bench.config
-        if config.filter is not Filter.OFF and not is_in_reach(config):
+        if config.filter is not Filter.OFF and not is_in_reach(self.bench.record):
             return ["the filter: its period is too long for a run", *self.bench.missed]
         return self.bench.missed
 

@@ -175,7 +175,7 @@ class BusRobot:
         self.reception = Reception()
         self.recorder = recorder
         self._make = make or record.make
-        self._period = record.config.comms_period
+        self._period = record.comms_period
         self._estimates, self._telemetry = estimates, telemetry
         self._loses_state = False
         self.restart()

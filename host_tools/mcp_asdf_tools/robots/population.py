@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, Literal, Self
 
-from mcp_asdf.robot import B_HAT_MARGIN, DEFAULT_FILTER_PERIOD, DEFAULT_MEMORY, MIN_MEMORY, Filter
+from mcp_asdf.robot import (
+    B_HAT_MARGIN,
+    DEFAULT_FILTER_PERIOD,
+    DEFAULT_MEMORY,
+    MIN_MEMORY,
+    Config,
+    Filter,
+)
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
@@ -115,7 +122,7 @@ class Population(WorldSettings):
         accuracy = self.flawed_accuracy if self.is_flawed(robot) else correct
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
-    def config(self, robot: int) -> TickConfig:
+    def config(self, robot: int) -> Config:
         """Settings of a robot's firmware. The table covers N - 1 neighbours."""
         kind = Filter.OFF
         if self.filter == "robust":
@@ -123,11 +130,11 @@ class Population(WorldSettings):
         elif self.filters(robot):
             kind = Filter.ADAPTIVE if self.activation == "adaptive" else Filter.ALWAYS
         table = generate(self.omega, max(2, self.robots - 1)) if kind is Filter.ADAPTIVE else None
-        return TickConfig(table, kind, self.comms_period, self.filter_period, self.memory)
+        return Config(table, kind, self.filter_period // self.comms_period, self.memory)
 
     def record(self, robot: int) -> RobotRecord:
         """How a robot starts."""
-        return RobotRecord(robot, self.firmware, self.b_hat(robot), self.config(robot))
+        return RobotRecord(robot, self.firmware, self.b_hat(robot), self.config(robot), self.comms_period)
 
     def parameters(self) -> dict[str, Any]:
         """All parameters as plain numbers and words, which ``from_parameters`` takes back."""

@@ -7,15 +7,12 @@ from decimal import Decimal
 from typing import Any
 
 from mcp_asdf.robot import (
-    DEFAULT_FILTER_PERIOD,
-    DEFAULT_MEMORY,
     MAX_FILTER_PERIOD,
     Config,
     Filter,
     Robot,
     check_settings,
 )
-from mcp_asdf.table import Table
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
@@ -30,29 +27,6 @@ _KINDS = {int: "a whole number", str: "a text", float: "a number with a point"}
 
 
 @dataclass(frozen=True)
-class TickConfig:
-    """The firmware's settings with periods in control ticks.
-
-    Attributes:
-        table: As in ``mcp_asdf.robot.Config``.
-        filter: As there.
-        comms_period: Ticks between broadcasts, 1 .. 2**32 - 1.
-        filter_period: Nominal filtering period tau in ticks, a multiple of ``comms_period`` up to 2**32 - 1.
-        memory: As there.
-    """
-
-    table: Table | None = None
-    filter: Filter = Filter.ADAPTIVE
-    comms_period: int = 1
-    filter_period: int = DEFAULT_FILTER_PERIOD
-    memory: int = DEFAULT_MEMORY
-
-    def in_rounds(self) -> Config:
-        """The same for the firmware."""
-        return Config(self.table, self.filter, self.filter_period // self.comms_period, self.memory)
-
-
-@dataclass(frozen=True)
 class RobotRecord:
     """Initial state of one robot.
 
@@ -61,19 +35,26 @@ class RobotRecord:
         firmware: Name of its firmware, see ``mcp_asdf_tools.robots.firmwares``.
         b_hat: Initial assumed accuracy.
         config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
+        comms_period: Ticks between broadcasts, the length of a round, 1 .. 2**32 - 1.
     """
 
     id: int
     firmware: str
     b_hat: float
-    config: TickConfig
+    config: Config
+    comms_period: int = 1
+
+    @property
+    def filter_period(self) -> int:
+        """Nominal filtering period tau in ticks."""
+        return self.config.filter_period * self.comms_period
 
     def make(self) -> Robot:
         """The firmware of a robot that starts like this one.
 
         Raises UsageError if there is no such firmware here, FirmwareError if it refuses the record.
         """
-        return load_firmware(self.firmware)(self.config.in_rounds(), self.id, self.b_hat)
+        return load_firmware(self.firmware)(self.config, self.id, self.b_hat)
 
     def plain(self) -> dict[str, Any]:
         """The record as plain values, for JSON: the table as its omega, q and checksum.
@@ -81,6 +62,7 @@ class RobotRecord:
         Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
         """
         plain = {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat, **vars(self.config)}
+        plain |= {"comms_period": self.comms_period, "filter_period": self.filter_period}
         plain["filter"] = self.config.filter.name.lower()
         table = plain.pop("table")
         if table is not None:
@@ -110,14 +92,13 @@ class RobotRecord:
         for name, kind in _TYPES.items():
             if type(plain[name]) is not kind:
                 raise UsageError(f"{name} is {plain[name]!r}; give {_KINDS[kind]}")
-        periods = {name: plain[name] for name in ("comms_period", "filter_period", "memory")}
-        config = TickConfig(table, _FILTERS[plain["filter"]], **periods)
-        record = cls(plain["id"], plain["firmware"], plain["b_hat"], config)
-        comms, tau = config.comms_period, config.filter_period
+        comms, tau = plain["comms_period"], plain["filter_period"]
         if not 1 <= comms <= MAX_FILTER_PERIOD:
             raise UsageError(f"comms_period is {comms}; choose 1 .. {MAX_FILTER_PERIOD}")
         if not 1 <= tau <= MAX_FILTER_PERIOD or tau % comms:
             raise UsageError(f"filter_period is {tau}; choose a multiple of comms_period {comms}")
-        check_settings(config.in_rounds())  # names the wrong setting, which the C cannot
+        config = Config(table, _FILTERS[plain["filter"]], tau // comms, plain["memory"])
+        check_settings(config)  # names the wrong setting, which the C cannot
+        record = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms)
         record.make()  # raises here if the firmware refuses it
         return record

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf.robot import B_HAT_MARGIN, Filter, FirmwareError
+from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.record import TickConfig
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
@@ -142,7 +141,7 @@ def test_lanes_equal_the_firmware_in_random_experiments() -> None:
 class Mixed(Experiment):
     """Robots of which each second one has the robust filter."""
 
-    def config(self, robot: int) -> TickConfig:
+    def config(self, robot: int) -> Config:
         return replace(super().config(robot), filter=Filter.ROBUST if robot % 2 else Filter.OFF)
 
 

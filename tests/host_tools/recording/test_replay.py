@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from input_logs import input_log_in
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode, encode, float_of
 from mcp_asdf_tools.cli.main import main
@@ -24,7 +24,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.tables.thresholds import generate
 from robots import ALPHA_ONE
@@ -169,8 +169,8 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
 RECORDS = (
     record(0, "native", 0.1 + 0.2),
     record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
-    RobotRecord(127, "reference", 0.95, TickConfig(None, Filter.OFF, filter_period=3)),
-    RobotRecord(3, "native", 2.0**-20, TickConfig(generate(Decimal("0.123456789"), 2))),
+    RobotRecord(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
+    RobotRecord(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
 )
 HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 FRAMES = {
@@ -210,7 +210,7 @@ def test_what_cannot_be_written() -> None:
         InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
     own = Table(3, RECORDS[0].config.table.entries if RECORDS[0].config.table else ())
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
-        RobotRecord(1, "mirror", 0.9, TickConfig(own)).plain()
+        RobotRecord(1, "mirror", 0.9, Config(own)).plain()
 
 
 # Malformed files

@@ -31,7 +31,7 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
-from mcp_asdf_tools.robots.record import RobotRecord, TickConfig
+from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
@@ -183,12 +183,12 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
     periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
     accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
     some = Population(**accuracies, **periods, filter=filters, activation=activation, omega="0.1")
-    off, on = TickConfig(None, Filter.OFF, 2, 4, 64), TickConfig(None, Filter.ALWAYS, 2, 4, 64)
+    off, on = Config(None, Filter.OFF, 2, 64), Config(None, Filter.ALWAYS, 2, 64)
     if activation == "adaptive":
-        on = TickConfig(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 4, 64)
+        on = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
     configs = [on if filters != "none" else off] * 2 + [on if filters == "asdf-plus" else off] * 2
     b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
-    expected = [RobotRecord(i, "native", b_hat[i], configs[i]) for i in range(4)]
+    expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
     assert [some.record(robot) for robot in range(4)] == expected
     assert Population.from_parameters(some.parameters()) == some
     with pytest.raises(ParameterError, match="unknown key 'activity'; known are robots, "):

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
-from mcp_asdf.robot import FirmwareError, Status
+from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots.record import TickConfig
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
@@ -142,9 +141,9 @@ def _probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[n
     return np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
 
 
-def _config(ticked: TickConfig) -> tuple[Any, Any]:
+def _config(config: Config) -> tuple[Any, Any]:
     """The C struct of a config and its table."""
-    config, ffi = ticked.in_rounds(), _engine.ffi
+    ffi = _engine.ffi
     table = ffi.NULL if config.table is None else ffi.new("uint32_t[]", list(config.table.words()))
     values = (table, config.filter_period, config.memory, int(config.filter))
     return ffi.new("mcp_asdf_config_t *", values), table
