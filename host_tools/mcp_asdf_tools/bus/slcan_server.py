@@ -76,7 +76,7 @@ class SlcanServer:
             while True:
                 program, _ = self._listener.accept()
                 with program, suppress(ConnectionError):
-                    program.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    program.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
                     program.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
                     self._program = program
                     if self._is_closing:
@@ -143,7 +143,7 @@ def frame_of(line: bytes) -> can.Message | None:
     """The frame of a line without its end; None if the line is malformed."""
     kind, digits = line[:1], 8 if line[:1].isupper() else 3
     is_remote = kind in (b"r", b"R")
-    if not line[1:].isalnum():  # int() and fromhex() would take white space and signs
+    if not line.isalnum():  # int() and fromhex() would take white space and signs
         return None
     try:
         identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import random
 import socket
 import struct
@@ -154,5 +155,31 @@ def test_only_a_bus_of_this_process_without_settings_is_private() -> None:
 def test_a_bus_that_cannot_be_opened_is_told_with_the_fix(words: tuple[str, ...], says: str) -> None:
     with pytest.raises(UsageError, match=says):
         chosen(*words).open()
-    with pytest.raises(UsageError, match=r"there is no such interface; choose one of .*, socketcan, "):
+    with pytest.raises(
+        UsageError,
+        match=r"^cannot open the bus gremlin: there is no such interface; choose one of .*, socketcan, ",
+    ):
         BusChoice("gremlin", {}).open()
+
+
+@pytest.mark.parametrize(
+    ("number", "is_missing"), [(errno.ENODEV, True), (errno.EAFNOSUPPORT, True), (errno.EPERM, False)]
+)
+def test_only_a_bus_that_is_missing_is_to_be_created(
+    number: int, is_missing: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(number, "no way")))
+    ways = "modprobe can-raw && ip link set can0 up type can bitrate 500000"
+    fix = f"as root, create it with: {ways}" if is_missing else "see --interface, --channel and --bus-kwargs"
+    with pytest.raises(UsageError) as told:
+        chosen("-i", "socketcan").open()
+    assert str(told.value) == f"cannot open the bus socketcan: [Errno {number}] no way; {fix}"
+
+
+def test_no_other_process_joins_a_bus_of_this_one() -> None:
+    told = (
+        "the bus virtual vcan0 is inside this process, so no other can join it; choose --interface socketcan"
+    )
+    with pytest.raises(UsageError, match=told):
+        chosen().arguments()
+    assert chosen("-i", "socketcan").arguments() == ["--interface=socketcan"]

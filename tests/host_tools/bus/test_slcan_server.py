@@ -107,6 +107,14 @@ def test_every_line_has_its_answer(server: SlcanServer, asked: bytes, answer: by
         assert answers(program, len(answer)) == answer
 
 
+def test_a_program_that_comes_while_the_server_closes_does_not_keep_it() -> None:
+    with SlcanServer(join()) as server:
+        server._is_closing = True
+        with raw(server):
+            server._server.join(PATIENCE)
+            assert not server._server.is_alive()
+
+
 def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServer) -> None:
     with join() as bus, socket.socket() as program:
         program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -132,6 +140,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
 @given(st.binary(max_size=30) | st.from_regex(rb"[tTrR][0-9A-F]{3,12}\Z"))
 @example(b"t+120")
+@example(b"+1230")
 @example(b"t 120")
 @example(b"t1231 7 ")
 def test_any_line_is_a_frame_or_none(line: bytes) -> None:

@@ -77,6 +77,7 @@ def test_a_controller_hears_and_is_heard_in_range_only() -> None:
         frames = neighbourhood.finish([encode(Message(ID, 1, 0, tick % 32), FrameFormat())])
         estimates = [m for f in frames if isinstance(m := decode(f, FrameFormat()), Message)]
         assert {message.sender for message in estimates} == near
+        assert {frame.timestamp for frame in frames} <= {tick / world.steps_per_second}
         for robot, node in neighbourhood.nodes.items():
             around = {ids[place] for place in twin.neighbours(ids.index(robot))}
             assert node.robot.counters.accepted - before[robot] == len(around)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import HALF, ONE, alpha_units
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units
 from mcp_asdf_tools.radio.rounds import (
     CRAFTED_SIZES,
     Content,
@@ -19,6 +19,7 @@ from mcp_asdf_tools.radio.rounds import (
     at_threshold,
     far_away,
     for_update,
+    update_of,
 )
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
@@ -54,6 +55,18 @@ def test_two_rounds_lie_on_either_side_of_the_threshold(
     assert is_rejected(outside, situation.x_hat, k)
     assert is_rejected(inside, situation.x_hat, k * Fraction(9999, 10000))
     assert not is_rejected(outside, situation.x_hat, k * Fraction(10001, 10000))
+
+
+def test_updates_have_their_kind() -> None:
+    half, near = 1 << 31, 1 << 19
+    kinds: dict[Update, tuple[int | None, ...]] = {
+        **{Update.KEPT: (None,), Update.MINIMUM: (B_HAT_MIN,), Update.MAXIMUM: (B_HAT_MAX,)},
+        Update.BELOW: (B_HAT_MIN + 1, half - near),
+        Update.HALF: (half - near + 1, half, half + near - 1),
+        Update.ABOVE: (half + near, B_HAT_MAX - 1),
+    }
+    for kind, b_hats in kinds.items():
+        assert {*map(update_of, b_hats)} == {kind}
 
 
 def test_a_round_that_the_test_does_not_reject_changes_nothing() -> None:
@@ -92,7 +105,7 @@ def test_every_kind_of_re_estimate_can_be_had(share: float, x_hat: int, wanted: 
         assert x_bar == 0.5
         return
     b_hat = (n / t + x_bar - 1) / (2 * x_bar - 1)
-    kinds = {
+    kinds: dict[int | None, Update] = {
         Update.ABOVE: 0.5 < b_hat < 1,
         Update.BELOW: 0 < b_hat < 0.5,
         Update.MAXIMUM: b_hat >= 1,

@@ -162,6 +162,9 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
         verdict = check(order, log)
         assert told in (verdict.difference or "") and verdict.not_logged == 0
     assert check([], log) == ReplayVerdict(not_logged=1)
+    input_log_path(log).rename(input_log_path(log.with_name("x.part")))  # of a run that was cut off
+    later = [encode(Message(5, 0, 0, turn), FrameFormat()) for turn in (1, 2, 3)]
+    assert check([own, *later], log.with_name("x.part")) == ReplayVerdict(reproduced=1, beyond=3)
 
 
 # The input log

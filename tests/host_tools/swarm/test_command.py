@@ -7,15 +7,18 @@ import os
 import shlex
 import signal
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import can
 import numpy as np
 import pytest
 from can.interfaces import virtual
+from rich.console import Console
 
 from host_tools.swarm.swarms import content, record
+from mcp_asdf_tools.bus.load import LIMIT
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -23,7 +26,8 @@ from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary, summary_table
+from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun
 from support import ROOT, interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -39,21 +43,22 @@ def test_a_run_is_in_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str
     """A log of every frame, and beside it what is printed as JSON; and so in every run."""
     _, frames = record(SwarmSettings(robots=4, steps=30, filter_period=10))
     log, beside = tmp_path / "my.run.log", tmp_path / "my.run.log.json"
-    assert command("--json", "--log", log) == 0
+    assert command("--json", "--log", log, "--channel", "mine") == 0
     report = json.loads(capsys.readouterr().out)
     assert report["parameters"]["seed"] == 1
     assert report["parameters"]["frames"] == {"subject": 3000, "priority": 4}
-    assert report["bus"] == {"interface": "virtual", "channel": "vcan0", "slcan": None}
+    assert report["bus"] == {"interface": "virtual", "channel": "mine", "slcan": None}
     assert report["results"]["frames"]["delivered"] == 30 * 4 * 3
     assert json.loads(beside.read_text()) == report
     with can.LogReader(log) as reader:
         read = list(reader)
     assert content(read) == content(frames)
+    assert {frame.channel for frame in read} == {"mine"}
     first = read[0].timestamp
     assert [round(frame.timestamp - first, 3) for frame in read] == [round(f.timestamp, 3) for f in frames]
     made = {path: path.read_bytes() for path in tmp_path.iterdir()}
     assert made.keys() == {log, beside, Path(f"{log}.events")}
-    assert command("--json", "--log", log) == 0
+    assert command("--json", "--log", log, "--channel", "mine") == 0
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == made
 
 
@@ -68,6 +73,90 @@ def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -
     assert command("--seed", "42", "--quiet") == 0
     shown = capsys.readouterr().out
     assert shown.startswith("seed 42: ") and shown.count("\n") == 1
+
+
+RESULTS: dict[str, Any] = {
+    **{"steps": 40, "tests": None, "updates": 7, "mean_x": 0.5512345, "mean_error": 0.0123, "spread_x": 0.25},
+    **{"spread_x_hat": 0.75, "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005}},
+    "b_hat": {
+        "flawed": None,
+        "other": {"before": 0.9, "after": 0.8, "after_min": 0.7, "after_max": 0.85, "robots": 2},
+    },
+    "frames": {
+        **{
+            "sent": 80,
+            "heartbeats_sent": 8,
+            "delivered": 60,
+            "rejected": {"LENGTH": 2, "TAIL": 3},
+            "refused": 1,
+        },
+        **{
+            "strays": 4,
+            "arrived": 66,
+            "in_range": 88,
+            "on_the_bus": 87,
+            "id_conflicts": {"1": 6},
+            "missed": 9,
+        },
+    },
+    "faults": [{"fault": "loss=0.5", "injected": 22}],
+    "robots": [
+        {"id": 0, "delivered": 29, "refused": 0, "rejected": {}},
+        {"id": 1, "delivered": 31, "refused": 1, "rejected": {"LENGTH": 2, "TAIL": 3}},
+        {"id": 5, "delivered": 1, "refused": 2, "rejected": {}},
+    ],
+    "bus_load": {
+        **{"1000000": {"mean": 0.354, "peak": 0.5}, "500000": {"mean": LIMIT, "peak": 1.0}},
+        "250000": {"mean": 0.71, "peak": 2.0},
+    },
+}
+RESULTS["clock"]["late_ticks"] = 3
+SUMMARY = """\
+run\t40 of 50 steps in 1.3 s; interrupted
+estimate\tmean x 0.55123, f 0.55, mean error 0.01230, spread of x 0.25000, of x_hat 0.75000
+b_hat, flawed\tno such robots
+b_hat, other\t0.9000 -> 0.8000 (0.7000 to 0.8500, 2 robots; b 0.95)
+filter\tASDF+, an unknown number of tests, 7 updates
+frames\t80 messages and 8 heartbeats sent on vcan0, 60 messages delivered, 5 frames rejected, 1 messages \
+refused, 4 strays
+arrived\t66 of 88 frames, 75.0%; 87 on the bus
+fault\tloss=0.5: 22 injected
+robot 1\t31 messages delivered; 2 LENGTH, 3 TAIL, 1 refused
+robot 5\t1 messages delivered; 2 refused
+node-id conflict\tanother node sent 6 messages as robot 1; give it a free id
+clock\tticks began 1.000 ms late on average, 20.000 ms at most, 3 of them by more than half a tick; drift \
+-0.500 ms; 9 frames late or lost
+bus load\t1 Mbit/s 35.4% (peak 50%), 500 kbit/s 70.0% (peak 100%), 250 kbit/s 71.0% (peak 200%)"""
+
+
+def test_a_summary_has_all_that_is_worth_telling() -> None:
+    """Faults, conflicts, the clock and robots in trouble, too; nothing is said of what there is not."""
+    run = SwarmRun(SwarmSettings(steps=50), [], RESULTS, interrupted=True)
+    assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
+    assert one_line(run) == "seed 1: 20 robots, 40 steps, mean error 0.01230, spread 0.25000; interrupted"
+    run.failure, run.results = (
+        "tick 41: bus off",
+        RESULTS | {"tests": 5, "clock": None, "faults": [], "robots": []},
+    )
+    run.results["frames"] = RESULTS["frames"] | {"id_conflicts": {}, "in_range": 0}
+    rows = dict(summary(run, "vcan0", 1.26))
+    assert rows["run"] == "40 of 50 steps in 1.3 s; failed in tick 41: bus off"
+    assert rows["filter"] == "ASDF+, 5 tests, 7 updates"
+    assert [*rows][5:] == ["frames", "bus load"]
+    warning = load_warning(RESULTS)
+    assert warning is not None and warning.startswith("a real bus at 250 kbit/s or less would be busy for")
+    run.results["faults"] = RESULTS["faults"]
+    assert dict(summary(run, "vcan0", 1))["arrived"] == "66 of 0 frames, 0.0%; 87 on the bus"
+
+
+def test_a_summary_is_a_table_with_bold_names() -> None:
+    shown = Console(width=31, file=StringIO(), force_terminal=True, color_system="standard", _environ={})
+    shown.print(summary_table([("node-id conflict", "another node [b]")]))
+    assert isinstance(shown.file, StringIO)
+    assert shown.file.getvalue() == (
+        "\x1b[1m \x1b[0m\x1b[1mnode-id conflict\x1b[0m\x1b[1m \x1b[0m another     \n"
+        "\x1b[1m                  \x1b[0m node [b]    \n"
+    )
 
 
 def test_parameters_without_an_option_are_listed_and_set(capsys: pytest.CaptureFixture[str]) -> None:

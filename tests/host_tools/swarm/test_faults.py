@@ -207,7 +207,7 @@ class Reference:
             after: list[Any] = []
             for turn, delay, version, data in copies:
                 words = 1 + (fault.bits if fault.kind is FaultKind.CORRUPT else 0)
-                key = (sent.tick, sent.number, frame[0], sent.sender, version, 3, 0)
+                key = (sent.tick, sent.number, frame[0], sent.sender, version % 256, 3, 0)
                 first = self.word(place, receiver * words, *key)
                 is_on = self.on(fault, sent.tick, sent.sender)
                 is_for = fault.receivers is None or receiver in fault.receivers
@@ -252,6 +252,7 @@ EVERY_KIND = (
 @settings(max_examples=draws(400), derandomize=True, database=None, deadline=None)
 @given(st.lists(any_fault(ROBOTS - 1, TICKS), max_size=6), st.integers(0, 2**128 - 1), st.booleans())
 @example([parse_fault(text) for text in EVERY_KIND], 7, False)
+@example([parse_fault("duplicate=0.9,from=3,to=4,robots=0,receivers=1")] * 9, 7, False)
 def test_every_frame_meets_the_fate_that_the_reference_says(
     kinds: list[Fault], seed: int, is_late: bool
 ) -> None:
