@@ -60,7 +60,9 @@ def test_two_rounds_lie_on_either_side_of_the_threshold(
 def test_updates_have_their_kind() -> None:
     half, near = 1 << 31, 1 << 19
     kinds: dict[Update, tuple[int | None, ...]] = {
-        **{Update.KEPT: (None,), Update.MINIMUM: (B_HAT_MIN,), Update.MAXIMUM: (B_HAT_MAX,)},
+        Update.KEPT: (None,),
+        Update.MINIMUM: (B_HAT_MIN,),
+        Update.MAXIMUM: (B_HAT_MAX,),
         Update.BELOW: (B_HAT_MIN + 1, half - near),
         Update.HALF: (half - near + 1, half, half + near - 1),
         Update.ABOVE: (half + near, B_HAT_MAX - 1),
@@ -105,7 +107,7 @@ def test_every_kind_of_re_estimate_can_be_had(share: float, x_hat: int, wanted: 
         assert x_bar == 0.5
         return
     b_hat = (n / t + x_bar - 1) / (2 * x_bar - 1)
-    kinds: dict[int | None, Update] = {
+    kinds = {
         Update.ABOVE: 0.5 < b_hat < 1,
         Update.BELOW: 0 < b_hat < 0.5,
         Update.MAXIMUM: b_hat >= 1,

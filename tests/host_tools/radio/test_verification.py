@@ -23,7 +23,7 @@ from mcp_asdf_tools.radio import robust_phases
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
-from mcp_asdf_tools.radio.verification import ControllerVerdict, Verification
+from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, details
 from mcp_asdf_tools.robots.node import RobotNode
 from messages import encoded
 from support import slow
@@ -464,6 +464,18 @@ def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[
     assert main(["replay", str(log)]) == 0
     ticks = sum(phase["ticks"] for phase in verdict["phases"])
     assert f"{ticks}  broadcasts reproduced" in capsys.readouterr().out
+
+
+def test_details_are_a_table_and_lists() -> None:
+    phases = [PhaseResult("alone", None, 72, 0, 144, "passed"), PhaseResult("loss", "loss=0.5,receivers=3")]
+    verdict = ControllerVerdict(phases, not_exercised=["a", "b"], not_checked=["c"])
+    assert details(verdict).split("\n") == [
+        "| phase | ticks | injected | equal frames | outcome | fault |",
+        "| ----- | ----- | -------- | ------------ | ------- | ----- |",
+        "| alone | 72    |          | 144          | passed  |       |",
+        "| loss  |       |          |              | not run | loss=0.5,receivers=3 |",
+        *("", "Not exercised:", "", "- a", "- b", "", "Not checked:", "", "- c", ""),
+    ]
 
 
 def test_a_wrong_controller_gives_an_exit_code_and_a_line(capsys: pytest.CaptureFixture[str]) -> None:
