@@ -59,7 +59,7 @@ def _listen(port: int) -> socket.socket:
     if not 0 <= port <= 65535:
         raise UsageError(f"--port is {port}; choose 1 to 65535, or 0 for any free one")
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, True)
     try:
         listener.bind((HOST, port))
         listener.listen()
@@ -114,7 +114,7 @@ async def _events(film: Film) -> AsyncIterator[str]:
         if states:
             index += len(states)
             yield _event("block", await asyncio.to_thread(states_as_plain, states, stage))
-        await asyncio.sleep(0 if has_ended else _SECONDS_BETWEEN_BLOCKS)
+        await asyncio.sleep(_SECONDS_BETWEEN_BLOCKS)
     yield _event("end", None)
 
 

@@ -46,6 +46,9 @@ def test_a_text_may_have_spaces_and_lists_of_ids() -> None:
     fault = Fault(FaultKind.DELAY, 0.5, 100, 500, frozenset({0, 7, 8}), frozenset({1}), ticks=3)
     assert parse_fault("delay=0.5, from=100,to=500, ticks=3,robots=0+7-8,receivers=1") == fault
     assert parse_fault("loss") == Fault(FaultKind.LOSS, 1.0)
+    assert parse_fault("corrupt=0,robots=126-127,bits=64") == Fault(
+        FaultKind.CORRUPT, 0.0, robots=frozenset({126, 127}), bits=64
+    )
 
 
 BAD = {

@@ -64,7 +64,11 @@ def test_a_terminal_gets_a_bar_with_the_present_error(width: int, compare: bool)
     text, errors, _ = shown(200, compare, width=width, force_terminal=True, color_system=None)
     pictures = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", text).replace("\r", "\n").splitlines()
     assert max(map(cell_len, pictures)) <= width
-    last = [each for each in pictures if each.strip()][-1]
+    drawn = [each for each in pictures if each.strip()]
+    assert drawn[0].startswith("1/200 ") and len(drawn) < 200, (
+        "drawn from the first step on, and now and then"
+    )
+    last = drawn[-1]
     assert last.startswith("200/200 ") and last.count("━") == (0 if width == 60 else 10)
     told = re.findall(r"\d\.\d{4}", last)
     expected = [f"{float(each):.4f}" for each in errors[-1].split()]
