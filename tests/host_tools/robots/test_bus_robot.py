@@ -6,6 +6,7 @@ import random
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
+from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import (
     Action,
     Command,
@@ -35,7 +37,7 @@ from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
-from wire import record
+from wire import TABLE, record
 
 ESTIMATES = FrameFormat()
 SEEN = (*Observation, None)
@@ -139,9 +141,12 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
 
 def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
-    slowest = record(5, comms_period=2**32 - 1, filter_period=2**32 - 1)
-    assert RobotRecord.from_plain(own.plain()) == own
-    assert RobotRecord.from_plain(slowest.plain()) == slowest
+    ends = [record(5, comms_period=each, filter_period=each) for each in (1, 2**32 - 1)]
+    for each in (own, *ends):
+        assert RobotRecord.from_plain(each.plain()) == each
+    table = Table(3, TABLE.entries)
+    with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
+        record(5, table=table).plain()
     made = own.make()
     assert isinstance(made, MirrorRobot)
     assert made.state() == MirrorRobot(Config(own.config.table, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
@@ -255,6 +260,9 @@ def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
     assert other.reception == replace(everything, strays=100)
     assert dead.reception == Reception()
     assert other.counters == dead.counters == Counters()
+    elsewhere = BusRobot(record(5), ESTIMATES, make=lambda: Mock(receive_all=len))
+    elsewhere.listen(frames_of_all_kinds()[:2])  # what its firmware makes of them is its own affair
+    assert elsewhere.reception == Reception(delivered=2)
 
 
 def test_events_tell_what_happened_to_a_robot() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import can
 import pytest
@@ -27,6 +29,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots import processes
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import RobotNode, Subjects, state_of
 from mcp_asdf_tools.robots.processes import NodeProcesses
@@ -336,6 +339,19 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
         with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: .*memory is 63"):
             lockstep.wait_until_up({3}, PATIENCE)
     assert nodes.reports == {}
+
+
+def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(processes, "_PATIENCE", 0.1)
+    nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
+    stubborn = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
+    nodes._commands = {3: ["sh", "-c", stubborn]}
+    with nodes:
+        deadline = time.monotonic() + PATIENCE
+        while not (tmp_path / "up").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    assert nodes.reports == {3: {}}
 
 
 @pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{1}]), ("udp_multicast", [])])

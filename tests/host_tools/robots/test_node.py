@@ -85,6 +85,10 @@ def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
     outcome = run_node(node(5), BusLink(bus))
     assert outcome.has_failed and not outcome.is_interrupted
     assert outcome.ending == "the bus failed: no luck [Error Code 100]"
+    bus.recv.side_effect, heard = None, can.Message(is_rx=True)
+    bus.recv.return_value = heard
+    assert link.receive(0) is log[-1] is heard
+    assert BusLink(bus).receive(0) is heard
 
 
 # The command

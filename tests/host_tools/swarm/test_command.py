@@ -68,7 +68,6 @@ def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -
     assert again.startswith("again: mcp-asdf swarm ") and again.endswith("--seed 42")
     names = [line.split("\t")[0] for line in lines]
     assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
-    assert lines[-3].startswith("filter\tASDF+, ")
     assert set(names[:-7]) <= {"step", "robot"}
     assert command("--seed", "42", "--quiet") == 0
     shown = capsys.readouterr().out
@@ -77,40 +76,25 @@ def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -
 
 RESULTS: dict[str, Any] = {
     **{"steps": 40, "tests": None, "updates": 7, "mean_x": 0.5512345, "mean_error": 0.0123, "spread_x": 0.25},
-    **{"spread_x_hat": 0.75, "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005}},
-    "b_hat": {
-        "flawed": None,
-        "other": {"before": 0.9, "after": 0.8, "after_min": 0.7, "after_max": 0.85, "robots": 2},
-    },
+    **{"spread_x_hat": 0.75, "faults": [{"fault": "loss=0.5", "injected": 22}]},
+    "b_hat": {"flawed": None, "other": {"before": 0.9, "after": 0.8, "after_min": 0.7, "after_max": 0.85}},
     "frames": {
-        **{
-            "sent": 80,
-            "heartbeats_sent": 8,
-            "delivered": 60,
-            "rejected": {"LENGTH": 2, "TAIL": 3},
-            "refused": 1,
-        },
-        **{
-            "strays": 4,
-            "arrived": 66,
-            "in_range": 88,
-            "on_the_bus": 87,
-            "id_conflicts": {"1": 6},
-            "missed": 9,
-        },
+        **{"sent": 80, "heartbeats_sent": 8, "delivered": 60, "rejected": {"LENGTH": 2, "TAIL": 3}},
+        **{"refused": 1, "strays": 4, "arrived": 66, "in_range": 88, "on_the_bus": 87, "missed": 9},
+        "id_conflicts": {"1": 6},
     },
-    "faults": [{"fault": "loss=0.5", "injected": 22}],
     "robots": [
         {"id": 0, "delivered": 29, "refused": 0, "rejected": {}},
         {"id": 1, "delivered": 31, "refused": 1, "rejected": {"LENGTH": 2, "TAIL": 3}},
         {"id": 5, "delivered": 1, "refused": 2, "rejected": {}},
     ],
+    "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3},
     "bus_load": {
         **{"1000000": {"mean": 0.354, "peak": 0.5}, "500000": {"mean": LIMIT, "peak": 1.0}},
         "250000": {"mean": 0.71, "peak": 2.0},
     },
 }
-RESULTS["clock"]["late_ticks"] = 3
+RESULTS["b_hat"]["other"]["robots"] = 2
 SUMMARY = """\
 run\t40 of 50 steps in 1.3 s; interrupted
 estimate\tmean x 0.55123, f 0.55, mean error 0.01230, spread of x 0.25000, of x_hat 0.75000
@@ -134,19 +118,14 @@ def test_a_summary_has_all_that_is_worth_telling() -> None:
     run = SwarmRun(SwarmSettings(steps=50), [], RESULTS, interrupted=True)
     assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
     assert one_line(run) == "seed 1: 20 robots, 40 steps, mean error 0.01230, spread 0.25000; interrupted"
-    run.failure, run.results = (
-        "tick 41: bus off",
-        RESULTS | {"tests": 5, "clock": None, "faults": [], "robots": []},
-    )
-    run.results["frames"] = RESULTS["frames"] | {"id_conflicts": {}, "in_range": 0}
+    run.failure = "tick 41: bus off"
+    run.results = RESULTS | {"tests": 5, "clock": None, "faults": [], "robots": []}
+    run.results["frames"] = RESULTS["frames"] | {"id_conflicts": {}}
     rows = dict(summary(run, "vcan0", 1.26))
     assert rows["run"] == "40 of 50 steps in 1.3 s; failed in tick 41: bus off"
     assert rows["filter"] == "ASDF+, 5 tests, 7 updates"
     assert [*rows][5:] == ["frames", "bus load"]
-    warning = load_warning(RESULTS)
-    assert warning is not None and warning.startswith("a real bus at 250 kbit/s or less would be busy for")
-    run.results["faults"] = RESULTS["faults"]
-    assert dict(summary(run, "vcan0", 1))["arrived"] == "66 of 0 frames, 0.0%; 87 on the bus"
+    assert str(load_warning(RESULTS)).startswith("a real bus at 250 kbit/s or less would be busy for")
 
 
 def test_a_summary_is_a_table_with_bold_names() -> None:

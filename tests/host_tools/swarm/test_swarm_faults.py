@@ -26,7 +26,6 @@ from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.summary import summary
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
 from support import ROOT, slow
@@ -214,7 +213,6 @@ def test_in_real_time_what_comes_too_late_is_heard_in_the_next_tick_and_counted(
     assert (swarm.traffic.total("delivered"), swarm.traffic.total("refused")) == (60 * 3 * 2, 3 * 2)
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
-    assert "ticks began" in dict(summary(run, "virtual", 1.0))["clock"]
 
 
 def test_the_load_of_a_real_bus() -> None:
@@ -225,8 +223,6 @@ def test_the_load_of_a_real_bus() -> None:
         assert share["mean"] == pytest.approx(bits / (6.0 * int(rate)))
         # Heartbeats and estimates in one tick are the most.
         assert share["peak"] == pytest.approx(160 * 10 / (0.1 * int(rate)))
-    told = dict(summary(run, "virtual", 1.0))["bus load"]
-    assert re.findall(r"(\d+ .)bit/s", told) == ["125 k", "250 k", "500 k", "1 M"]
 
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
