@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -92,6 +93,9 @@ def test_a_part_is_read_up_to_any_cut(tmp_path: Path) -> None:
         else:
             with pytest.raises(UsageError, match="holds no frame"):
                 numbers(part)
+    with pytest.raises(UsageError, match=r"cannot read the log .*absent\.db: No such file"):
+        numbers(tmp_path / "absent.db")
+    assert names(tmp_path) == ["cut.log.part", "run.log"]
 
 
 def test_any_name_of_a_channel_can_be_read_back(tmp_path: Path) -> None:
@@ -175,6 +179,15 @@ def test_a_kill_between_the_renames_splits_nothing(
     part = input_log_path(tmp_path / "run.log.part")
     with InputLogReader(part if part.exists() else events) as input_log:
         assert input_log.header == HEADER
+
+
+def test_a_file_is_on_disk_before_it_has_its_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls = Mock(fsync=Mock(wraps=os.fsync), replace=Mock(wraps=os.replace))
+    for name in ("fsync", "replace"):
+        monkeypatch.setattr(os, name, getattr(calls, name))
+    with recorded(tmp_path / "run.log") as write:
+        write(1)
+    assert [call[0] for call in calls.mock_calls] == ["fsync", "fsync", "replace", "replace"]
 
 
 @pytest.mark.parametrize(

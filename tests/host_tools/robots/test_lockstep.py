@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import time
 from collections import Counter
@@ -347,6 +348,7 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     stubborn = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
     nodes._commands = {3: ["sh", "-c", stubborn]}
     with nodes:
+        assert os.getsid(nodes._processes[3].pid) != os.getsid(0), "Ctrl-C is not for it"
         deadline = time.monotonic() + PATIENCE
         while not (tmp_path / "up").exists():
             assert time.monotonic() < deadline
