@@ -283,12 +283,12 @@ ALWAYS_INLINE bool table_valid(const uint32_t *table) { return (void)table, true
 
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
-    return is_robust(robot) ? crowd_x(robot, robot->x_hat) : round_x(robot, robot->x_hat, robot->alpha);
+    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, robot->x_hat) : round_x(robot, robot->x_hat, robot->alpha);
 }
 
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 {
-    return is_robust(robot) ? crowd_x(robot, MCP_ASDF_HALF) : round_x(robot, MCP_ASDF_HALF, 0);
+    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, MCP_ASDF_HALF) : round_x(robot, MCP_ASDF_HALF, 0);
 }
 
 /* ---- Receive ---- */
@@ -314,7 +314,7 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
     if (alpha >> 8 == 0U) {
         return MCP_ASDF_OK;
     }
-    if (is_robust(robot)) {
+    if (mcp_asdf_is_robust(robot->config)) {
         vote(robot, sender, x_hat);
     } else {
         add_message(robot, x_hat, alpha);
@@ -351,7 +351,7 @@ NOINLINE mcp_asdf_status_t filter(mcp_asdf_t *robot)
     if (robot->t == 0U) {
         return MCP_ASDF_OK;
     }
-    const uint32_t b_hat = is_robust(robot) ? crowd_b_hat(robot) : round_b_hat(robot);
+    const uint32_t b_hat = mcp_asdf_is_robust(robot->config) ? crowd_b_hat(robot) : round_b_hat(robot);
     if (b_hat == 0U) {
         return MCP_ASDF_OK;
     }

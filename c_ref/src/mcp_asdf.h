@@ -124,6 +124,12 @@ typedef struct {
 #define MCP_ASDF_CONFIG(t_table)                                                                             \
     {(t_table), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_WITH_ASDF ? MCP_ASDF_ADAPTIVE : MCP_ASDF_ROBUST}
 
+/* Whether a robot with these settings has the robust filter; a constant where there is no choice. */
+static inline bool mcp_asdf_is_robust(const mcp_asdf_config_t *config)
+{
+    return MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST);
+}
+
 /* Diagnostics, each modulo 2^16: take differences. */
 typedef struct {
     uint16_t accepted; /* messages that entered a round, those with alpha = 0 included */

@@ -11,12 +11,6 @@
 #define ROBUST_IMAGE UINT32_C(0x80)               /* added to it where the filter is the robust one */
 #define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
 
-/* Whether a robot's config says so; a constant where there is no choice. */
-static bool has_crowd(const mcp_asdf_config_t *config)
-{
-    return MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST);
-}
-
 /* ---- Invariants ---- */
 
 /* A robot like this one that has just formed x_hat and alpha from the same t, n and b_hat. False if there can
@@ -88,14 +82,14 @@ static bool rounds_possible(const mcp_asdf_t *robot)
 {
     return mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
            open_possible(&robot->open) &&
-           (!has_crowd(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
+           (!mcp_asdf_is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
 }
 
 static uint32_t messages(const mcp_asdf_t *robot) { return robot->open.count; }
 
 #else
 
-static bool rounds_possible(const mcp_asdf_t *robot) { return robot != NULL; }
+static bool rounds_possible(const mcp_asdf_t *robot) { return (void)robot, true; }
 static uint32_t messages(const mcp_asdf_t *robot) { return (void)robot, 0; }
 
 #endif
@@ -107,7 +101,7 @@ static bool crowd_possible(const mcp_asdf_t *robot)
     const mcp_asdf_crowd_t *const crowd = &robot->crowd;
     const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
                         crowd->voices == 0U && crowd->votes == 0U && crowd->trend == MCP_ASDF_TREND_START;
-    if (!has_crowd(robot->config)) {
+    if (!mcp_asdf_is_robust(robot->config)) {
         return is_new && crowd->first == 0U;
     }
     if (crowd->votes == 0U) {
@@ -120,7 +114,7 @@ static bool crowd_possible(const mcp_asdf_t *robot)
 
 #else
 
-static bool crowd_possible(const mcp_asdf_t *robot) { return robot != NULL; }
+static bool crowd_possible(const mcp_asdf_t *robot) { return (void)robot, true; }
 
 #endif
 
@@ -220,8 +214,8 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* The crowd in place of the rounds; what is left of their words is 0. */
-static bool pass_crowd(image_t *image, mcp_asdf_t *robot)
+/* The crowd in place of the rounds. What is left of their words is 0: with more behind it, no robot has it. */
+static void pass_crowd(image_t *image, mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
     uint32_t rest = 0;
@@ -233,7 +227,7 @@ static bool pass_crowd(image_t *image, mcp_asdf_t *robot)
     for (uint8_t i = 0; i < 11U; ++i) { /* at most 11 turns */
         rest |= pass(image, 0);
     }
-    return rest == 0U;
+    crowd->spread = rest == 0U ? crowd->spread : 0U; /* which no crowd has */
 }
 
 /* Images of other filters hold no crowd: it is as in a new robot. */
@@ -241,16 +235,14 @@ static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crow
 
 #else
 
-static bool pass_crowd(image_t *image, mcp_asdf_t *robot) { return (void)image, (void)robot, true; }
+static void pass_crowd(image_t *image, mcp_asdf_t *robot) { (void)image, (void)robot; }
 static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
 
 #endif
 
-/* The one list of what an image holds, for both directions; what follows from b_hat alone is left out. False
- * where an image holds more. */
-static bool pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
+/* The one list of what an image holds, for both directions; what follows from b_hat alone is left out. */
+static void pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
 {
-    bool is_all = true;
     robot->accuracy.b_hat = pass(image, robot->accuracy.b_hat);
     robot->t = pass(image, robot->t);
     robot->n = pass(image, robot->n);
@@ -258,7 +250,7 @@ static bool pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
     robot->alpha = pass(image, robot->alpha);
     robot->filter_left = pass(image, robot->filter_left);
     if (robust) {
-        is_all = pass_crowd(image, robot);
+        pass_crowd(image, robot);
     } else {
         pass_rounds(image, robot);
     }
@@ -272,7 +264,6 @@ static bool pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
     robot->counters.updates = (uint16_t)rest;
     robot->updated = (uint8_t)(rest >> 16);
     robot->id = (uint8_t)(rest >> 24);
-    return is_all;
 }
 
 static uint32_t magic(bool robust) { return robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
@@ -281,9 +272,9 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t out = {NULL, image, HASH_START};
     mcp_asdf_t copy = *robot;
-    const bool robust = has_crowd(robot->config);
+    const bool robust = mcp_asdf_is_robust(robot->config);
     (void)pass(&out, magic(robust));
-    (void)pass_state(&out, &copy, robust);
+    pass_state(&out, &copy, robust);
     (void)pass(&out, out.hash);
 }
 
@@ -292,10 +283,10 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
 {
     image_t in = {image, NULL, HASH_START};
     mcp_asdf_t read = {0}, fresh;
-    const bool robust = has_crowd(config), known = pass(&in, 0) == magic(robust);
-    const bool is_all = pass_state(&in, &read, robust);
+    const bool robust = mcp_asdf_is_robust(config), known = pass(&in, 0) == magic(robust);
+    pass_state(&in, &read, robust);
     const uint32_t hash = in.hash;
-    const bool sound = known && is_all && pass(&in, 0) == hash;
+    const bool sound = known && pass(&in, 0) == hash;
     const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, read.id, read.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;

@@ -18,15 +18,9 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a); /* eq. 8; 0 whe
 #define TREND_EVEN 128U
 #define SIGMAS_SQUARED 12U /* a sound robot deviates so far in 1 of 2000 tests */
 
-/* Whether a robot's config says so; a constant where there is no choice. */
-ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot)
-{
-    return !MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST;
-}
-
 ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
 {
-    robot->crowd.first = is_robust(robot) ? b_hat : 0U;
+    robot->crowd.first = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
     robot->crowd.centre = MCP_ASDF_CENTRE_START;
     robot->crowd.spread = MCP_ASDF_SPREAD_MAX;
     robot->crowd.trend = MCP_ASDF_TREND_START;
@@ -141,7 +135,6 @@ static uint32_t crowd_b_hat(mcp_asdf_t *robot)
 }
 
 #else /* without it: calls of what follows disappear */
-ALWAYS_INLINE bool is_robust(const mcp_asdf_t *robot) { return (void)robot, false; }
 ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
 ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t id, uint32_t x) { (void)robot, (void)id, (void)x; }
 ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone) { return (void)robot, alone; }

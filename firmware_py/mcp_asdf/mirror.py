@@ -488,12 +488,7 @@ class MirrorRobot(FixedPointView):
         if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
         robot = cls.__new__(cls)
-        robot.config, robot.s = config, _state_from(words)
-        if config.filter == Filter.ROBUST:
-            robot.s.crowd = Crowd(
-                words[7], words[8], words[9], words[10], words[11] & MAX_TREND, words[11] >> 16
-            )
-            robot.s.open, robot.s.closed = Sums(), Closed()
+        robot.config, robot.s = config, _state_from(config, words)
         if not robot.holds_invariants() or (config.filter == Filter.ROBUST and any(words[12:23])):
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
         return robot
@@ -517,9 +512,8 @@ def _crowd_words(crowd: Crowd) -> list[int]:
     return words + [0] * 11
 
 
-def _state_from(words: tuple[int, ...]) -> State:
-    doubles = struct.unpack("<7Q", struct.pack("<14I", *words[7:21]))
-    return State(
+def _state_from(config: Config, words: tuple[int, ...]) -> State:
+    state = State(
         id=words[29] >> 24,
         accuracy=accuracy_of(words[1]),
         t=words[2],
@@ -527,8 +521,6 @@ def _state_from(words: tuple[int, ...]) -> State:
         x_hat=words[4],
         alpha=words[5],
         filter_left=words[6],
-        closed=Closed(doubles[0], doubles[1], doubles[2]),
-        open=Sums(doubles[3], doubles[4], doubles[5], doubles[6], words[21], words[22]),
         heard=list(words[23:27]),
         accepted=words[27] & COUNTER_MASK,
         repeated=words[27] >> 16,
@@ -537,3 +529,9 @@ def _state_from(words: tuple[int, ...]) -> State:
         updates=words[29] & COUNTER_MASK,
         updated=words[29] >> 16 & 0xFF,
     )
+    if config.filter == Filter.ROBUST:
+        state.crowd = Crowd(words[7], words[8], words[9], words[10], words[11] & MAX_TREND, words[11] >> 16)
+    else:
+        doubles = struct.unpack("<7Q", struct.pack("<14I", *words[7:21]))
+        state.closed, state.open = Closed(*doubles[:3]), Sums(*doubles[3:], *words[21:23])
+    return state

@@ -119,9 +119,8 @@ def measured(folder: Path) -> Decisions:
 CONSTANT = "a constant of each build, so no run can change it; both its values are compiled and tested"
 OF_BUILDS = {
     ("divide_24", "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U"): (1,),
-    ("is_robust", "!MCP_ASDF_WITH_ASDF || robot->config->filter == MCP_ASDF_ROBUST"): (1,),
     (
-        "has_crowd",
+        "mcp_asdf_is_robust",
         "MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST)",
     ): (1, 2),
 }

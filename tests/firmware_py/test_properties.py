@@ -6,7 +6,7 @@ Examples are derandomised: a failure prints the smallest calls that show it, and
 from __future__ import annotations
 
 import random
-from collections import Counter
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -18,6 +18,10 @@ from mcp_asdf.fixed_point import alpha_to_word, alpha_units, alpha_word
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import MAX_ID, Config, Counters, Filter, FixedPointRobot, Observation, Status
+from mcp_asdf_tools.crosscheck.compare import compare_firmwares
+from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
+from mcp_asdf_tools.crosscheck.scenario import Scenario
 from robots import (
     ALPHA_LEAST,
     ALPHA_MOST,
@@ -222,39 +226,20 @@ def check_changes(call: Call, status: Status, before: dict[str, int], after: dic
             assert after[f"closed_{name}"] == before[f"open_{name}"]
 
 
-crowds = st.fixed_dictionaries(
-    {
-        "crowd_centre": st.sampled_from((0, 2**29, 2**30)) | st.integers(0, 2**30),
-        "crowd_spread": st.sampled_from((2**18, 2**18 + 1, 2**28 - 1, 2**28)) | st.integers(2**18, 2**28),
-        "crowd_voices": st.sampled_from((1, 3, 1 << 31, 7, 2**32 - 1)) | st.integers(1, 2**32 - 1),
-        "crowd_first": b_hats,
-        "crowd_votes": st.sampled_from((1, 2, 31, 62, 63, 256, 257, 2**14 - 1, 2**14))
-        | st.integers(1, 2**14),
-        "crowd_trend": st.integers(0, 7).flatmap(
-            lambda eighth: st.integers(0, 2**13 - 1).map((eighth << 13).__add__)
-        ),
-    }
-)
-"""What robots with the robust filter may know of the others, but nothing."""
-
-
 @thorough
 @given(
     config=configs,
     b_hat=st.floats(2**-20, 1 - 2**-20),
     start=st.just(0) | any_counter,
-    crowd=st.none() | crowds,
     sequence=calls,
 )
 def test_any_calls_keep_the_invariants_and_the_bits(
-    config: Config, b_hat: float, start: int, crowd: dict[str, int] | None, sequence: list[Call]
+    config: Config, b_hat: float, start: int, sequence: list[Call]
 ) -> None:
     """I11, I18, I19, I21, I22, I23, after every call, whatever the counters are at the start; I17 at the end,
     where equal states go on equally."""
     fresh = MirrorRobot(config, OWN_ID, b_hat).save()
     image = rewritten(fresh, **dict.fromkeys(vars(Counters()), start))
-    if crowd is not None and config.filter == Filter.ROBUST:
-        image = rewritten(image, **crowd)
     mirror, native = MirrorRobot.restore(config, image), NativeRobot.restore(config, image)
     state = mirror.state()
     for call in sequence:
@@ -272,43 +257,14 @@ def test_any_calls_keep_the_invariants_and_the_bits(
         assert kind.restore(config, mirror.save()).state() == state
 
 
-def test_a_robust_robot_has_the_same_bits_in_mirror_and_c_whichever_way_it_goes() -> None:
-    """Rejected, back at its first b_hat, kept, and in a crowd that moves: each is reached again and again."""
-    stream, reached = random.Random(23), Counter[str]()
-    config = Config(filter=Filter.ROBUST, filter_period=1)
-    mirror, native = (kind(config, OWN_ID, 0.9) for kind in FIXED_POINT)
-    receive_all(mirror, [(sender, ONE // 2, ALPHA_ONE) for sender in (1, 2, 35)])
-    for _ in range(400):
-        t, centre, first = (
-            stream.randint(1, 10**6),
-            stream.randint(0, 2**30),
-            stream.randint(2**29, 2**32 - 2**12),
-        )
-        black = first * centre + (2**32 - first) * (2**30 - centre)
-        fields = {
-            **{"crowd_centre": centre, "crowd_spread": 2 ** stream.randint(18, 28), "crowd_first": first},
-            **{
-                "crowd_votes": stream.choice((1, 60, 300, 2**14)),
-                "crowd_voices": stream.choice((3, 7, 1 << 31)),
-            },
-            **{"t": t, "n": stream.choice((t * black >> 62, stream.randint(0, t))), "updated": 1},
-            "crowd_trend": stream.choice((2**13, 7 * 2**13)) + stream.randint(-300, 300),
-            "b_hat": stream.choice((first, 3 << 30)),
-        }
-        image = rewritten(stream.choice((mirror, native)).save(), **fields)
-        mirror, native = MirrorRobot.restore(config, image), NativeRobot.restore(config, image)
-        for said in stream.choices((0, centre >> 7, ONE), k=stream.randint(0, 4)):
-            message = (stream.randrange(MAX_ID + 1), said, ALPHA_ONE)
-            assert mirror.receive_raw(*message) == native.receive_raw(*message)
-        tests, votes, b_hat = mirror.counters.tests, mirror.s.crowd.votes, mirror.b_hat_raw
-        status = mirror.settle()
-        assert (status, mirror.state(), views(mirror)) == (native.settle(), native.state(), views(native))
-        assert mirror.holds_invariants() and native.holds_invariants()
-        reached[f"{status.name} first {mirror.b_hat_raw == first}"] += mirror.counters.tests != tests
-        reached["moving"] += mirror.s.crowd.votes < votes
-        assert status == Status.UPDATED or mirror.b_hat_raw == b_hat
-    names = ("UPDATED first False", "UPDATED first True", "OK first True", "moving")
-    assert min(reached[name] for name in names) >= 10, reached
+@pytest.mark.parametrize("source", (random_scenario, robust_scenario))
+def test_scenarios_of_the_cross_check_have_the_same_bits_and_no_fault(
+    source: Callable[[int, int], Scenario],
+) -> None:
+    """Filters go every way there: b_hat is rejected, back at the first, kept, and a crowd moves."""
+    for number in range(40):
+        scenario = source(23, number)
+        assert compare_firmwares(scenario, MirrorRobot, NativeRobot, Audit().judge) is None, str(scenario)
 
 
 @of_fixed_point

@@ -8,6 +8,7 @@
 #include <cinttypes>
 #include <cstdio>
 #include <cstdlib>
+#include <functional>
 
 extern "C" const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
@@ -30,6 +31,7 @@ class Random
     uint32_t word() { return u32(next() >> 32); }
     uint32_t below(uint64_t limit) { return u32(next() >> 32) % u32(limit); } /* limit below 2^32 */
     bool one_in(uint32_t k) { return below(k) == 0; }
+    uint32_t among(std::initializer_list<uint32_t> words) { return words.begin()[below(words.size())]; }
     /* Of every length up to so many bits, and so often small. */
     uint32_t any_length(uint32_t most) { return u32((next() >> 32) >> (32 - most) >> below(most)); }
     /* v or nearly v, held within 0 .. limit. */
@@ -150,43 +152,27 @@ class Run
         expect("updates", a.updates, b.updates);
     }
 
+    /* Does one of these, or of the first ones. */
+    void any_of(std::initializer_list<std::function<void()>> acts, uint64_t first = ~uint64_t(0))
+    {
+        acts.begin()[random.below(std::min<uint64_t>(first, acts.size()))]();
+    }
+
     uint32_t some_b_hat()
     {
         uint32_t offset = random.any_length(31);
-        uint32_t b_hat = 0;
-        switch (random.below(6)) {
-        case 0:
-            b_hat = random.word();
-            break;
-        case 1:
-            b_hat = MCP_ASDF_B_HAT_MIN + offset;
-            break;
-        case 2:
-            b_hat = u32(two31) + offset;
-            break;
-        case 3:
-            b_hat = u32(two31) + informative / 2 + random.below(9) - 4;
-            break; /* g is nearly 2^20 */
-        case 4:
-            b_hat = u32(two31) + random.word() / 2;
-            break;
-        default:
-            b_hat = random.one_in(2) ? MCP_ASDF_B_HAT_MAX : 0xF0000000 + random.below(16) * 0x1000000;
-        }
+        uint32_t b_hat = random.among({random.word(), MCP_ASDF_B_HAT_MIN + offset, u32(two31) + offset,
+                                       u32(two31 + informative / 2) + random.below(9) - 4, /* g nearly 2^20 */
+                                       u32(two31) + random.word() / 2, MCP_ASDF_B_HAT_MAX,
+                                       0xF0000000 + random.below(16) * 0x1000000});
         b_hat = random.one_in(3) ? u32(two32 - b_hat) : b_hat;
         return std::clamp(b_hat, MCP_ASDF_B_HAT_MIN, MCP_ASDF_B_HAT_MAX);
     }
 
     uint32_t some_memory()
     {
-        switch (random.below(4)) {
-        case 0:
-            return MCP_ASDF_MEMORY_MAX;
-        case 1:
-            return 64 + 4 * random.below(20);
-        default:
-            return std::clamp(random.any_length(31) & ~3u, MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX);
-        }
+        uint32_t any = std::clamp(random.any_length(31) & ~3u, MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX);
+        return random.among({MCP_ASDF_MEMORY_MAX, 64 + 4 * random.below(20), any, any});
     }
 
     uint8_t some_filter()
@@ -228,25 +214,9 @@ class Run
     /* n for a t, of every kind that section 5 tells apart. */
     uint32_t some_n(uint32_t t, uint32_t b_hat)
     {
-        uint32_t n = 0;
-        switch (random.below(6)) {
-        case 0:
-            break;
-        case 1:
-            n = random.near(0, t);
-            break;
-        case 2:
-            n = random.near(t / 2, t);
-            break;
-        case 3:
-            n = t / 2;
-            break;
-        case 4:
-            n = random.near(int64_t(uint64_t(b_hat) * t >> 32), t);
-            break; /* where x_hat reaches an end */
-        default:
-            n = u32(random.next() % (uint64_t(t) + 1));
-        }
+        uint32_t end = u32(uint64_t(b_hat) * t >> 32); /* where x_hat reaches an end */
+        uint32_t n = random.among({0, random.near(0, t), random.near(t / 2, t), t / 2, random.near(end, t),
+                                   u32(random.next() % (uint64_t(t) + 1))});
         return random.one_in(2) ? n : t - n;
     }
 
@@ -296,20 +266,13 @@ class Run
     /* A word nothing is known of, for alpha. */
     uint32_t some_alpha()
     {
-        switch (random.one_in(4) ? random.below(6) : alphas) {
-        case 0:
-            return random.word();
-        case 1:
-            return (random.word() | 0x80000000) & 0xFFFFFF1F;
-        case 2:
-            return random.below(8) << 8 | (random.one_in(8) ? random.below(256) : 0);
-        case 3:
-            return random.one_in(2) ? 0xFFFFFFFF : 0xFFFFFF1F;
-        case 4:
-            return model.local.alpha;
-        default:
-            return random.any_length(24) << 8 | random.below(12);
-        }
+        const uint32_t words[] = {random.word(),
+                                  (random.word() | 0x80000000) & 0xFFFFFF1F,
+                                  random.below(8) << 8 | (random.one_in(8) ? random.below(256) : 0),
+                                  random.one_in(2) ? 0xFFFFFFFF : 0xFFFFFF1F,
+                                  model.local.alpha,
+                                  random.any_length(24) << 8 | random.below(12)};
+        return words[random.one_in(4) ? random.below(6) : alphas];
     }
 
     uint32_t some_x_hat()
@@ -327,25 +290,11 @@ class Run
     /* Where the next messages lie. */
     void some_centre()
     {
-        switch (random.below(7)) {
-        case 0:
-            centre = model.local.x_hat;
-            break;
-        case 4:
-            centre = model.crowd.r >> 7;
-            break;
-        case 1:
-            centre = random.near(MCP_ASDF_HALF, MCP_ASDF_ONE);
-            break;
-        case 2:
-            centre = random.one_in(2) ? 0 : MCP_ASDF_ONE;
-            break;
-        case 3:
-            centre = MCP_ASDF_HALF + (random.one_in(2) ? 1024 : -1024u);
-            break; /* G is nearly 2^20 */
-        default:
-            centre = random.below(MCP_ASDF_ONE + 1);
-        }
+        uint32_t any = random.below(MCP_ASDF_ONE + 1);
+        centre = random.among({model.local.x_hat, model.crowd.r >> 7,
+                               random.near(MCP_ASDF_HALF, MCP_ASDF_ONE), random.one_in(2) ? 0 : MCP_ASDF_ONE,
+                               MCP_ASDF_HALF + (random.one_in(2) ? 1024 : -1024u), /* G is nearly 2^20 */
+                               any, any});
         spread = random.one_in(4) ? 0 : random.any_length(random.one_in(2) ? 3 : 23);
         alphas = random.below(6);
     }
@@ -437,45 +386,27 @@ class Run
 
     void doubt(Crowd &crowd)
     {
-        bool over = random.one_in(2);
-        switch (random.below(10)) {
-        case 0:
-            crowd.r = (1 << 30) + over;
-            break;
-        case 1:
-            crowd.s = (1 << 28) + over;
-            break;
-        case 2:
-            crowd.s = (1 << 18) - over;
-            break;
-        case 3:
-            crowd.first = MCP_ASDF_B_HAT_MIN - over;
-            break;
-        case 4:
-            crowd.first = MCP_ASDF_B_HAT_MAX + over;
-            break;
-        case 5:
-            crowd.votes = static_cast<uint16_t>((1 << 14) + over);
-            break;
-        case 6:
-            crowd.voices = over;
-            break;
-        case 7:
-            crowd.rest[random.below(11)] = over;
-            break;
-        case 8:
-            crowd.votes = over;
-            break;
-        default: /* without votes, one member as no new robot has it */
-            crowd = Crowd();
-            crowd.first = model.b_hat;
-            uint32_t *const members[] = {&crowd.r, &crowd.s, &crowd.voices, &crowd.first};
-            uint32_t i = random.below(5);
-            if (i < 4)
-                *members[i] -= over;
-            else
-                crowd.trend = static_cast<uint16_t>(crowd.trend - over);
-        }
+        uint16_t over = random.one_in(2);
+        any_of({
+            [&] { crowd.r = (1 << 30) + over; },
+            [&] { crowd.s = (1 << 28) + over; },
+            [&] { crowd.s = (1 << 18) - over; },
+            [&] { crowd.first = MCP_ASDF_B_HAT_MIN - over; },
+            [&] { crowd.first = MCP_ASDF_B_HAT_MAX + over; },
+            [&] { crowd.votes = (1 << 14) | over; },
+            [&] { crowd.voices = over; },
+            [&] { crowd.rest[random.below(11)] = over; },
+            [&] { crowd.votes = over; },
+            [&] { /* without votes, one member as no new robot has it */
+                  crowd = Crowd();
+                  crowd.first = model.b_hat;
+                  uint32_t *const members[] = {&crowd.r, &crowd.s, &crowd.voices, &crowd.first};
+                  if (random.one_in(5))
+                      crowd.trend ^= over;
+                  else
+                      *members[random.below(4)] -= over;
+            },
+        });
     }
 
     /* A robot that can nearly be: it breaks one rule, or just keeps it. */
@@ -485,34 +416,18 @@ class Run
         Round &open = robot.open;
         if (robot.is_robust() && random.one_in(2))
             doubt(robot.crowd);
-        switch (random.below(robot.is_robust() ? 6 : 9)) {
-        case 0:
-            robot.t = random.near(current->config.memory, 0xFFFFFFFF);
-            break;
-        case 1:
-            robot.t = robot.n = 0, robot.updated = static_cast<uint8_t>(random.below(3));
-            break;
-        case 2:
-            robot.filter_left = random.near(current->config.filter_period, 0xFFFFFFFF);
-            break;
-        case 3:
-            robot.filter_left = random.below(2);
-            break;
-        case 4:
-            robot.heard[robot.id / 32] ^= uint32_t(1) << robot.id % 32;
-            break;
-        case 5:
-            open.m = random.near(open.m, 0xFFFFFFFF);
-            break;
-        case 6:
-            open.alpha = random.near(open.m, 256), open.low_x = open.high_x = 0;
-            break;
-        case 7:
-            open.low_x = 0xFFFFFFFF * uint64_t(open.x) + random.below(2);
-            break;
-        default:
-            open.high_x = 0x7FFFFF * uint64_t(open.x) + random.below(2);
-        }
+        any_of({
+                   [&] { robot.t = random.near(current->config.memory, 0xFFFFFFFF); },
+                   [&] { robot.t = robot.n = 0, robot.updated = static_cast<uint8_t>(random.below(3)); },
+                   [&] { robot.filter_left = random.near(current->config.filter_period, 0xFFFFFFFF); },
+                   [&] { robot.filter_left = random.below(2); },
+                   [&] { robot.heard[robot.id / 32] ^= uint32_t(1) << robot.id % 32; },
+                   [&] { open.m = random.near(open.m, 0xFFFFFFFF); },
+                   [&] { open.alpha = random.near(open.m, 256), open.low_x = open.high_x = 0; },
+                   [&] { open.low_x = 0xFFFFFFFF * uint64_t(open.x) + random.below(2); },
+                   [&] { open.high_x = 0x7FFFFF * uint64_t(open.x) + random.below(2); },
+               },
+               robot.is_robust() ? 6 : 9);
         if (robot.updated == 0)
             robot.local = form(robot.t, std::min(robot.n, robot.t), robot.b_hat);
         do_restore("restore of a doubtful robot", robot.save());

@@ -122,10 +122,8 @@ class Audit:
             moved = [name for name in old if name.startswith("crowd") and new[name] != old[name]]
             return [f"{name} has changed without a vote" for name in moved]
         self.robust["voted"] += 1
-        found, limits = (
-            _crowd(new),
-            vote_limits(new["crowd_votes"], *_crowd(old), Fraction(call.numbers[1], ONE)),
-        )
+        found = _crowd(new)
+        limits = vote_limits(new["crowd_votes"], *_crowd(old), Fraction(call.numbers[1], ONE))
         return _within("centre", found[0], *limits[0]) + _within("spread", found[1], *limits[1])
 
     def _crowd_settled(self, _: Setup, old: State, new: State, is_updated: bool) -> list[str]:

@@ -52,26 +52,7 @@ _ALPHAS = (
 )
 """Nothing, one unit, 1.0 and the largest, as different words; ends of the mantissa, and of 32-bit units."""
 
-_VOTES = (
-    0,
-    1,
-    2,
-    30,
-    31,
-    32,
-    62,
-    63,
-    64,
-    255,
-    256,
-    511,
-    512,
-    513,
-    4095,
-    (1 << 14) - 2,
-    (1 << 14) - 1,
-    1 << 14,
-)
+_VOTES = (0, 1, 2, *range(30, 33), *range(62, 65), 255, 256, *range(511, 514), 4095, *range(16382, 16385))
 """Messages of the robust filter's crowd, where its gain changes and where it no longer counts."""
 
 _X_HATS = (0, 1, HALF - 1, HALF, HALF + 1, ONE - 1, ONE, ONE + 1, _BITS_32)
@@ -249,13 +230,7 @@ class _RobustAuthor(_Author):
         """Restore a crowd with a member at its limits or beyond, or with something behind it."""
         source = self._source
         member = source.randrange(5)
-        ends = (
-            (0, 1 << 30),
-            (1 << 18, 1 << 28),
-            (1, 1),
-            (B_HAT_MIN, B_HAT_MAX),
-            (1 << 15 << 16 | 1, 1 << 14),
-        )
+        ends = ((0, 1 << 30), (1 << 18, 1 << 28), (1, 1), (B_HAT_MIN, B_HAT_MAX), (1 << 31 | 1, 1 << 14))
         words = self._crowd(source.choice(_VOTES))
         words[member] = max(ends[member][source.randrange(2)] + source.choice([-1, 0, 0, 1]), 0)
         self._restore(_CLOSED, [*words, *source.choice([[], [], [1]])])

@@ -320,7 +320,7 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     bool has_lanes = experiment->comms_period == 1 && experiment->sampling_interval == 0;
     for (uint32_t j = 1; j < experiment->robots && has_lanes; ++j) {
-        has_lanes = trial_is_robust(experiment, j) == trial_is_robust(experiment, 0);
+        has_lanes = mcp_asdf_is_robust(experiment->configs[j]) == mcp_asdf_is_robust(experiment->configs[0]);
     }
     return has_lanes;
 }
@@ -332,7 +332,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
     block_t block;
     block.experiment = experiment;
     block.has_lanes = lanes;
-    block.is_robust = trial_is_robust(experiment, 0);
+    block.is_robust = mcp_asdf_is_robust(experiment->configs[0]);
     block.columns = mcp_asdf_engine_columns(experiment);
     block.side = lanes && experiment->arenas == NULL ? LANES_OF_TRIALS : 1;
     for (block.index = 0; block.index < experiment->trials && status == MCP_ASDF_OK;

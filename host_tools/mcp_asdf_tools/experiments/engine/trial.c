@@ -11,7 +11,7 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
     bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
     for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
-        is_same = !trial_is_robust(experiment, j);
+        is_same = !mcp_asdf_is_robust(experiment->configs[j]);
     }
     return is_same ? 1 : experiment->robots;
 }
@@ -82,7 +82,7 @@ static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots
         add(&all, &own[j]);
     }
     for (uint32_t j = 0; j < count; ++j) {
-        if (trial_is_robust(experiment, j)) {
+        if (mcp_asdf_is_robust(experiment->configs[j])) {
             receive_all(robots, count, j);
             continue;
         }

@@ -23,12 +23,6 @@ static inline bool trial_observes(const mcp_asdf_experiment_t *experiment, uint3
     return (k + 1) % experiment->observation_period == 0;
 }
 
-/* Whether a robot has the robust filter. */
-static inline bool trial_is_robust(const mcp_asdf_experiment_t *experiment, uint32_t robot)
-{
-    return experiment->configs[robot]->filter == MCP_ASDF_ROBUST;
-}
-
 /* The part of the index-th of these trials. */
 trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                    uint32_t index);
