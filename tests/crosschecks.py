@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -39,41 +40,46 @@ def caught(check: Check, calls: int = CALLS) -> Failure | None:
 
 
 FAULTS = {
-    "estimate: what says nothing": ("INFORMATIVE_G = 1 << 20", "INFORMATIVE_G = 1 << 21"),
-    "estimate: c t": ("least = accuracy.c * total", "least = (accuracy.c ^ 1) * total"),
-    "estimate: mirror image": ("return ONE - x_hat if mirrored", "return (ONE ^ 1) - x_hat if mirrored"),
-    "alpha_word: cap": ("if exponent > SHIFT_MAX:", "if exponent > SHIFT_MAX ^ 1:"),
-    "mean": ("// (closed.alpha + own)", "// (closed.alpha + own | 1)"),
-    "test": ("table.entry(m) * spread", "(table.entry(m) ^ 1) * spread"),
-    "test: fewest messages": ("(2 if mode == Filter.ADAPTIVE", "(3 if mode == Filter.ADAPTIVE"),
-    "halving: ties to even": ("s.n >> 1 & 1) >> 1", "s.n >> 1 & 0) >> 1"),
-    "counters": ("COUNTER_MASK = 0xFFFF", "COUNTER_MASK = 0xFFFE"),
-    "filter period": ("if s.filter_left == 0:", "if s.filter_left <= 1:"),
-    "vote: gain": ("crowd.votes.bit_length() - 3, 3)", "crowd.votes.bit_length() - 3, 2)"),
-    "vote: clamp": ("step = min(distance, crowd.spread) >> shift", "step = distance >> shift"),
-    "vote: spread": ("if distance > crowd.spread else", "if distance >= crowd.spread else"),
-    "vote: trend": ("if step == 0:", "if distance == 0:"),
-    "vote: without confidence": ("elif alpha >> 8:", "elif alpha:"),
-    "robust: moving": ("1 << 13 <= self.trend", "1 << 13 < self.trend"),
-    "robust: votes that halve": ("if crowd.votes >= 2 * VOTES_MOVED", "if crowd.votes > 2 * VOTES_MOVED"),
-    "robust: voices": ("if crowd.voices.bit_count() < 3:", "if crowd.voices.bit_count() < 2:"),
-    "robust: test": ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 13"),
-    "robust: variance": ("variance = max(", "variance = min("),
-    "robust: way back": ("return crowd.first if s.accuracy", "return None if s.accuracy"),
-    "restore": ("repeated=words[27] >> 16", "repeated=words[27] >> 16 & 0x7FFF"),
+    "estimate: what says nothing": "INFORMATIVE_G = 1 << {20 => 21}",
+    "estimate: c t": "least = {accuracy.c => (accuracy.c ^ 1)} * total",
+    "estimate: mirror image": "return {ONE => (ONE ^ 1)} - x_hat if mirrored",
+    "alpha_word: cap": "if exponent > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
+    "mean": "// (closed.alpha + own{ =>  | 1})",
+    "test": "{table.entry(m) => (table.entry(m) ^ 1)} * spread",
+    "test: fewest messages": "({2 => 3} if mode == Filter.ADAPTIVE",
+    "halving: ties to even": "s.n >> 1 & {1 => 0}) >> 1",
+    "counters": "COUNTER_MASK = {0xFFFF => 0xFFFE}",
+    "filter period": "if s.filter_left {== 0 => <= 1}:",
+    "vote: gain": "crowd.votes.bit_length() - 3, {3 => 2})",
+    "vote: clamp": "step = {min(distance, crowd.spread) => distance} >> shift",
+    "vote: spread": "if distance {> => >=} crowd.spread else",
+    "vote: trend": "if {step => distance} == 0:",
+    "vote: without confidence": "elif {alpha >> 8 => alpha}:",
+    "robust: moving": "1 << 13 {<= => <} self.trend",
+    "robust: votes that halve": "if crowd.votes {>= => >} 2 * VOTES_MOVED",
+    "robust: voices": "if crowd.voices.bit_count() < {3 => 2}:",
+    "robust: test": "SIGMAS_SQUARED = {12 => 13}",
+    "robust: variance": "variance = {max => min}(",
+    "robust: way back": "return {crowd.first => None} if s.accuracy",
+    "restore": "repeated=words[27] >> 16{ =>  & 0x7FFF}",
 }
-"""Lines of SOURCES, and the same with one bit wrong."""
+"""Places of SOURCES and how they become wrong, often by one bit: ``mirror_with`` reads them."""
 
 
-def planted(fault: str) -> Firmware:
-    """A copy of the mirror with one of FAULTS."""
-    right, wrong = FAULTS[fault]
-    places = sum(source.count(right) for source in SOURCES.values())
-    assert places == 1, f"the mirror's source has changed: plant {fault!r} anew"
+def mirror_with(*changes: str) -> Firmware:
+    """A copy of the mirror in which ``before {right => wrong} after`` has become ``before wrong after``."""
+    sources = dict(SOURCES)
+    for change in changes:
+        found = re.fullmatch(r"(.*?)\{(.*?) => (.*)\}(.*)", change, re.DOTALL)
+        assert found is not None
+        before, right, wrong, after = found.groups()
+        place, become = before + right + after, before + wrong + after
+        assert sum(source.count(place) for source in sources.values()) == 1, f"plant {change!r} anew"
+        sources = {name: source.replace(place, become) for name, source in sources.items()}
     with patch.dict(sys.modules):
-        for name, source in SOURCES.items():
+        for name, source in sources.items():
             sys.modules[name] = ModuleType(name)
-            exec(compile(source.replace(right, wrong), f"changed {name}", "exec"), vars(sys.modules[name]))
+            exec(compile(source, f"changed {name}", "exec"), vars(sys.modules[name]))
         return cast(Firmware, sys.modules[mcp_asdf.mirror.__name__].MirrorRobot)
 
 

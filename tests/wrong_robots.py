@@ -9,15 +9,14 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import can
 
-from mcp_asdf import mirror
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE, alpha_units, alpha_word
-from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate, reestimate, rejects
-from mcp_asdf.robot import Filter, Observation, Status
+from crosschecks import mirror_with
+from mcp_asdf.fixed_point import ONE
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
@@ -59,36 +58,6 @@ def surroundings(controller: RobotRecord | None = None, faults: str = "", **worl
     return RadioSettings(own, neighbours, swarm, Subjects(), tuple(map(parse_fault, faults.split())))
 
 
-class Firmware(MirrorRobot):
-    """The right firmware, with the parts of its filter as methods, which a mistake can replace."""
-
-    def decides(self) -> bool:
-        """The test (eq. 12)."""
-        assert self.config.table is not None
-        return rejects(self.config.table, self.s.open, self.s.x_hat)
-
-    def new_b_hat(self) -> int | None:
-        """Eq. 8."""
-        return reestimate(self.s.t, self.s.n, self.s.closed)
-
-    def least(self) -> int:
-        """The fewest messages of a test."""
-        return 2
-
-    def _filter(self) -> bool:
-        s = self.s
-        if self.config.filter is not Filter.ADAPTIVE:
-            return super()._filter()
-        if s.t == 0 or s.open.count < self.least() or not self.decides():
-            return False
-        b_hat = self.new_b_hat()
-        if b_hat is None:
-            return False
-        s.accuracy = accuracy_of(b_hat)
-        s.updates, s.updated = s.updates + 1, 1
-        return True
-
-
 def _replaced(kind: type, acts: dict[str, Act]) -> type:
     """A class of which some methods do something else."""
 
@@ -125,27 +94,21 @@ def set_up(
     return Wrong(phase, said, make)
 
 
-def firmware(phase: str, config: dict[str, Any] | None = None, **acts: Act) -> Wrong:
-    """A controller whose firmware has other methods."""
-    return set_up(phase, config, firmware=_replaced(Firmware, acts))
+def firmware(phase: str, *changes: str, config: dict[str, Any] | None = None) -> Wrong:
+    """A controller whose firmware is the mirror with other text in some places."""
+
+    def make(*arguments: Any) -> Any:
+        return mirror_with(*changes)(*arguments)
+
+    return set_up(phase, config, firmware=make)
 
 
 VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
 
 
-def robust(phase: str, *changes: tuple[str, str], b_hat: float = B_HAT) -> Wrong:
-    """A controller with the robust filter, whose firmware is the mirror with other text in some places."""
-
-    def make(*arguments: Any) -> Any:
-        source = Path(mirror.__file__).read_text(encoding="utf-8")
-        for old, new in changes:
-            assert source.count(old) == 1, f"{old!r} is {source.count(old)} times in the mirror"
-            source = source.replace(old, new)
-        names = {"__name__": mirror.__name__}
-        exec(compile(source, f"wrong mirror: {changes}", "exec"), names)
-        return names["MirrorRobot"](*arguments)  # type: ignore[operator]
-
-    return set_up(phase, {**VOTES, "b_hat": b_hat}, firmware=make)
+def robust(phase: str, *changes: str, b_hat: float = B_HAT) -> Wrong:
+    """The same with the robust filter."""
+    return firmware(phase, *changes, config={**VOTES, "b_hat": b_hat})
 
 
 def node(phase: str, **acts: Act) -> Wrong:
@@ -157,116 +120,19 @@ WRONG: dict[str, Wrong] = {}
 """Wrong controllers, by what is wrong with them."""
 
 
-def wrong(kind: Callable[..., Wrong], method: str, phase: str, name: str) -> Callable[[Act], Act]:
-    """Adds a controller of which one ``method`` does what is decorated; ``kind`` is firmware or node."""
+def wrong(method: str, phase: str, name: str) -> Callable[[Act], Act]:
+    """Adds a controller whose node does in one ``method`` what is decorated."""
 
     def add(act: Act) -> Act:
-        WRONG[name] = kind(phase, **{method: act})
+        WRONG[name] = node(phase, **{method: act})
         return act
 
     return add
 
 
-# --- Wrong firmwares: the method ---
-
-
-@wrong(firmware, "new_b_hat", "threshold of 2 messages", "x_bar not weighted in eq. 8")
-def _(robot: Firmware, right: Act) -> int | None:
-    s, open_ = robot.s, robot.s.open
-    closed = type(s.closed)(open_.count << 24, open_.x << 24 & 0xFFFFFFFF, open_.x << 24 >> 32)
-    return reestimate(s.t, s.n, closed)
-
-
-@wrong(firmware, "_filter", "no information", "a re-estimate changes x_hat at once")
-def _(robot: Firmware, right: Act) -> bool:
-    is_updated: bool = right()
-    if is_updated:
-        robot.s.x_hat, robot.s.alpha = estimate(robot.s.t, robot.s.n, robot.s.accuracy)
-    return is_updated
-
-
-@wrong(firmware, "settle", "messages and silence", "keeps x_bar in silence")
-def _(robot: Firmware, right: Act) -> Any:
-    is_silent, kept = robot.s.open.count == 0, vars(robot.s.closed).copy()
-    status = right()
-    if is_silent:
-        vars(robot.s.closed).update(kept)
-    return status
-
-
-@wrong(firmware, "_receive", "alike ids", "a bitmap of 32 senders")
-def _(robot: Firmware, right: Act, sender: int, *content: int) -> Status:
-    if robot.s.heard[0] >> sender % 32 & 1:
-        return Status.REPEATED
-    status: Status = right(sender, *content)
-    robot.s.heard[0] |= 1 << sender % 32
-    return status
-
-
-def keep_last(robot: Firmware, right: Act, sender: int, x_hat: int, alpha: int) -> Status:
-    """Keeps the last message of a sender until the round ends."""
-    if sender != robot.id and x_hat <= ONE:
-        vars(robot).setdefault("kept", {})[sender] = sender, x_hat, alpha
-    return Status.OK
-
-
-def take_kept(robot: Firmware, right: Act) -> Any:
-    """Takes what was kept, then ends the round."""
-    for message in vars(robot).pop("kept", {}).values():
-        MirrorRobot._receive(robot, *message)
-    return right()
-
-
-def after(name: str, value: Callable[[Any], object]) -> Act:
-    """Puts another value of the state there afterwards."""
-
-    def act(robot: Firmware, right: Act, *args: Any) -> Any:
-        status = right(*args)
-        setattr(robot.s, name, value(robot.s))
-        return status
-
-    return act
-
-
-def halving(half: Callable[[int], int]) -> Act:
-    """Rounds n otherwise when it halves."""
-
-    def observe(robot: Firmware, right: Act, z: Observation) -> Any:
-        t, n = robot.s.t, robot.s.n + z
-        status = right(z)
-        if robot.s.t < t:
-            robot.s.n = half(n)
-            robot.s.x_hat, robot.s.alpha = estimate(robot.s.t, robot.s.n, robot.s.accuracy)
-        return status
-
-    return observe
-
-
 def given(change: Callable[[Any], object]) -> Act:
     """Takes something else for what is given."""
     return lambda self, right, each: right(change(each))
-
-
-def always(result: object) -> Act:
-    """Has always the same result."""
-    return lambda robot, right: result
-
-
-def eq_8(wrong: Callable[[int], int]) -> Act:
-    """Makes something else of the new b_hat."""
-    return lambda robot, right: None if (b_hat := right()) is None else wrong(b_hat)
-
-
-def hears(is_heard: Callable[[int, int], bool]) -> Act:
-    """Hears messages by their senders and the number of those before in the round."""
-    return lambda robot, right, sender, *content: (
-        right(sender, *content) if is_heard(sender, robot.s.open.count) else Status.ERR_SENDER
-    )
-
-
-def with_alpha(wrong: Callable[[int], int]) -> Act:
-    """Takes other confidences for those received."""
-    return lambda robot, right, sender, x_hat, alpha: right(sender, x_hat, wrong(alpha))
 
 
 def table_wrong_at(m: int) -> Table:
@@ -310,13 +176,13 @@ def as_subject(mask: int) -> Callable[[can.Message], None]:
 # --- Wrong nodes: what they hear ---
 
 
-@wrong(node, "_obey", "heartbeats", "a buffer of 4 commands")
+@wrong("_obey", "heartbeats", "a buffer of 4 commands")
 def _(node: Any, right: Act, command: Command) -> list[can.Message]:
     node.waiting = 0 if command.action is Action.SETTLE else getattr(node, "waiting", 0) + 1
     return right(command) if node.waiting <= 4 else []
 
 
-@wrong(node, "_receive", "among neighbours", "drops older transfer ids")
+@wrong("_receive", "among neighbours", "drops older transfer ids")
 def _(node: Any, right: Act, message: Message) -> None:
     last, number = vars(node).setdefault("last", {}), message.transfer_id
     if (number - last.get(message.sender, number - 1)) % 32 < 16:
@@ -374,14 +240,14 @@ def accepts(reason: Rejection) -> Act:
 # --- Wrong nodes: commands ---
 
 
-@wrong(node, "_obey", "stray commands", "settles in any tick")
+@wrong("_obey", "stray commands", "settles in any tick")
 def _(node: Any, right: Act, command: Command) -> Any:
     if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
         node._tick_of_command = command.tick
     return right(command)
 
 
-@wrong(node, "_obey", "lost commands", "stays in a tick")
+@wrong("_obey", "lost commands", "stays in a tick")
 def _(node: Any, right: Act, command: Command) -> Any:
     return [] if not node.is_settled and command.tick != node._tick_of_command else right(command)
 
@@ -416,15 +282,6 @@ def numbers_of(bits: int) -> Wrong:
     )
 
 
-VOTE, CENTRE = "vote(s.crowd, sender, x_hat)", "if self.config.filter == Filter.ROBUST:\n            return"
-SUMS = "sums_add(s.open, x_hat, alpha)"
-SAID, CLAMP, GAIN = (
-    "said = x_hat << 7",
-    "min(distance, crowd.spread) >> shift",
-    "max(crowd.votes.bit_length() - 3, 3)",
-)
-KEPT = "min(max(spread, SPREAD_LEAST), SPREAD_START)"
-VOICES, MOVES = "if crowd.voices.bit_count() < 3:", "if crowd.is_moving:"
 HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
 
 WRONG |= {
@@ -447,125 +304,96 @@ WRONG |= {
     },
     "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(21)),
     # The method
-    "rejects its own estimate": firmware(
-        "own estimate",
-        decides=lambda robot, right: right() or robot.s.open.x == robot.s.open.count * robot.s.x_hat,
-    ),
-    "tests its informed estimate": firmware(
-        "threshold of 2 messages",
-        decides=lambda robot, right: rejects(robot.config.table, robot.s.open, robot.x_raw),
-    ),
+    "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
+    "tests its informed estimate": firmware("threshold of 2 messages", "s.open, {s.x_hat => self.x_raw})"),
     "tests one message": firmware(
-        "rounds without a test",
-        least=always(1),
-        decides=lambda robot, right: robot.s.open.count == 1 or right(),
+        "rounds without a test", "({2 => 1} if mode ==", "if {not => s.open.count > 1 and not} rejects"
     ),
-    "never updates": firmware("no information", new_b_hat=always(None)),
-    "eq. 8 in float32": firmware("no information", new_b_hat=eq_8(lambda b: max(b >> 10 << 10, B_HAT_MIN))),
+    "never updates": firmware("no information", "return {reestimate(s.t, s.n, s.closed) => None}"),
+    "x_bar not weighted in eq. 8": firmware(
+        "threshold of 2 messages", "s.n, {s.closed => Closed(s.open.count << 24, s.open.x << 24)})"
+    ),
+    "eq. 8 in float32": firmware("no information", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": firmware(
-        "threshold of 5 messages", new_b_hat=eq_8(lambda b: min(max(b, 42950), 2**32 - 42950))
+        "threshold of 5 messages", "max(b_hat, {B_HAT_MIN), B_HAT_MAX => 42950), 2**32 - 42950})"
     ),
-    "updates at x_bar = 1/2": firmware("re-estimates", new_b_hat=lambda robot, right: right() or B_HAT_MAX),
-    "divides by 2 b - 1 = 0": firmware(
-        "no information", observe=after("x_hat", lambda s: s.x_hat if s.alpha else ONE)
+    "updates at x_bar = 1/2": firmware("re-estimates", "INFORMATIVE_G:\n        return {None => B_HAT_MAX}"),
+    "a re-estimate changes x_hat at once": firmware(
+        "no information", "s.updated = 1{ => ; s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)}"
     ),
-    "does not hear robot 127": firmware("every sender", _receive=hears(lambda sender, _: sender < 127)),
-    "at most 100 messages": firmware("growing rounds", _receive=hears(lambda _, count: count < 100)),
-    "takes the last message of a sender": firmware("same sender", _receive=keep_last, settle=take_kept),
-    "loses low bits of alpha": firmware(
-        "messages and silence", _receive=with_alpha(lambda alpha: alpha_word(alpha_units(alpha) >> 8 << 8))
+    "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
+    "keeps x_bar in silence": firmware("messages and silence", "{ => if s.open.count: }s.closed = Closed(s."),
+    "a bitmap of 32 senders": firmware(
+        "alike ids", "if s.heard[{sender >> 5 => 0}]", "s.heard[{sender >> 5 => 0}] |="
     ),
-    "takes alpha = 0 for a little": firmware(
-        "extreme messages", _receive=with_alpha(lambda alpha: alpha or 0x100)
+    "does not hear robot 127": firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
+    "at most 100 messages": firmware("growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"),
+    "takes the last message of a sender": firmware(
+        "same sender",
+        "def {_receive => _receive(self, *message: int) -> Status:\n        "
+        "vars(self).setdefault('kept', {})[message[0]] = message; return Status.OK\n\n    "
+        "def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        s =",
+        "s, updated = self.s, False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
     ),
-    "colours exchanged": firmware("alone", observe=given(lambda z: Observation(1 - z))),
+    "loses low bits of alpha": firmware("messages and silence", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
+    "takes alpha = 0 for a little": firmware("extreme messages", "s.open, x_hat, alpha{ =>  or 0x100})"),
+    "colours exchanged": firmware("alone", "self.s, {index(z) => 1 - index(z)}"),
     "rounds x_hat up": firmware(
-        "threshold of 5 messages", observe=after("x_hat", lambda s: s.x_hat + (0 < s.x_hat < HALF))
+        "threshold of 5 messages", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"
     ),
-    "alpha of 20 bits": firmware("alone", observe=after("alpha", lambda s: s.alpha & 0xFFFF_F01F)),
-    "halves down": firmware("halvings", HALVED, observe=halving(lambda n: n >> 1)),
-    "halves up": firmware("halvings", HALVED, observe=halving(lambda n: n + 1 >> 1)),
-    "broadcasts x": set_up(
-        "messages and silence", firmware=type("X", (MirrorRobot,), {"x_hat_raw": MirrorRobot.x_raw})
-    ),
+    "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
+    "halves down": firmware("halvings", "s.n + {(s.n >> 1 & 1) => 0} >> 1", config=HALVED),
+    "halves up": firmware("halvings", "s.n + {(s.n >> 1 & 1) => 1} >> 1", config=HALVED),
+    "broadcasts x": firmware("messages and silence", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
     # The robust filter: votes
     "takes a large alpha for two votes": robust(
-        "few voices",
-        (VOTE, "[vote(s.crowd, sender, x_hat) for _ in range(1 + (alpha_units(alpha) > 1 << 40))]"),
+        "few voices", "8:{ => \n            if alpha_units(alpha) > 1 << 40: vote(s.crowd, sender, x_hat)}"
     ),
-    "takes alpha = 0 for a vote": robust("few voices", ("elif alpha >> 8:", "else:")),
+    "takes alpha = 0 for a vote": robust("few voices", "{elif alpha >> 8 => else}:"),
     "votes for repeated senders": robust(
-        "same sender", ("            return Status.REPEATED", f"            {VOTE}; return Status.REPEATED")
+        "same sender", "            { => vote(s.crowd, sender, x_hat); }return Status.REPEATED"
     ),
-    "does not clamp": robust("few voices", (CLAMP, "distance >> shift")),
-    "clamps at 2 s": robust("few voices", (CLAMP, "min(distance, 2 * crowd.spread) >> shift")),
-    "constant gain": robust("stray commands", (GAIN, "3")),
-    "gain without end": robust(
-        "many votes", ("VOTES_MOST, VOTES_MOVED = 1 << 14", "VOTES_MOST, VOTES_MOVED = 1 << 15")
-    ),
+    "does not clamp": robust("few voices", "{min(distance, crowd.spread) => distance} >> shift"),
+    "clamps at 2 s": robust("few voices", "min(distance, { => 2 * }crowd.spread) >> shift"),
+    "constant gain": robust("stray commands", "{max(crowd.votes.bit_length() - 3, 3) => 3}"),
+    "gain without end": robust("many votes", "VOTES_MOST, VOTES_MOVED = 1 << {14 => 15}"),
     "starts at the first vote": robust(
-        "few voices", (SAID, f"{SAID}\n    crowd.centre = crowd.centre if crowd.votes else said")
+        "few voices", "said = x_hat << 7{ => ; crowd.centre = crowd.centre if crowd.votes else said}"
     ),
-    "s never shrinks": robust(
-        "few voices", ("if distance > crowd.spread else -change", "if distance > crowd.spread else 0")
-    ),
-    "s grows at equality": robust(
-        "few voices", ("if distance > crowd.spread else -change", "if distance >= crowd.spread else -change")
-    ),
-    "s without a floor": robust("test of the least spread", (KEPT, "min(spread, SPREAD_START)")),
-    "s without a ceiling": robust("few voices", (KEPT, "max(spread, SPREAD_LEAST)")),
-    "sends its centre as x_hat": robust(
-        "few voices", ("lambda robot: robot.s.x_hat,", "lambda robot: robot.x_raw,")
-    ),
+    "s never shrinks": robust("few voices", "> crowd.spread else {-change => 0}"),
+    "s grows at equality": robust("few voices", "distance {> => >=} crowd.spread else -change"),
+    "s without a floor": robust("test of the least spread", "{max(spread, SPREAD_LEAST) => spread}, SPREAD"),
+    "s without a ceiling": robust("few voices", "max(spread, SPREAD_LEAST), SPREAD_START{ =>  << 9})"),
+    "sends its centre as x_hat": robust("few voices", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
     "x of the last round": robust(
         "few voices",
-        (
-            f"if self.config.filter != Filter.ROBUST:\n            {SUMS}\n        elif",
-            f"{SUMS}\n        if",
-        ),
-        (CENTRE, "if False:\n            return"),
+        "{if self.config.filter != Filter.ROBUST => if True}:",
+        "elif { => True or }alpha",
+        "if {self.config.filter == Filter.ROBUST => False}:\n            return",
     ),
-    "x is 1/2 before the first vote": robust(
-        "alone", ("self._estimate(self.s.x_hat, self.s.alpha)", "self._estimate(HALF, 0)")
-    ),
+    "x is 1/2 before the first vote": robust("alone", "self._estimate({self.s.x_hat => HALF}, self"),
     # Its test
-    "takes votes for voices": robust("few voices", (VOICES, "if crowd.votes < 3:")),
-    "voices modulo 128": robust("few voices", ("1 << (sender & 31)\n    crowd", "1 << sender\n    crowd")),
-    "two voices are enough": robust("few voices", (VOICES, "if crowd.voices.bit_count() < 2:")),
-    "three voices are too few": robust("few voices", (VOICES, "if crowd.voices.bit_count() < 4:")),
-    "rejects at 3 sigma": robust("test of a moderate spread", ("SIGMAS_SQUARED = 12", "SIGMAS_SQUARED = 9")),
-    "forgets the spread in its test": robust("test of a moderate spread", ("* (g_spread * g_spread)", "* 0")),
+    "takes votes for voices": robust("few voices", "if crowd.{voices.bit_count() => votes} < 3:"),
+    "voices modulo 128": robust("few voices", "1 << {(sender & 31) => sender}\n    crowd"),
+    "two voices are enough": robust("few voices", "if crowd.voices.bit_count() < {3 => 2}:"),
+    "three voices are too few": robust("few voices", "if crowd.voices.bit_count() < {3 => 4}:"),
+    "rejects at 3 sigma": robust("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
+    "forgets the spread in its test": robust("test of a moderate spread", "{(g_spread * g_spread) => 0}"),
     "variance of the prediction alone": robust(
-        "test of a moderate spread", ("for value in (seen, p))", "for value in (p,))"), b_hat=0.95
+        "test of a moderate spread", "for value in ({seen, p => p,}))", b_hat=0.95
     ),
-    "variance of the count alone": robust(
-        "test of a moderate spread", ("for value in (seen, p))", "for value in (seen,))")
-    ),
-    "eq. 8 from its own estimate": robust(
-        "few voices", ("crowd_mean(crowd))\n        return", "s.x_hat << 9)\n        return")
-    ),
+    "variance of the count alone": robust("test of a moderate spread", "for value in (seen,{ p => })"),
+    "eq. 8 from its own estimate": robust("few voices", "s.n, {crowd_mean(crowd) => s.x_hat << 9})"),
     "tests the present b_hat": robust(
-        "messages and silence",
-        ("deviates(crowd, s.t", 'deviates(Crowd(**vars(crowd) | {"first": s.accuracy.b_hat}), s.t'),
+        "messages and silence", 'deviates({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
     ),
-    "no way back": robust(
-        "test of a moderate spread",
-        ("return crowd.first if s.accuracy.b_hat != crowd.first else None", "return None"),
-    ),
+    "no way back": robust("test of a moderate spread", "return {crowd.first => None} if s.accuracy"),
     # A crowd that moves
-    "does not see that the crowd moves": robust("moving up", (MOVES, "if False:")),
-    "tests while the crowd moves": robust(
-        "moving up", ("votes >>= 1\n            return None", "votes >>= 1")
-    ),
-    "keeps its gain when the crowd moves": robust("moving up", ("votes >>= 1\n", "votes >>= 0\n")),
-    "sees only a crowd that moves up": robust("moving down", (MOVES, "if crowd.trend >= 7 << 13:")),
-    "a trend of 512 moves": robust(
-        "moving up",
-        (
-            "TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 8, 1 << 7, 0xFF",
-            "TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 9, 1 << 6, 0x7F",
-        ),
-    ),
+    "does not see that the crowd moves": robust("moving up", "if {crowd.is_moving => False}:"),
+    "tests while the crowd moves": robust("moving up", "votes >>= 1\n            {return None => pass}"),
+    "keeps its gain when the crowd moves": robust("moving up", "votes >>= {1 => 0}\n"),
+    "sees only a crowd that moves up": robust("moving down", "not {1 << 13 <= self => self}.trend < 7"),
+    "a trend of 512 moves": robust("moving up", "MAX_TREND = {8, 1 << 7, 0xFF => 9, 1 << 6, 0x7F}"),
     # What it hears
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),

@@ -15,7 +15,6 @@ from benchmarks.cost import report
 from benchmarks.cost.images import AVR, LEVELS, TARGETS, Image, Target, build
 from benchmarks.cost.machines import load
 from benchmarks.cost.measurement import BUILDS, PAPER, ROBUST, Build, Figures, kilobot, measure
-from benchmarks.cost.paths import Paths
 from benchmarks.cost.robots import TESTED, UPDATED
 
 TOLERANCE = 0.02
@@ -185,23 +184,3 @@ def test_instructions_and_cycles_are_those_of_the_manual(name: str, tmp_path: Pa
     target = usable(next(target for target in TARGETS if target.name == name))
     text = "\\n".join((".globl known", ".type known, %function", "known:", *lines))
     assert load(program(target, tmp_path, f'__asm__("{text}\\n");')).call("known")[1:] == expected
-
-
-NOINLINE = "__attribute__((noinline)) static int"
-NO_BOUNDS = {
-    "calls itself|there is a loop": (
-        f"int known(int x); {NOINLINE} other(int x) {{ volatile int y = x; return known(x - 1) * y; }}"
-        "int known(int x) { volatile int y = x; return x < 2 ? 1 : other(x - 1) + y; }"
-    ),
-    "what a pointer leads to": "int known(int (*f)(int)) { return f(1) + f(2); }",
-    "there is a loop": "int known(int x) { volatile int y = 0; while (x-- > 0) y += x; return y; }",
-}
-
-
-@pytest.mark.parametrize("reason", NO_BOUNDS)
-@pytest.mark.parametrize("target", TARGETS[::2], ids=lambda target: target.name)
-def test_what_has_no_bound_is_refused(target: Target, reason: str, tmp_path: Path) -> None:
-    paths = Paths(program(usable(target), tmp_path, NO_BOUNDS[reason]))
-    for bound in (paths.longest, paths.deepest) if reason != "there is a loop" else (paths.longest,):
-        with pytest.raises(ValueError, match=reason):
-            bound("known")

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from c_ref.third import VARIANTS, choices, third_object, third_program
+from mutation.killers import third_object
+from proofs.source import HERE
 from support import CORE, ROOT, TABLE, require, run
 
 PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
@@ -87,11 +88,13 @@ def programs(folder: Path) -> Iterator[Path]:
     for name in BLACK_BOX:
         yield _compiled(folder / name, tests / f"test_{name}.c", *SOURCES, TABLE)
     third = third_object(folder)
-    for variant in VARIANTS:
+    core = CORE, CORE.with_name("mcp_asdf_image.c"), TABLE
+    for variant in HERE:
         for name in WHITE_BOX:
             program = folder / f"{name}_{variant}"
-            yield _compiled(program, tests / f"test_{name}.c", *choices(variant))
-        yield third_program(third, variant, ("clang-19", *FLAGS), folder / f"third_{variant}")
+            yield _compiled(program, tests / f"test_{name}.c", *variant.flags())
+        linked = (*core, third, "-lstdc++", "-lm")
+        yield _compiled(folder / f"third_{variant}", *variant.flags(), *linked)
 
 
 def _compiled(program: Path, *arguments: str | Path) -> Path:
@@ -138,8 +141,7 @@ def test_every_condition_is_tested(tmp_path: Path) -> None:
     found = measured(tmp_path)
     assert {Path(path) for _, path, _ in found.outcomes} == {
         *SOURCES,
-        CORE.with_name("mcp_asdf_arithmetic.h"),
-        CORE.with_name("mcp_asdf_robust.h"),
+        *(CORE.with_name(f"mcp_asdf{part}.h") for part in ("", "_arithmetic", "_robust")),
         *CORE.parent.glob("mcp_asdf_target*.h"),
     }
     assert len(found.outcomes) > 150 and sum(map(len, found.effects.values())) > 70

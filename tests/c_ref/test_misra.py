@@ -9,10 +9,10 @@ import tomllib
 from collections import defaultdict
 from pathlib import Path
 
+from proofs.source import Variant
 from support import CORE, require
 
 RECORD = Path(__file__).with_name("misra.toml")
-NAMES = ("DIVIDE", "SPLIT_MULTIPLY", "SHIFT_BYTES", "HAS_CLZ")
 ON_AN_AVR = ("-D__AVR__", "--platform=avr8", "-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_BYTE(at)=(*(at))")
 TARGETS = {
     "1001": (),
@@ -45,11 +45,10 @@ def findings(target: str, sources: Path, *build: str) -> dict[str, set[str]]:
 
     Beside the sources cppcheck writes files of its own, so these are a copy.
     """
-    choices = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(NAMES, target, strict=True)]
     files = sorted(sources.glob("*.c")) if target in WHOLE else [sources / CORE.name]
     command = ["cppcheck", "--addon=misra", "--std=c99", "--quiet", "--template={file}:{line} {id}"]
     done = subprocess.run(
-        [*command, *HEADERS, *choices, *build, *TARGETS[target], *map(str, files)],
+        [*command, *HEADERS, *Variant(target).flags(), *build, *TARGETS[target], *map(str, files)],
         capture_output=True,
         text=True,
         check=True,

@@ -180,21 +180,19 @@ def check_refused(
     assert caught.value.status == status
 
 
-@of_fixed_point
-def test_damaged_images_and_those_of_another_size_or_make_are_refused(kind: FixedPointType) -> None:
-    """I17"""
-    for robot, other in ((busy_robot(kind), 0x4D435382), (busy_robot(kind, ROBUST), 0x4D435302)):
-        check_damaged(kind, robot, other)
-
-
 def relabelled(image: bytes, magic: int) -> bytes:
     """The image with another first word, and the checksum that belongs to it."""
     words = [magic, *(word for (word,) in struct.iter_unpack("<I", image[4:-4]))]
     return struct.pack("<31I", *words, checksum(words))
 
 
-def check_damaged(kind: FixedPointType, robot: FixedPoint, other: int) -> None:
-    """``other`` begins images of robots with the other kinds of filter."""
+@of_fixed_point
+@pytest.mark.parametrize(("config", "other"), [(BUSY, 0x4D435382), (ROBUST, 0x4D435302)])
+def test_damaged_images_and_those_of_another_size_or_make_are_refused(
+    kind: FixedPointType, config: Config, other: int
+) -> None:
+    """I17; ``other`` begins images of robots with the other kinds of filter."""
+    robot = busy_robot(kind, config)
     image = robot.save()
     flipped = [
         image[: bit // 8] + bytes([image[bit // 8] ^ 1 << bit % 8]) + image[bit // 8 + 1 :]
@@ -247,15 +245,12 @@ IMPOSSIBLE = {
 
 
 @of_fixed_point
+@pytest.mark.parametrize("settings", (BUSY, ROBUST))
 @pytest.mark.parametrize("invariant", IMPOSSIBLE)
-def test_impossible_states_are_refused(kind: FixedPointType, invariant: str) -> None:
-    """With a right checksum, so the invariants themselves must refuse."""
-    for robot in (busy_robot(kind), busy_robot(kind, ROBUST)):
-        check_impossible(kind, replace(robot.config, memory=100), robot.save(), invariant)
-
-
-def check_impossible(kind: FixedPointType, config: Config, image: bytes, invariant: str) -> None:
-    """As far as the image has the fields; with the robust filter it has no count of messages (I8)."""
+def test_impossible_states_are_refused(kind: FixedPointType, invariant: str, settings: Config) -> None:
+    """With a right checksum, so the invariants themselves must refuse; as far as the image has the fields
+    (I8: a count of messages)."""
+    config, image = replace(settings, memory=100), busy_robot(kind, settings).save()
     has = unpack(image).keys()
     for fields in IMPOSSIBLE[invariant]:
         if fields.keys() <= has and (invariant != "I8" or "open_count" in has):

@@ -10,10 +10,9 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 
-from c_ref.third import third_object
 from mutation.c_mutants import Mutant
 from proofs.source import LANES_HEADER, SOURCES, Variant
-from support import ROOT, TABLE
+from support import ROOT, TABLE, require, run
 
 TESTS = ROOT / "tests/c_ref"
 PORTS = ROOT / "c_ref/ports"
@@ -82,7 +81,14 @@ def _third(*flags: str) -> Path:
     """The independent implementation, compiled; it is made once a process for each build."""
     folder = Path(mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return third_object(folder, flags)
+    return third_object(folder, *flags)
+
+
+def third_object(folder: Path, *flags: str) -> Path:
+    """The independent implementation, compiled once for all cores of a build."""
+    made, source = folder / "third.o", ROOT / "tests/third/third.cpp"
+    run(require("g++", "g++"), "-std=c++17", "-O2", f"-I{SOURCES}", *flags, "-c", source, "-o", made)
+    return made
 
 
 def _flags(variant: Variant) -> list[str]:

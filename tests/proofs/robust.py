@@ -284,5 +284,5 @@ def of_the_formed() -> Iterator[Claim]:
 
 
 CONTRACTS = {"vote": VOTE, "reestimate": REESTIMATE}
-OF_THE_CODE = {"deviates": of_deviates, "crowd_b_hat": of_crowd_b_hat}
+OF_THE_CODE = (of_deviates, of_crowd_b_hat)
 OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)

@@ -1,4 +1,5 @@
-"""x and x_bar are exact, and the errors of x_hat, alpha and b_hat have limits: for all inputs."""
+"""x and x_bar are exact, the errors of x_hat, alpha and b_hat have limits, and the robust filter decides as
+exact arithmetic does, but for a margin: for all inputs."""
 
 from __future__ import annotations
 
@@ -7,19 +8,19 @@ from fractions import Fraction
 import pytest
 
 from mcp_asdf_tools.crosscheck import exact
-from proofs import accuracy, sums
+from proofs import accuracy, robust, sums
 from proofs.core import CORE
 from proofs.formulas import BY_LEMMA, RESULTS, Claims
 from proofs.prove import prove_all
 from proofs.source import VARIANTS, program
 
-OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
-OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS)
+OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE, *robust.OF_THE_CODE)
+OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS, *robust.OF_THE_NUMBERS)
 
 
 FORMED = {
     **dict.fromkeys(("estimate", "set_b_hat", "square_of_ratio"), tuple(RESULTS)),
-    **dict.fromkeys(("reestimate", "round_b_hat", "filter", "crowd_b_hat"), tuple(RESULTS)),
+    **dict.fromkeys(("reestimate", "round_b_hat", "filter", "crowd_b_hat", "deviates"), tuple(RESULTS)),
     "mean": ("quotient",),
     "informed_estimate": ("mean", "multiply"),
 }

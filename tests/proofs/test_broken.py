@@ -83,7 +83,7 @@ def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str
     with pytest.raises(UnprovenError):
         if name:
             prove_lemma(code, name, contracts[name], set())
-        of_the_code = (*robust.OF_THE_CODE.values(), *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
+        of_the_code = (*robust.OF_THE_CODE, *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
         for claims in () if name else of_the_code:
             prove_all(claims(code))
 

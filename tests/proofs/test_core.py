@@ -1,5 +1,5 @@
-"""The form of alpha, and that every loop of the firmware ends: for all inputs, any memory contents, every
-variant."""
+"""The form of alpha, a vote of the robust filter, and that every loop of the firmware ends: for all inputs,
+any memory contents, every variant."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import z3
 from pycparser import c_ast
 
+from proofs import robust
 from proofs.core import CONTRACTS, CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
@@ -23,15 +24,16 @@ from proofs.prove import (
     prove_obligations,
 )
 from proofs.source import SOURCES, VARIANTS, Program, nodes, program
+from support import slow
 
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
-@pytest.mark.parametrize("name", CONTRACTS)
+@pytest.mark.parametrize("name", [*CONTRACTS, *(robust.CONTRACTS.keys() - {"vote"}), *slow(["vote"])])
 def test_lemma(name: str) -> None:
     done: set[str] = set()
     for variant in VARIANTS:
-        prove_lemma(program(variant, CORE), name, CONTRACTS[name], done)
+        prove_lemma(program(variant, CORE), name, (CONTRACTS | robust.CONTRACTS)[name], done)
     assert done
 
 

@@ -109,20 +109,6 @@ static void note(int32_t status, bool whole)
 
 /* ---- Calls ---- */
 
-static void observe(uint8_t z)
-{
-    note(mcp_asdf_observe(&robot, (mcp_asdf_observation_t)z), true);
-    ++ticks;
-}
-
-static void step(uint8_t z)
-{
-    note(mcp_asdf_step(&robot, (mcp_asdf_observation_t)z), true);
-    ++ticks;
-}
-
-static void settle(void) { note(mcp_asdf_settle(&robot), true); }
-
 static void receive(void)
 {
     const uint8_t sender = (uint8_t)take(1);
@@ -173,13 +159,15 @@ static bool play_call(void)
 {
     switch (take(1)) {
     case OBSERVE:
-        observe((uint8_t)take(1));
+        note(mcp_asdf_observe(&robot, (mcp_asdf_observation_t)take(1)), true);
+        ++ticks;
         break;
     case STEP:
-        step((uint8_t)take(1));
+        note(mcp_asdf_step(&robot, (mcp_asdf_observation_t)take(1)), true);
+        ++ticks;
         break;
     case SETTLE:
-        settle();
+        note(mcp_asdf_settle(&robot), true);
         break;
     case RECEIVE:
         receive();

@@ -357,16 +357,8 @@ def saved(node: RobotNode) -> bytes:
 def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path, chosen: Filter) -> None:
     text, state = tmp_path / "observations", tmp_path / "state"
     expected = twin(ID, filter_period=10, filter=chosen)
-    options = (
-        *FAST,
-        "--filter-period",
-        10,
-        "--state",
-        state,
-        *FILTERS[chosen].split(),
-        "--observations",
-        text,
-    )
+    options = (*FAST, "--filter-period", 10, *FILTERS[chosen].split())
+    options += ("--state", state, "--observations", text)
     for symbols in ("011", "100", "111"):
         text.write_text(symbols, encoding="ascii")
         node = start(*options)

@@ -439,44 +439,38 @@ class Run
     {
         some_settings(settings);
         mcp_asdf_config_t &config = settings.config;
-        uint32_t word = random.below(settings.table.words[0] - 0x4D435400 + 3);
         if (random.one_in(2)) /* the own kind of filter */
             config.filter = current->config.filter;
-        uint32_t fault = random.below(6);
-        if (MCP_ASDF_WITH_ASDF && (fault == 3 || fault == 4)) /* the only one that has a table */
+        bool is_of_table = random.one_in(3);
+        if (MCP_ASDF_WITH_ASDF && is_of_table) /* the only one that has a table */
             config.filter = MCP_ASDF_ADAPTIVE;
-        switch (fault) {
-        case 0:
-            config.filter_period = random.below(2);
-            break;
-        case 1:
-            config.memory = random.near(random.one_in(2) ? 64 : int64_t(two31), 0xFFFFFFFF);
-            break;
-        case 2:
-            config.filter = static_cast<uint8_t>(random.below(random.one_in(2) ? 6 : 256));
-            break;
-        case 3:
-            config.table = random.one_in(8) ? nullptr : settings.table.words;
-            if (random.one_in(4))
-                settings.table = falling(random.one_in(2) ? 1 : 128);
-            else
-                settings.table.words[word] ^= 1u << random.below(32);
-            break;
-        case 4: {
-            uint32_t q = settings.table.words[0] - 0x4D435400;
-            uint32_t *words = settings.table.words;
-            if (random.one_in(4))
-                words[1] = random.near(random.one_in(2) ? 0 : 3865470566, 0xFFFFFFFF);
-            else if (random.one_in(3))
-                words[q + 1] = random.near(int64_t(1) << 26, 0xFFFFFFFF);
-            else
-                words[word] = random.near(words[word], 0xFFFFFFFF);
-            settings.table.seal(q);
-            break;
+        if (is_of_table) {
+            some_wrong_table(settings);
+            return;
         }
-        default:
-            break;
-        }
+        any_of({
+            [&] { config.filter_period = random.below(2); },
+            [&] { config.memory = random.near(random.one_in(2) ? 64 : int64_t(two31), 0xFFFFFFFF); },
+            [&] { config.filter = static_cast<uint8_t>(random.below(random.one_in(2) ? 6 : 256)); },
+            [] {},
+        });
+    }
+
+    void some_wrong_table(Settings &settings)
+    {
+        uint32_t *words = settings.table.words;
+        uint32_t q = words[0] - 0x4D435400;
+        uint32_t word = random.below(q + 3);
+        settings.config.table = random.one_in(16) ? nullptr : words;
+        any_of({
+            [&] { words[word] ^= 1u << random.below(32); },
+            [&] { settings.table = falling(random.one_in(2) ? 1 : 128); },
+            [&] {
+                words[1] = random.near(random.one_in(2) ? 0 : 3865470566, 0xFFFFFFFF), settings.table.seal(q);
+            },
+            [&] { words[q + 1] = random.near(int64_t(1) << 26, 0xFFFFFFFF), settings.table.seal(q); },
+            [&] { words[word] = random.near(words[word], 0xFFFFFFFF), settings.table.seal(q); },
+        });
     }
 
     /* A new robot; where init fails, the old one stays. */
@@ -551,22 +545,10 @@ class Run
         bool undisturbed = random.one_in(300); /* and so long that votes reach their limit */
         for (uint32_t left = undisturbed ? 40000 : 1 + random.below(400); same && calls < limit_ && left > 0;
              --left) {
-            uint32_t what = undisturbed ? 1000 : random.below(1000);
-            if (what < 10) {
-                note("save");
-                saved();
-            } else if (what < 13) {
-                do_restore("restore", saved());
-            } else if (what < 16) {
-                do_damage();
-            } else if (what < 18) {
-                do_doubtful();
-            } else if (what < 20) {
-                do_move();
-            } else if (what < 22) {
-                do_init(true);
-            } else if (what < 42) {
-                do_age();
+            if (!undisturbed && random.one_in(24)) {
+                any_of({[&] { note("save"), saved(); }, [&] { do_restore("restore", saved()); },
+                        [&] { do_damage(); }, [&] { do_doubtful(); }, [&] { do_move(); },
+                        [&] { do_init(true); }, [&] { do_age(); }, [&] { do_age(); }, [&] { do_age(); }});
             } else if (random.one_in(length)) {
                 do_settle();
             } else if (random.one_in(4)) {

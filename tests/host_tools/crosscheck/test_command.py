@@ -9,7 +9,7 @@ from typing import cast
 
 import pytest
 
-from crosschecks import ROBOT, SEED, BrokenRobot, planted
+from crosschecks import FAULTS, ROBOT, SEED, BrokenRobot, mirror_with
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Observation, Status
@@ -75,7 +75,7 @@ def test_the_command_speaks_to_people(capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_failure_is_printed_with_a_line_that_replays_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    use_mirror(monkeypatch, planted("halving: ties to even"))
+    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
     code, out, _ = main(capsys, "--steps", "30000")
     *_, last = out.splitlines()
     assert code == 1

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from crosschecks import FAULTS, caught, judged, planted
+from crosschecks import FAULTS, caught, judged, mirror_with
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_is_caught(fault: str) -> None:
-    failure = caught(judged(NativeRobot, planted(fault)))
+    failure = caught(judged(NativeRobot, mirror_with(FAULTS[fault])))
     assert failure is not None
     assert judged(NativeRobot, MirrorRobot)(failure.scenario) is None, "it is not the fault that shows"
 
@@ -25,5 +25,5 @@ def test_a_planted_fault_is_caught(fault: str) -> None:
     ],
 )
 def test_what_both_do_wrong_is_caught_by_exact_arithmetic(fault: str) -> None:
-    wrong = planted(fault)
+    wrong = mirror_with(FAULTS[fault])
     assert caught(judged(wrong, wrong)) is not None

@@ -181,15 +181,12 @@ def test_the_robust_filter_is_last_and_green() -> None:
     assert colours == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST, COLOURS[3]]
     assert "omega 0.05" in caption_of(figure)
     assert "omega" not in caption_of(boxes([often, by_filter["none"]]))
-
-    strict = replace(by_filter["asdf-plus"].experiment, omega=0.1)
-    mixed = [*(by_filter | {"asdf-plus": replace(by_filter["asdf-plus"], experiment=strict)}).values()]
-    titles = [axes.get_title().split("\n") for axes in bands(mixed).axes]
-    assert [title[0] for title in titles] == names
-    assert len(titles[0]) == 3 and len(bands(mixed[:1]).axes[0].get_title().split("\n")) == 2
     (axes,) = curve([*by_filter.values()], "flawed", "filter").axes
     assert [line.get_color() for line in axes.lines] == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST]
-    assert len(curve([mixed[0], mixed[1]], "filter").axes[0].lines) == 1
+    strict = replace(by_filter["asdf-plus"].experiment, omega=0.1)
+    mixed = [*(by_filter | {"asdf-plus": replace(by_filter["asdf-plus"], experiment=strict)}).values()]
+    assert [axes.get_title().split("\n")[0] for axes in bands(mixed).axes] == names
+    assert len(curve(mixed[:2], "filter").axes[0].lines) == 1
     with pytest.raises(UsageError, match="the results differ in omega too"):
         curve(mixed, "filter")
 
