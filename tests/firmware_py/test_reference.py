@@ -359,7 +359,7 @@ def test_a_robust_robot_does_what_the_firmware_does() -> None:
         fill = 0.3 if tick < 2500 else 0.8
         said = [0.7 if tick < 300 else min(max(rng.gauss(fill, 0.02), 0), 1) for _ in range(3)]
         z = Observation(rng.random() < 0.9 * fill + 0.1 * (1 - fill))
-        senders = () if tick < 60 else (1, 33) if tick < 120 else (1, 2, 33)  # 33 is 1 modulo 32
+        senders = () if tick < 60 else (1, 33) if tick < 120 else (1, 2, 3)  # 33 is 1 modulo 32
         for sender, x_hat in zip(senders, said, strict=False):
             for robot in (reference, mirror):
                 robot.receive(sender, math.floor(x_hat * 2**23) / 2**23, 0.0 if tick == 5 else 1.0)

@@ -177,7 +177,7 @@ WHATEVER = {
 def test_whatever_the_robust_filter_does_wrongly_is_told() -> None:
     """In either sense, and also that b_hat is re-estimated or is not."""
     audit, reached = Audit(), Counter[str]()
-    for number in range(60):
+    for number in range(35):
         for setup, call, before, after in judged(str(robust_scenario(1, number)), audit):
             way = next(iter(audit.robust), call.name)
             audit.robust.clear()
@@ -190,7 +190,7 @@ def test_whatever_the_robust_filter_does_wrongly_is_told() -> None:
                 wrong.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
             assert all(Audit().judge(setup, call, before, each) for each in wrong), f"{way}: {call}"
             reached[way] += 1
-    assert min(reached[way] for way in WHATEVER) > 10, reached
+    assert min(reached[way] for way in WHATEVER) > 5, reached
 
 
 def test_what_the_robust_filter_does_is_judged_from_the_first_vote_and_tile() -> None:
