@@ -283,12 +283,14 @@ ALWAYS_INLINE bool table_valid(const uint32_t *table) { return (void)table, true
 
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
-    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, robot->x_hat) : round_x(robot, robot->x_hat, robot->alpha);
+    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, robot->x_hat)
+                                             : round_x(robot, robot->x_hat, robot->alpha);
 }
 
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 {
-    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, MCP_ASDF_HALF) : round_x(robot, MCP_ASDF_HALF, 0);
+    return mcp_asdf_is_robust(robot->config) ? crowd_x(robot, MCP_ASDF_HALF)
+                                             : round_x(robot, MCP_ASDF_HALF, 0);
 }
 
 /* ---- Receive ---- */

@@ -214,7 +214,7 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* The crowd in place of the rounds. What is left of their words is 0: with more behind it, no robot has it. */
+/* The crowd in place of the rounds. What is left of their words is 0: no robot has a crowd with more. */
 static void pass_crowd(image_t *image, mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
