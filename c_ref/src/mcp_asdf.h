@@ -271,11 +271,9 @@ static inline uint32_t mcp_asdf_b_hat(const mcp_asdf_t *robot) { return robot->a
 static inline uint32_t mcp_asdf_x_hat(const mcp_asdf_t *robot) { return robot->x_hat; }
 static inline uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot) { return robot->alpha; }
 
-/* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62; 0 with the robust filter. */
 #if MCP_ASDF_WITH_ASDF
+/* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62; 0 with the robust filter. */
 static inline uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return robot->closed.alpha; }
-#else
-static inline uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return (void)robot, 0; }
 #endif
 
 #if MCP_ASDF_WITH_ROBUST

@@ -132,7 +132,9 @@ class Run
         expect("alpha", model.local.alpha, mcp_asdf_alpha(&c));
         expect("x", model.x(), mcp_asdf_x(&c));
         expect("x_bar", model.x_bar(), mcp_asdf_x_bar(&c));
+#if MCP_ASDF_WITH_ASDF
         expect("beta", model.beta(), mcp_asdf_beta(&c));
+#endif
 #if MCP_ASDF_WITH_ROBUST
         const Crowd &page_crowd = model.crowd;
         mcp_asdf_crowd_t crowd = mcp_asdf_crowd(&c);

@@ -299,7 +299,9 @@ static void print_robot(const mcp_asdf_t *robot)
     NUMBER("x_hat", mcp_asdf_x_hat(robot));
     NUMBER("alpha", mcp_asdf_alpha(robot));
     NUMBER("x_bar", mcp_asdf_x_bar(robot));
+#if MCP_ASDF_WITH_ASDF
     NUMBER("beta", mcp_asdf_beta(robot));
+#endif
     NUMBER("x", mcp_asdf_x(robot));
     NUMBER("accepted", counters.accepted);
     NUMBER("repeated", counters.repeated);
