@@ -19,7 +19,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import paper_limits, score
-from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, interval, summarized
+from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, averaged, interval, summarized
 from mcp_asdf_tools.reproduction.study import Scale
 
 GRID, BEYOND = "robust_grid", "robust_beyond"
@@ -82,11 +82,12 @@ def measures_of(trials: Trials, special: Special = PLAIN) -> dict[str, Sample]:
     }
 
 
-def mean_of_medians(samples: Sequence[Sample]) -> Estimate:
-    """The mean of the samples' medians; their trials are drawn alike, as they saw the same worlds."""
+def mean_of_medians(samples: Sequence[Sample], is_rare: bool = False) -> Estimate:
+    """The mean of the samples' medians, or of their means where medians would be 0 as it ``is_rare``; their
+    trials are drawn alike, as they saw the same worlds."""
     if any(np.isnan(each).any() for each in samples):
         return Estimate(np.nan, np.nan, np.nan)
-    each = [summarized(sample, MEDIAN) for sample in samples]
+    each = [averaged(sample) if is_rare else summarized(sample, MEDIAN) for sample in samples]
     value = float(np.mean([one.value for one in each]))
     return interval(value, np.mean([one.again for one in each], axis=0), CONFIDENCE)
 
@@ -133,10 +134,9 @@ def table_of(
     entries = {}
     for place, own in cells.items():
         measured = [measures_of(trials, special) for trials in own]
-        estimates = {name: mean_of_medians([one[name] for one in measured]) for name in measured[0]}
-        if not np.isnan(estimates["harmed"].value):  # rare: the mean over all trials, as medians would be 0
-            harmed = float(np.mean([one["harmed"].mean() for one in measured]))
-            estimates["harmed"] = Estimate(harmed, harmed, harmed)
+        estimates = {
+            name: mean_of_medians([one[name] for one in measured], name == "harmed") for name in measured[0]
+        }
         entries[place] = Entry(min(len(trials.numbers) for trials in own), estimates)
     return Table(title, entries)
 
@@ -174,15 +174,24 @@ WHOLE = "H, error of the last quarter, e, healthy robots harmed"
 
 def whole(entry: Entry) -> str:
     """What WHOLE says."""
-    values = {name: estimate.value for name, estimate in entry.measures.items()}
-    harmed = "" if np.isnan(values["harmed"]) else f", {100 * values['harmed']:.1f} %"
-    return f"{values['H']:.1f}, {error(values['late'])}, {error(values['e'])}{harmed}"
+    h, harmed = entry.measures["H"], entry.measures["harmed"]
+    words = [with_interval(h, "{:.1f}".format, 0.5), late(entry), error(entry.measures["e"].value)]
+    if not np.isnan(harmed.value):
+        words.append(with_interval(harmed, lambda share: f"{100 * share:.1f} %", 0.01))
+    return ", ".join(words)
 
 
 def late(entry: Entry) -> str:
-    """The late error with its interval."""
-    value, low, high = (error(each) for each in entry.measures["late"])
-    return f"{value} ({low}-{high})"
+    """The error of the last quarter."""
+    own = entry.measures["late"]
+    return with_interval(own, error, own.value / 10)
+
+
+def with_interval(estimate: Estimate, shown: Callable[[float], str], near: float) -> str:
+    """A number, and its interval where that reaches farther than ``near`` from it."""
+    value, low, high = (shown(each) for each in estimate)
+    is_near = max(estimate.high - estimate.value, estimate.value - estimate.low) <= near
+    return value if is_near or low == high else f"{value} ({low}..{high})"
 
 
 def error(value: float) -> str:
@@ -190,12 +199,18 @@ def error(value: float) -> str:
     return f"{value:.4f}" if value < 0.01 else f"{value:.3f}"
 
 
+INTERVALS = (
+    "Medians over trials. A 95 % interval stands in brackets where it reaches farther than 0.5 from H, a "
+    "tenth from an error, or 1 % from a share of robots."
+)
+
+
 def report_of(tables: Mapping[str, Table]) -> str:
     """Both tables in Markdown."""
     grid, beyond = tables[GRID], tables[BEYOND]
     return (
-        f"# The robust filter\n\n## {grid.title}\n\n{grid.lines(whole, WHOLE)}\n\n"
-        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter (95 % interval)')}\n"
+        f"# The robust filter\n\n{INTERVALS}\n\n## {grid.title}\n\n{grid.lines(whole, WHOLE)}\n\n"
+        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter')}\n"
     )
 
 

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import robust_page
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction import robust
+from mcp_asdf_tools.reproduction.resampling import Estimate
 from mcp_asdf_tools.reproduction.study import Scale
 from support import ROOT, run
 
@@ -60,6 +62,16 @@ def test_a_mean_of_medians_lies_in_its_interval_and_needs_all_its_cells() -> Non
     estimate = robust.mean_of_medians([np.arange(9.0), np.arange(100.0, 109.0)])
     assert estimate.value == 54 and 50 < estimate.low < 54 < estimate.high < 58
     assert np.isnan(robust.mean_of_medians([np.arange(9.0), np.full(9, np.nan)]).value)
+    rare = robust.mean_of_medians([np.eye(20)[0], np.zeros(20)], is_rare=True)
+    assert rare == pytest.approx((1 / 40, 0, 3 / 40))  # resamples have the one up to 3 times
+
+
+def test_intervals_are_shown_where_they_are_wide() -> None:
+    estimate = Estimate(0.02, 0.018, 0.0235)
+    assert robust.with_interval(estimate, robust.error, 0.004) == "0.020"
+    assert robust.with_interval(estimate, robust.error, 0.003) == "0.020 (0.018..0.024)"
+    measures = dict.fromkeys(("H", "late", "e", "harmed"), estimate)
+    assert robust.whole(robust.Entry(2, measures)) == "0.0, 0.020 (0.018..0.024), 0.020, 2.0 %"
 
 
 def test_the_command_runs_both_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,7 +105,7 @@ def test_the_page_has_what_the_grid_gives(share: str) -> None:
         own = [c for c in cells if c.filter == name and 100 * c.flawed == int(share[:2]) * c.robots]
         results = [run_trials(Experiment(**each.parameters() | {"seed": 5}), 0, 3, 1000) for each in own]
         (entry,) = robust.table_of("", results, robust.grid_row).entries.values()
-        h, late = (float(value) for value in row[1].split("|")[column].split(", ")[:2])
+        h, late = (float(value.split()[0]) for value in row[1].split("|")[column].split(", ")[:2])
         assert entry.measures["H"].value == pytest.approx(h, abs=5)
         assert entry.measures["late"].value == pytest.approx(late, rel=0.5)
 
@@ -121,13 +133,27 @@ def test_peers_and_worlds_do_what_they_are_for() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("peers")
 def test_the_commands_of_the_page_find_the_peers(tmp_path: Path) -> None:
     small = (
         (PEERS / "peers.toml").read_text().replace("steps = 20_000", "steps = 1000").replace("40_000", "1000")
     )
-    (tmp_path / "peers.toml").write_text(re.sub(r"trials = \d", "trials = 1", small))
+    (tmp_path / "peers.toml").write_text(re.sub(r"trials = \d+", "trials = 1", small))
     output = run(
         "mcp-asdf", "sweep", "peers.toml", "--record", "500", "--json", cwd=tmp_path, PYTHONPATH=str(PEERS)
     )
     chosen = {each["parameters"]["firmware"] for each in json.loads(output)["experiments"]}
     assert len(chosen) == 9
+    peers = experiments_in(read_table(tmp_path / "peers.parquet"))
+    cells = [each for each in read_experiments(STUDIES / "robust_grid.toml") if each.is_dynamic]
+    shorter = [Experiment(**each.parameters() | {"steps": 1000}) for each in cells]
+    found = {
+        robust.GRID: [run_trials(each, 0, 2, 100) for each in shorter],
+        robust.BEYOND: [],
+        "peers": peers,
+    }
+    for panel in robust_page.picture_of(found).axes:
+        finals = [np.asarray(line.get_ydata(), float)[-1] for line in panel.lines]
+        assert len(finals) == 4 and all(0 < each < 0.8 for each in finals)
+    rows = {name: table.count("\n") for name, table in robust_page.tables_of(found).items()}
+    assert rows == {"grid": 6, "beyond": 1, "peers": 4, "worlds": 9}
