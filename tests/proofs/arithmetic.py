@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import z3
 
-from proofs.machine import Machine, Summary
+from proofs.machine import Machine
 from proofs.numbers import Integers, Type, known
 from proofs.prove import Contract
 from proofs.source import BITS, HARDWARE, LANES, TABLE, Variant
@@ -56,19 +56,22 @@ def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
     return z3.Concat(found["high"], found["low"]) == _wide(value) << _wide(count & 31)
 
 
-def _shift(shifted: Callable[[Any, Any], Any]) -> Contract:
-    """A shift by a count of 0 to 31, and what it gives."""
+SHIFTED: dict[str, Callable[..., Any]] = {
+    "shift_left_by": lambda value, count: value << _wide(count, 32),
+    "shift_right_by": lambda value, count: z3.LShR(value, _wide(count, 32)),
+    "shift_left": lambda value, count: value << count,
+    "shift_right": z3.LShR,
+    "upper": lambda value, count: _word(63, value << _wide(count)),
+}
+"""What shifts by a count of 0 to 31 give."""
+
+
+def _shifts(shifted: Callable[..., Any]) -> Contract:
     return Contract(lambda found, value, count: found == shifted(value, count), requires=_counts)
 
 
-SHIFTS = {
-    "shift_left_by": _shift(lambda value, count: value << _wide(count, 32)),
-    "shift_right_by": _shift(lambda value, count: z3.LShR(value, _wide(count, 32))),
-    "shift_left": _shift(lambda value, count: value << count),
-    "shift_right": _shift(z3.LShR),
-    "shift_left_wide": Contract(_is_shifted_wide),
-    "upper": _shift(lambda value, count: _word(63, value << _wide(count))),
-}
+SHIFTS = {name: _shifts(shifted) for name, shifted in SHIFTED.items()}
+SHIFTS["shift_left_wide"] = Contract(_is_shifted_wide)
 
 
 def are_leading_zeros(found: Any, value: Any) -> Any:
@@ -180,7 +183,6 @@ def _estimate(divide: int) -> Contract:
 
 def _digit(divide: int, least: int) -> Contract:
     """A digit is never too large and less than 2 too small, so the rest stays below 2 d."""
-    estimate = _estimate(divide)
     return Contract(
         lambda digit, after, rest, d, prepared, bits: z3.And(
             digit >= 0, digit * d + after == rest * 2 ** known(bits), after >= 0, after < 2 * d
@@ -194,7 +196,7 @@ def _digit(divide: int, least: int) -> Contract:
             lambda digit, after, rest, d, prepared, bits: rest * 2 ** known(bits) < digit * d + 2 * d,
         ),
         cases=("bits", (7, 12)),
-        uses={"estimate_digit": estimate.stands_in("estimate_digit")},
+        uses=("estimate_digit",),
     )
 
 
@@ -202,16 +204,15 @@ def _by_digits(divide: int) -> dict[str, Contract]:
     least = 2**29 if divide == HARDWARE else PREPARED[divide][0]
     prepare = Contract(_is_prepared(divide), Integers, requires=lambda d: z3.And(least <= d, d <= 2**31))
     digit = _digit(divide, least)
-    uses = {"prepare": prepare.stands_in("prepare"), "take_digit": digit.stands_in("take_digit")}
     return {
         "prepare": prepare,
         "estimate_digit": _estimate(divide),
         "take_digit": digit,
-        **_quotients(uses),
+        **_quotients("prepare", "take_digit"),
     }
 
 
-def _quotients(uses: dict[str, Summary]) -> dict[str, Contract]:
+def _quotients(*uses: str) -> dict[str, Contract]:
     """The callers of digits or bits."""
 
     def quotient_of(bits: int) -> Callable[..., Any]:
@@ -231,8 +232,7 @@ def _by_bits() -> dict[str, Contract]:
         cases=("bits", (24, 31)),
         invariant=lambda: Remainder().after_turn,
     )
-    uses = {"divide_by_bits": one_by_one.stands_in("divide_by_bits")}
-    return {"divide_by_bits": one_by_one, **_quotients(uses)}
+    return {"divide_by_bits": one_by_one, **_quotients("divide_by_bits")}
 
 
 def normalised(value: Any) -> tuple[Any, Any]:
@@ -257,31 +257,44 @@ def _upper_bits(found: Any, a: Any, d: Any) -> Any:
     return z3.And(found["high"] == _word(63, a << shift), found["low"] == half)
 
 
-RATIO = Contract(
-    _upper_bits,
-    requires=lambda a, d: z3.And(d != 0, z3.ULE(a, d)),
-    steps=(_no_bit_is_lost,),
-    uses={
-        "leading_zeros": WORDS["leading_zeros"].stands_in("leading_zeros"),
-        "upper": SHIFTS["upper"].stands_in("upper"),
-    },
-)
+def ratio_requires(a: Any, d: Any) -> Any:
+    """Of whole numbers, and of words wide enough to be like them."""
+    return z3.And(d > 0, a <= d)
 
 
-def is_ratio(upper_a: Any, half_d: Any, a: Any, d: Any, scale: Any) -> Any:
-    """The same in whole numbers, ``scale`` being the power of two that the shift multiplies by."""
+def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
+    """What ratio() gives of a and d times a power of two: likewise."""
     return z3.And(
-        *(scale >= 1, a * scale < 2**64, d * scale >= 2**63, d * scale < 2**64),
-        *(2**32 * upper_a <= a * scale, a * scale < 2**32 * (upper_a + 1)),
-        *(2**33 * (half_d - 1) <= d * scale, d * scale < 2**33 * half_d),
+        *(long_a < 2**64, long_d >= 2**63, long_d < 2**64),
+        *(2**32 * upper_a <= long_a, long_a < 2**32 * (upper_a + 1)),
+        *(2**33 * (half_d - 1) <= long_d, long_d < 2**33 * half_d),
     )
+
+
+def _whole(word: Any) -> Any:
+    """The word with so many bits that nothing in these formulas wraps, nor in a shift by 63."""
+    return _wide(word, 128)
+
+
+def _is_ratio_of_words(found: Any, a: Any, d: Any) -> Any:
+    shift = _whole(normalised(d)[1])
+    return is_ratio(_whole(found["high"]), _whole(found["low"]), _whole(a) << shift, _whole(d) << shift)
+
+
+RATIO = Contract(
+    _is_ratio_of_words,
+    requires=lambda a, d: ratio_requires(_whole(a), _whole(d)),
+    steps=(_no_bit_is_lost, _upper_bits),
+    uses=("leading_zeros", "upper"),
+)
 
 
 def _ratio_in_integers(machine: Machine, a: Any, d: Any) -> Any:
     """ratio() for quotient()."""
-    machine.claim(z3.And(d.term > 0, a.term <= d.term), "what ratio requires")
+    machine.claim(ratio_requires(a.term, d.term), "what ratio requires")
     upper_a, half_d, scale = (machine.unknown("ratio", Type(bits)) for bits in (32, 32, 64))
-    machine.know(is_ratio(upper_a.term, half_d.term, a.term, d.term, scale.term))
+    long_a, long_d = a.term * scale.term, d.term * scale.term
+    machine.know(z3.And(scale.term >= 1, is_ratio(upper_a.term, half_d.term, long_a, long_d)))
     return {"high": upper_a, "low": half_d}
 
 
@@ -290,22 +303,26 @@ def quotient_ensures(found: Any, a: Any, d: Any) -> Any:
     return z3.And(found * d <= 2**32 * a, 2**32 * a <= (found + 7) * d, found < 2**32)
 
 
+QUOTIENT = Contract(
+    quotient_ensures,
+    Integers,
+    requires=ratio_requires,
+    uses=("divide_31",),
+    instead={"ratio": _ratio_in_integers},
+)
+
+
 def is_tried(variant: Variant, name: str) -> bool:
     """True if every argument is tried instead of a proof."""
     return name == "prepare" and variant.divide in PREPARED
 
 
+@cache
+def _contracts(divide: int) -> dict[str, Contract]:
+    quotients = _by_bits() if divide == BITS else _by_digits(divide)
+    return {**WORDS, **SHIFTS, **PRODUCTS, **quotients, "ratio": RATIO, "quotient": QUOTIENT}
+
+
 def contracts(variant: Variant) -> dict[str, Contract]:
     """All of them, for one variant of the header."""
-    quotients = _by_bits() if variant.divide == BITS else _by_digits(variant.divide)
-    uses: dict[str, Summary] = {
-        "ratio": _ratio_in_integers,
-        "divide_31": quotients["divide_31"].stands_in("divide_31"),
-    }
-    quotient = Contract(
-        quotient_ensures,
-        Integers,
-        requires=lambda a, d: z3.And(d > 0, a <= d),
-        uses=uses,
-    )
-    return {**WORDS, **SHIFTS, **PRODUCTS, **quotients, "ratio": RATIO, "quotient": quotient}
+    return _contracts(variant.divide)

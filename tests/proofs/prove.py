@@ -12,9 +12,9 @@ from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Integers, Number, Words
 from proofs.source import Program
 
-EFFORTS = (1, 8, 64)
-"""Millions of the solver's steps for one query, in one attempt after the other. With ten seeds none needed
-more than 5: the last attempt gives twelve times as many."""
+EFFORTS = (10**6, 8 * 10**6, 64 * 10**6)
+"""The solver's steps for one query, in one attempt after the other. With ten seeds none needed more than 5
+million: the last attempt gives twelve times as many."""
 SOLVERS = (z3.SimpleSolver, z3.Solver)
 """For each attempt: whole numbers are the first one's within moments, long words the second one's."""
 Formula = Callable[..., Any]
@@ -33,16 +33,21 @@ def prove(claim: Any, *known: Any, about: str = "") -> None:
         raise UnprovenError(f"{about}: not settled, {solver.reason_unknown()}")
 
 
+def _text(formulas: Iterable[Any]) -> str:
+    """What the solver reads: the formulas, and of which sort each name in them is."""
+    query = z3.Solver()
+    query.add(*formulas)
+    return str(query.sexpr())
+
+
 def _answer(*formulas: Any) -> tuple[Any, Any]:
     """Whether all of them can hold, and the solver that knows. Each attempt has a context of its own and
     counts steps, not time, so the answer depends on the formulas' text alone: on no query before, no load."""
-    query = z3.Solver()
-    query.add(*formulas)
-    text = query.sexpr()
-    for seed, millions in enumerate(EFFORTS):
+    text = _text(formulas)
+    for seed, steps in enumerate(EFFORTS):
         for make in SOLVERS:
             solver = make(ctx=z3.Context())
-            solver.set(random_seed=seed, rlimit=millions * 10**6)
+            solver.set(random_seed=seed, rlimit=steps)
             solver.from_string(text)
             answer = solver.check()
             if answer != z3.unknown:
@@ -60,12 +65,13 @@ def prove_all(claims: Iterable[tuple[str, Any, list[Any]]]) -> None:
     """Each claim, by name, from what is known of it."""
     possible = set[str]()
     for about, claim, known in claims:
-        text = str(sorted(each.sexpr() for each in known))
+        text = _text(known)
         if text not in possible:
             require_possible(known, about)
         possible.add(text)
         prove(claim, *known, about=about)
-    assert possible
+    if not possible:
+        raise UnprovenError("nothing is claimed")
 
 
 def terms(value: Any) -> Any:
@@ -79,7 +85,7 @@ def always(*_: Any) -> Any:
     return z3.BoolVal(True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contract:
     """The promises of a function; formulas take the terms of its arguments.
 
@@ -89,7 +95,8 @@ class Contract:
         arithmetic: In which integers this is shown.
         requires: What a caller owes for it.
         cases: The values of a parameter that is a constant wherever the function is called.
-        uses: What stands for called functions in the proof of ``ensures``.
+        uses: Called functions that are known by their lemmas in the proof of ``ensures``.
+        instead: What stands for other called functions there.
         steps: What leads to ``ensures``, each proved with what was proved before.
         invariant: Makes what is called after each turn of its loops, for one run: it claims what the turn
             left, and lets nothing else be known of that.
@@ -98,8 +105,9 @@ class Contract:
     ensures: Formula
     arithmetic: type[Words | Integers] = Words
     requires: Formula = always
-    cases: tuple[str, Iterable[int]] = ("", (0,))
-    uses: Mapping[str, Summary] = field(default_factory=dict)
+    cases: tuple[str, tuple[int, ...]] = ("", (0,))
+    uses: tuple[str, ...] = ()
+    instead: Mapping[str, Summary] = field(default_factory=dict)
     steps: tuple[Formula, ...] = ()
     invariant: Callable[[], Callable[[Machine], None]] | None = None
 
@@ -116,11 +124,19 @@ class Contract:
         return summary
 
 
-def prove_contract(program: Program, name: str, contract: Contract) -> None:
+Contracts = Mapping[str, Contract]
+"""Those of a program's functions, by name: each is proved, and what one takes from another is in here."""
+
+
+def prove_contract(program: Program, name: str, contracts: Contracts) -> None:
     """That the function keeps its contract, and what its code relies on."""
+    contract = contracts[name]
+    lemmas = {each: contracts[each].stands_in(each) for each in contract.uses}
     constant, values = contract.cases
+    if not values:
+        raise UnprovenError(f"{name}: there is no case")
     for value in values:
-        machine = Machine(program, contract.arithmetic, contract.uses)
+        machine = Machine(program, contract.arithmetic, {**lemmas, **contract.instead})
         machine.after_turn = contract.invariant() if contract.invariant else None
         before, results = _run(machine, name, contract.requires, {constant: value})
         prove_obligations(machine, name)
@@ -132,12 +148,15 @@ def prove_contract(program: Program, name: str, contract: Contract) -> None:
             shown.append(formula)
 
 
-def prove_lemma(program: Program, name: str, contract: Contract, done: set[str]) -> None:
-    """That the function keeps its contract, unless the same text is among those done."""
-    text = program.text(name, contract.uses)
-    if text not in done:
-        prove_contract(program, name, contract)
-    done.add(text)
+def prove_lemma(program: Program, name: str, contracts: Contracts, done: set[Any]) -> None:
+    """That the function keeps its contract, unless the same contract of the same text, with the same lemmas,
+    is among those done."""
+    contract = contracts[name]
+    text = program.text(name, {*contract.uses, *contract.instead})
+    key = (text, contract, *(contracts[each] for each in contract.uses))
+    if key not in done:
+        prove_contract(program, name, contracts)
+    done.add(key)
 
 
 def any_result(name: str) -> Summary:

@@ -13,7 +13,7 @@ from typing import Any, cast
 import z3
 
 from mcp_asdf_tools.crosscheck import exact
-from proofs.arithmetic import WORDS, are_leading_zeros
+from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros
 from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, same
 from proofs.machine import Machine
@@ -56,7 +56,7 @@ def _shifted(machine: Machine, value: Number, count: Number) -> Number:
         prove(count.term == shift + 1, *machine.facts, about="shift")
         shift += 1
     machine.claim(z3.ULE(shift, 13), "a shift by at most 13")
-    return Number(z3.LShR(value.term, shift), value.type)
+    return Number(SHIFTED["shift_right"](value.term, shift), value.type)
 
 
 def in_range(crowd: dict[str, Any]) -> Any:
@@ -113,7 +113,7 @@ VOTE = Contract(
     _stays_in_range,
     requires=_may_vote,
     steps=tuple(partial(lambda part, *of: _voted(*of)[part], part) for part in range(6)),
-    uses={"leading_zeros": _zeros, "shift_right": _shifted},
+    instead={"leading_zeros": _zeros, "shift_right": _shifted},
 )
 
 # --- The test ----------------------------------------------------------------------------------------------
@@ -170,7 +170,7 @@ def _is_b_hat(found: Any) -> Any:
 
 REESTIMATE = Contract(
     lambda found, *_: _is_b_hat(found),
-    uses={name: any_result(name) for name in ("multiply", "join", "quotient")},
+    instead={name: any_result(name) for name in ("multiply", "join", "quotient")},
 )
 
 
