@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
-from support import PAGES, ROOT, blocks, require, run
+from support import PAGES, ROOT, TABLE, blocks, require, run
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
@@ -24,6 +24,9 @@ SHOWN = (
     "PASS scenarios",
     "call 0 status",
     "tick  50: share of black",
+    "tick 1000: robot 2",
+    "share of black 0.685",
+    "6 flawed, none:",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
@@ -40,6 +43,7 @@ NOT_RUN = {
     "^make ": "sets up or tests everything",
     r"can0\b|modprobe": "wants a CAN interface or root; tests/socketcan has both in a guest",
     "udp_multicast": "wants two terminals; test_remote_robot.py and test_verification.py in tests/host_tools",
+    r"robot\.c|\./robot": "test_the_c_program_of_the_readme_runs",
     "golden_vectors": "writes the project's own files; tests/targets/test_targets.py",
     "can_logconvert|tshark": "tests/host_tools/recording/test_recording.py",
     r"--slcan|:2000\d": "waits for a program; tests/host_tools/bus/test_yakut.py and tests/targets have some",
@@ -188,40 +192,58 @@ def test_links_of_the_readme_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
+def shown(page: Path, beginning: str) -> str:
+    """The page's block of text that begins so."""
+    (text,) = [block for block in blocks(page, "text") if block.startswith(beginning)]
+    return text
+
+
 @pytest.mark.parametrize("source", ["copied", "written"])
 def test_the_c_program_of_the_readme_runs(source: str, tmp_path: Path) -> None:
-    """With the core and a table copied by hand, and as the command of the README writes them."""
-    (code,) = blocks(ROOT / "README.md", "c")
-    (tmp_path / "cli.c").write_text(code)
-    core, tables = ROOT / "c_ref/src", ROOT / "tables"
-    if source == "written":
-        text = (ROOT / "README.md").read_text(encoding="utf-8")
-        (arguments,) = re.findall(r"`mcp-asdf (firmware [^`]*)`", text)
-        run("mcp-asdf", *arguments.split(), cwd=tmp_path)
-        core = tables = tmp_path / arguments.split()[1]
-    sources = [tmp_path / "cli.c", core / "mcp_asdf.c", tables / "t_table_omega05_q30.c"]
-    compiler = shutil.which("cc") or "gcc"
-    flags = ["-std=c99", "-pedantic-errors", "-Wall", "-Wextra", "-Werror", "-I", str(core)]
-    subprocess.run([compiler, *flags, *map(str, sources), "-o", str(tmp_path / "robot")], check=True)
-    shown = subprocess.run([tmp_path / "robot"], capture_output=True, text=True, check=True).stdout
-    assert shown == "fill ratio 0.685\n"  # (2/3 + 0.95 - 1) / (2 0.95 - 1) = 0.6852
+    """In an empty folder, by the commands that the README prints, and with files copied by hand."""
+    readme, flags = ROOT / "README.md", "-pedantic-errors -Wall -Wextra -Werror"
+    (code,) = blocks(readme, "c")
+    (tmp_path / "robot.c").write_text(code)
+    (commands,) = [block for block in blocks(readme, "sh") if "robot.c" in block]
+    write, build, start = commands.splitlines()
+    if source == "copied":
+        shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
+        shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
+        write, build = ":", build.replace("-std=c99", f"-std=c99 {flags}")
+    printed = run("sh", "-ec", f"{write} >/dev/null\n{build}\n{start}", cwd=tmp_path)
+    assert printed == shown(readme, "share of black")
+    x = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
+    assert f"{x:.3f}" in printed
 
 
-@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
+        for page in PAGES[1:]
+    ],
+)
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
     """One after the other in one process, which loads libraries once, but each in a module of its own."""
     programs = blocks(page, "python")
     script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
     if programs:
-        run(sys.executable, "-c", script, cwd=tmp_path)
+        printed = run(sys.executable, "-c", script, cwd=tmp_path)
+        assert page.name != "experiments.md" or printed.endswith(shown(page, "6 flawed"))
 
 
 def test_the_python_program_of_the_readme_runs() -> None:
     (code,) = blocks(ROOT / "README.md", "python")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    names, values = zip(
-        *((line.split()[0], line.split()[1:]) for line in done.stdout.splitlines()), strict=True
-    )
-    assert names == ("NativeRobot", "MirrorRobot", "ReferenceRobot")
-    assert values[0] == values[1]
-    assert [float(v) for v in values[0]] == pytest.approx([float(v) for v in values[2]], abs=2e-6)
+    assert run(sys.executable, "-c", code) == shown(ROOT / "README.md", "tick 1000")
+
+
+def test_the_readme_says_how_much_it_helps_as_the_page_does() -> None:
+    """The page's figures are those of its program; the README rounds them no further."""
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    lines = shown(ROOT / "docs/experiments.md", "6 flawed").splitlines()
+    (none, minus, robust, _, half_minus, half_robust) = [re.findall(r"\d+\.\d*", line) for line in lines]
+    for low, middle, high, *_ in (none, minus, robust):
+        assert f"{middle} ({low} to {high})" in readme
+    low, middle, high = half_minus[3:]
+    assert f"{middle} times smaller (quartiles {low} to {high})" in readme
+    assert f"{half_robust[3]} and {half_robust[5]}" in readme

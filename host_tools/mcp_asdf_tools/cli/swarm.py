@@ -212,5 +212,6 @@ def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: floa
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
         print_again(args, seed=outcome.settings.seed)
     if "compared" in report:
-        sentence = comparison({outcome.settings.filter: report["results"], **report["compared"]})
+        settings, own = outcome.settings, report["results"]
+        sentence = comparison({settings.filter: own, **report["compared"]}, settings)
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

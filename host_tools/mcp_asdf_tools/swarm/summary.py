@@ -10,6 +10,7 @@ from rich.text import Text
 
 from mcp_asdf_tools.bus.load import LIMIT
 from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
 
 Rows = Sequence[tuple[str, str]]
@@ -63,8 +64,9 @@ def one_line(run: SwarmRun) -> str:
     )
 
 
-def comparison(by_filter: dict[Filtering, dict[str, Any]]) -> str:
-    """The difference that filters made on the same seed, from their results, in two sentences."""
+def comparison(by_filter: dict[Filtering, dict[str, Any]], settings: SwarmSettings) -> str:
+    """The difference that filters made on the same seed, from their results, in two sentences; a third if the
+    swarm is one that needs none."""
     found = sorted(by_filter.items(), key=lambda each: get_args(Filtering).index(each[0]))
     errors = ", ".join(f"{FILTER_NAMES[each]} {results['mean_error']:.3f}" for each, results in found)
     said = f"Mean error on the same seed: {errors}."
@@ -73,7 +75,14 @@ def comparison(by_filter: dict[Filtering, dict[str, Any]]) -> str:
         return said
     before = f"{changes[0][1]['before']:.2f}"
     after = ", ".join(f"{FILTER_NAMES[each]} {change['after']:.2f}" for each, change in changes)
-    return f"{said} The flawed robots took their sensors for {before} accurate, now: {after}."
+    said += f" The flawed robots took their sensors for {before} accurate, now: {after}."
+    is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
+    if settings.topology == "fully-connected" and is_underconfident:
+        said += (
+            " This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
+            "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
+        )
+    return said
 
 
 def load_warning(results: dict[str, Any]) -> str | None:
