@@ -139,10 +139,11 @@ def test_lanes_equal_the_firmware_in_random_experiments() -> None:
 
 
 class Mixed(Experiment):
-    """Robots of which each second one has the robust filter."""
+    """Every third robot has no filter, the next one the robust filter, the next one the paper's."""
 
     def config(self, robot: int) -> Config:
-        return replace(super().config(robot), filter=Filter.ROBUST if robot % 2 else Filter.OFF)
+        filters = (Filter.OFF, Filter.ROBUST, Filter.ADAPTIVE)
+        return replace(super().config(robot), filter=filters[robot % 3])
 
 
 MIXED = Mixed(**SHORT.parameters())
