@@ -1,6 +1,6 @@
 /* White box: what the independent implementation (tests/third) cannot see of the arithmetic, since a later
- * step corrects it or only damaged memory asks for it. Everything else about it is proved for all arguments
- * (tests/proofs) and compared there. */
+ * step corrects it, only damaged memory asks for it, or few arguments do. Everything else about it is proved
+ * for all arguments (tests/proofs) and compared there. */
 #include "white_box.h"
 
 static void shifts_by_any_count(void)
@@ -62,11 +62,29 @@ static void reciprocals_are_pinned(void)
 #endif
 }
 
+/* upper(N, D) of docs/design.md, section 8, for divisors of every length, where the dividend is the divisor,
+ * 1 less, or next to nothing. */
+static void quotients_at_their_ends(void)
+{
+    for (uint32_t i = 0; i < 64 * 64; ++i) {
+        const uint32_t highest = i % 64, widen = highest < 32 ? 32 : 0, s = highest + widen - 31;
+        const uint64_t power = UINT64_C(1) << highest, random = check_random_word();
+        const uint64_t rest = i < 64 ? 0 : i < 128 ? UINT64_MAX : random << 32 | check_random_word();
+        const uint64_t d = power | rest % power, dividends[] = {d, d - 1, 1, 0};
+        for (size_t k = 0; k < COUNT(dividends); ++k) {
+            const uint64_t n = dividends[k];
+            GIVEN(n, d, 0);
+            CHECK_EQUAL(quotient(n, d), (n << widen >> s << 31) / ((d << widen >> s >> 1) + 1));
+        }
+    }
+}
+
 int main(void)
 {
     shifts_by_any_count();
     zeros_lead_in_every_word();
     products_are_exact();
     reciprocals_are_pinned();
+    quotients_at_their_ends();
     return check_report();
 }
