@@ -40,6 +40,9 @@ TYPESET_FILTER_NAMES = {key: name.replace("-", "\N{MINUS SIGN}") for key, name i
 Activation = Literal["adaptive", "always"]
 """When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 
+Drifting = Literal["all", "flawed"]
+"""Robots whose sensors drift."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Population(WorldSettings):
@@ -54,6 +57,7 @@ class Population(WorldSettings):
     unflawed_accuracy: float = parameter(
         "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
     )
+    drift_of: Drifting = parameter("robots whose sensors drift", default="all")
     filter: Filtering = parameter(
         "which robots recalibrate; robust: all, by a filter that is not the paper's", default="asdf-plus"
     )
@@ -88,6 +92,8 @@ class Population(WorldSettings):
                 f"filter_period is {self.filter_period}; it must be a multiple of comms_period, "
                 f"{self.comms_period}",
             )
+        if self.drift_of != "all" and self.drift == "none":
+            raise ParameterError("drift_of", f"drift_of is {self.drift_of} but drift is none; choose a drift")
         if self.memory % 4:
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
 
@@ -100,6 +106,11 @@ class Population(WorldSettings):
         if self.activation == "always":
             return {"omega": "activation is always, without a test"}
         return {}
+
+    @property
+    def drifting(self) -> int:
+        """How many of the first robots have sensors that drift."""
+        return self.flawed if self.drift_of == "flawed" else self.robots
 
     @property
     def filter_name(self) -> str:

@@ -35,7 +35,7 @@ class DriftingSensors:
         self._wiener = np.zeros((1, settings.robots))
 
     def advance(self, steps: int) -> Accuracies:
-        """The next steps. O(steps) or, for a Wiener process, O(steps robots)."""
+        """The next steps. O(steps) or, where robots differ, O(steps robots)."""
         black = self._black(steps)
         self._step += steps
         offset = self._settings.white_offset
@@ -48,16 +48,29 @@ class DriftingSensors:
         step = np.arange(self._step, self._step + steps, dtype=np.float64)[:, np.newaxis]
         if settings.drift == "stepped":
             step -= step % settings.drift_period
-        path = settings.true_accuracy + settings.drift_rate * step
+        path = settings.true_accuracy + self._rates() * step
         if settings.drift == "wiener":
             path = path + settings.drift_diffusion * self._wiener_paths(steps)
-        return np.clip(path, settings.lowest_accuracy, 1.0)
+        path = np.clip(path, settings.lowest_accuracy, 1.0)
+        if settings.drifting == settings.robots:
+            return path
+        return np.where(np.arange(settings.robots) < settings.drifting, path, settings.true_accuracy)
+
+    def _rates(self) -> NDArray[np.float64]:
+        """Change per step, shape (1, 1) or, where robots differ, (1, robots): step 0 has no other use for its
+        draws."""
+        settings = self._settings
+        common = np.full((1, 1), settings.drift_rate)
+        return common + settings.drift_spread * self._normals(1, 0) if settings.drift_spread else common
+
+    def _normals(self, steps: int, first: int) -> NDArray[np.float64]:
+        from scipy.special import ndtri  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
+
+        return cast(NDArray[np.float64], ndtri(self._moves.uniforms(steps, first)))
 
     def _wiener_paths(self, steps: int) -> NDArray[np.float64]:
         """Standard Wiener processes, 0 in the first step of all, shape (steps, robots)."""
-        from scipy.special import ndtri  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
-
-        moves = ndtri(self._moves.uniforms(steps, self._step))
+        moves = self._normals(steps, self._step)
         if self._step == 0:
             moves[0] = 0.0
         moves[0] += self._wiener[0]

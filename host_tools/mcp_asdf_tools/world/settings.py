@@ -44,9 +44,11 @@ code: a pattern like a QR code's of which exactly the share f is black, the same
 Drift = Literal["none", "linear", "stepped", "wiener"]
 """How the true accuracy changes, from b at the first step; ``k`` counts steps from 0.
 
-linear: b + drift_rate k.
-stepped: b + drift_rate k, with k rounded down to a multiple of drift_period.
-wiener: b + drift_rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot.
+linear: b + rate k.
+stepped: b + rate k, with k rounded down to a multiple of drift_period.
+wiener: b + rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot.
+
+All robots have drift_rate in common; each has its own deviation from it, normal with drift_spread.
 """
 
 
@@ -74,6 +76,7 @@ class WorldSettings:
     sensor: str = parameter("installed sensor model, in place of the built-in one", default="")
     drift: Drift = parameter("how the true accuracy changes", default="none")
     drift_rate: float = parameter("change of the true accuracy per step", -1, 1, default=0.0)
+    drift_spread: float = parameter("standard deviation of robots' rates around it", 0, 1, default=0.0)
     drift_period: int = parameter("steps between the changes of a stepped drift", 1, MAX_PERIOD, default=1000)
     drift_diffusion: float = parameter("standard deviation of a Wiener drift per step", 0, 1, default=0.0)
     lowest_accuracy: float = parameter("lower limit of a drifting accuracy", 0, 1, default=0.5)
@@ -109,6 +112,11 @@ class WorldSettings:
         return self.topology == "dynamic"
 
     @property
+    def drifting(self) -> int:
+        """How many of the first robots have sensors that drift."""
+        return self.robots
+
+    @property
     def sides(self) -> tuple[float, float]:
         """Width and height of the arena in metres."""
         if self.width:
@@ -136,7 +144,7 @@ class WorldSettings:
             installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
             raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
         if self.drift == "none":
-            for name in ("drift_rate", "drift_diffusion"):
+            for name in ("drift_rate", "drift_spread", "drift_diffusion"):
                 if getattr(self, name):
                     raise ParameterError(
                         name, f"{name} is {getattr(self, name)} but drift is none; choose a drift"

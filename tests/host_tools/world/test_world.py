@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
@@ -286,6 +287,28 @@ def test_accuracy_drifts_as_stated(given: dict[str, Any], expected: dict[int, fl
     path = true_accuracies(WorldSettings(steps=1000, **given), 0)
     assert path.shape == (1000 if given else 1, 1)
     assert {step: path[step, 0] for step in expected} == pytest.approx(expected)
+
+
+def test_robots_deviate_from_the_common_drift_by_rates_of_their_own() -> None:
+    given: dict[str, Any] = {"drift": "stepped", "drift_rate": -1e-4, "drift_period": 10}
+    settings = WorldSettings(robots=100, true_accuracy=0.75, steps=200, drift_spread=1e-5, **given)
+    paths = np.stack([true_accuracies(settings, trial) for trial in range(5)])
+    assert (paths[:, :10] == 0.75).all()
+    rates = (paths[:, 10] - 0.75) / 10
+    assert len(np.unique(rates)) == rates.size
+    assert abs(rates.mean() + 1e-4) < 4e-5 / rates.size**0.5
+    assert rates.std() == pytest.approx(1e-5, rel=0.1)
+    assert paths[:, 195] == pytest.approx(0.75 + 190 * rates)
+
+
+def test_of_the_flawed_robots_alone_the_sensors_drift() -> None:
+    given: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3, "steps": 100}
+    population = Population(robots=4, flawed=1, drift_of="flawed", **given)
+    path = true_accuracies(population, 0)
+    assert path[99].tolist() == pytest.approx([0.95 - 0.099, 0.95, 0.95, 0.95])
+    assert (true_accuracies(Population(robots=4, flawed=1, **given), 0)[99] < 0.9).all()
+    with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
+        Population(drift_of="flawed")
 
 
 def test_wiener_drift_has_the_moments_of_its_process() -> None:

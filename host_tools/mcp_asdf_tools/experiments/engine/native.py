@@ -135,7 +135,8 @@ class _Call:
 def _probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
     """The engine's ``black``, with axes of length 1 where all are alike: of trials, unless sensors move at
     random."""
-    worlds = range(trials if experiment.drift == "wiener" or experiment.sensor else 1)
+    is_random = experiment.drift == "wiener" or experiment.drift_spread or experiment.sensor
+    worlds = range(trials if is_random else 1)
     ratio = None if experiment.is_dynamic else experiment.fill_ratio
     models = [sensor_model(experiment, first + index) for index in worlds]
     return np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
