@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from crosschecks import ROBOT, SEED, BrokenRobot, caught, judged
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import Config
+from mcp_asdf.robot import Config, Filter
 from mcp_asdf_tools.crosscheck.compare import (
     Failure,
     Firmware,
@@ -115,8 +115,14 @@ def test_a_run_that_finds_something_counts_the_calls_made(at: int) -> None:
     assert (outcome.calls, outcome.scenarios) == (sum(made) + at, len(made) + 1)
 
 
-def test_a_run_stops_after_the_calls_asked_for() -> None:
+def test_a_run_stops_after_the_calls_asked_for_and_every_fourth_robot_is_robust() -> None:
     heard: list[int] = []
-    outcome = crosscheck(lambda scenario: None, SEED, 1234, heard.append)
+    robust: list[bool] = []
+
+    def check(scenario: Scenario) -> None:
+        robust.append(scenario.setup.filter == Filter.ROBUST)
+
+    outcome = crosscheck(check, SEED, 1234, heard.append)
     assert (outcome.calls, outcome.failure, outcome.interrupted) == (1234, None, False)
     assert heard == sorted(heard) and heard[-1] == 1234
+    assert robust[:8] == [False, False, False, True] * 2

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT
+from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT, number_in_words
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.pictures import draw
 from mcp_asdf_tools.experiments.plots import (
@@ -243,6 +243,18 @@ def test_series_beside_each_other_show_their_records() -> None:
     assert legend_of(figure) == ["flawed robots", "healthy robots", "true value"]
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
         series_beside(runs, 1)
+
+
+def test_numbers_in_words() -> None:
+    shown = {
+        "asdf_plus": "asdf plus",
+        0.25: "0.25",
+        65535: "65535",
+        65536: "2^16",
+        65537: "65537",
+        1e3: "1000",
+    }
+    assert {value: number_in_words(value) for value in shown} == shown
 
 
 @pytest.mark.parametrize(

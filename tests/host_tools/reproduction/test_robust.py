@@ -72,6 +72,7 @@ def test_intervals_are_shown_where_they_are_wide() -> None:
     assert robust.with_interval(estimate, robust.error, 0.003) == "0.020 (0.018..0.024)"
     measures = dict.fromkeys(("H", "late", "e", "harmed"), estimate)
     assert robust.whole(robust.Entry(2, measures)) == "0.0, 0.020 (0.018..0.024), 0.020, 2.0 %"
+    assert [robust.error(value) for value in (0.00994, 0.01, 0.1)] == ["0.0099", "0.010", "0.100"]
 
 
 def test_the_command_runs_both_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
