@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import random
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.mirror import MirrorRobot, b_hat_from, crowd_mean, deviates
 from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import Filter
+from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
+from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
 from mcp_asdf_tools.world.settings import WorldSettings
 
 ROBOTS = 20
@@ -58,20 +60,26 @@ class BayesCpfRobot(ReferenceRobot):
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         super().__init__(config, robot_id, b_hat)
-        self._mean, self._variance, self._before = b_hat, 0.04, (0, 0)
+        self._mean, self._variance = b_hat, 0.04
+        self._late_n, self._late_t = 0, 0
         self._informed: list[float] = []
+
+    def observe(self, z: Observation) -> Status:
+        self._late_n, self._late_t = self._late_n + int(z), self._late_t + 1
+        return super().observe(z)
 
     def settle(self) -> Status:
         self._informed.append(self.x)
         return super().settle()
 
     def _is_activated(self) -> bool:
-        return self._config.filter != Filter.OFF and self.t > self._before[1]
+        return self._config.filter != Filter.OFF and self._late_t > 0
 
     def reestimated(self) -> float | None:
-        n, t = self.n - self._before[0], self.t - self._before[1]
+        n, t = self._late_n, self._late_t
+        self._predict(t)
         x = float(np.average(self._informed, weights=range(len(self._informed), 0, -1)))
-        self._before, self._informed = (self.n, self.t), []
+        self._late_n, self._late_t, self._informed = 0, 0, []
         if t * min(self._mean, 1 - self._mean) < 5:  # no normal approximation
             return None
         slope = t * (2 * x - 1)
@@ -81,6 +89,9 @@ class BayesCpfRobot(ReferenceRobot):
         self._mean += gain * (n - expected)
         self._variance *= 1 - gain * slope
         return min(max(self._truncated_mean(), 0.5 + 1e-6), 1 - 1e-6)
+
+    def _predict(self, steps: int) -> None:
+        """What is known of b after so many steps without a measurement."""
 
     def _truncated_mean(self) -> float:
         if 0.5 < self._mean < 1:
@@ -93,6 +104,62 @@ class BayesCpfRobot(ReferenceRobot):
         return self._mean + deviation * math.sqrt(2 / math.pi) / mass * (
             math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
         )
+
+
+class KnownSensors(DriftingSensors):
+    """The built-in sensors of the last trial, whose accuracies robots may ask for."""
+
+    last: ClassVar[KnownSensors]
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        super().__init__(settings, trial)
+        self.settings, self._paths = settings, list[list[float]]()
+        KnownSensors.last = self
+
+    def advance(self, steps: int) -> Accuracies:
+        black, white = super().advance(steps)
+        self._paths += np.broadcast_to(black, (steps, black.shape[1])).tolist()
+        return black, white
+
+    def b(self, step: int, robot: int) -> float:
+        path: list[float] = self._paths[step]
+        return path[robot % len(path)]
+
+
+class AgeingBayesCpfRobot(BayesCpfRobot):
+    """BayesCPF as it is meant: the filter knows how sensors drift, but not how far they have."""
+
+    def _predict(self, steps: int) -> None:
+        settings = KnownSensors.last.settings
+        self._mean += settings.drift_rate * steps
+        self._variance += settings.drift_diffusion**2 * steps
+
+
+class OracleRobot(ReferenceRobot):
+    """It knows its sensor's accuracy at each moment, without a filter."""
+
+    _step = 0
+
+    def observe(self, z: Observation) -> Status:
+        self._b_hat = self._known(KnownSensors.last.b(self._step, self.id))
+        self._step += 1
+        return super().observe(z)
+
+    def _known(self, b: float) -> float:
+        return min(b, 1 - B_HAT_MARGIN)
+
+
+class MeanAccuracyRobot(OracleRobot):
+    """It knows the mean accuracy over the observations that it counts: one sum more."""
+
+    _sum = 0.0
+
+    def _known(self, b: float) -> float:
+        self._sum += b
+        mean = self._sum / (self.t + 1)
+        if self.t + 1 == self._config.memory:
+            self._sum /= 2
+        return min(float(mean), 1 - B_HAT_MARGIN)
 
 
 class OmniscientRobot(ReferenceRobot):

@@ -16,12 +16,12 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in
 from mcp_asdf_tools.experiments.sweep import Store, run_missing, run_sweep
-from mcp_asdf_tools.reproduction import robust
+from mcp_asdf_tools.reproduction import ageing, robust
 from mcp_asdf_tools.reproduction.runs import StudyFolder, make_folder
 from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
 
-ROBUST = "robust"
-"""The part that is not the paper's."""
+OWN = {"robust": robust, "ageing": ageing}
+"""Parts that are not the paper's, each a study of its own."""
 
 EPILOG = """\
 examples:
@@ -30,6 +30,7 @@ examples:
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
   mcp-asdf reproduce --part robust                  # not the paper's: the robust filter, a quarter of an hour
+  mcp-asdf reproduce --part ageing                  # not the paper's: sensors that age, ten minutes
 The same command resumes a run that was interrupted, and makes the report of a finished one again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
@@ -45,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--paper", action="store_true", help=f"the paper's {PAPER.trials} trials, with one seed"
     )
     add("--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-...])")
-    parts = [*(part.value for part in Part), ROBUST]
-    text = f"only this part; may be repeated (default: the paper's, all but {ROBUST})"
+    parts = [*(part.value for part in Part), *OWN]
+    text = f"only this part; may be repeated (default: the paper's, all but {' and '.join(OWN)})"
     add("--part", action="append", choices=parts, help=text)
     add("--trials", type=int, metavar="N", help="of each experiment (default: more until all is decided)")
     add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {full.steps})")
@@ -59,8 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, decide the claims, write the report."""
     workers, scale = options.check_workers(args.workers), scale_of(args)
-    if args.part is not None and ROBUST in args.part:
-        return _run_robust(args, workers, scale)
+    for name in OWN:
+        if args.part is not None and name in args.part:
+            return _run_own(name, args, workers, scale)
     parts = [part for part in Part if args.part is None or part.value in args.part]
     suffix = "-quick" if args.quick else "-paper" if args.paper else ""
     folder = args.output or Path(f"reproduction{suffix}")
@@ -92,16 +94,19 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _run_robust(args: argparse.Namespace, workers: int, scale: Scale) -> int:
-    """The study of the robust filter: both of its files, and their tables."""
-    if set(args.part) != {ROBUST} or args.paper or args.seeds is not None:
-        raise UsageError(f"--part {ROBUST} is a study of its own; leave out --paper, --seeds and other parts")
-    folder = args.output or Path(f"reproduction-{ROBUST}{'-quick' if args.quick else ''}")
+def _run_own(part: str, args: argparse.Namespace, workers: int, scale: Scale) -> int:
+    """A study that is not the paper's: all of its files, and its report."""
+    if set(args.part) != {part} or args.paper or args.seeds is not None:
+        raise UsageError(f"--part {part} is a study of its own; leave out --paper, --seeds and other parts")
+    folder = args.output or Path(f"reproduction-{part}{'-quick' if args.quick else ''}")
     make_folder(folder)
-    wanted = {name: robust.experiments_of(name, scale, args.seed) for name in (robust.GRID, robust.BEYOND)}
     stores = {
-        name: Store(folder / f"{name}.parquet", experiments, robust.SAMPLING_INTERVAL)
-        for name, experiments in wanted.items()
+        name: Store(
+            folder / f"{name}.parquet",
+            robust.experiments_of(name, scale, args.seed),
+            robust.SAMPLING_INTERVAL,
+        )
+        for name in OWN[part].FILES
     }
     results = {}
     with telling_what_is_left(list(stores.values())):
@@ -109,8 +114,8 @@ def _run_robust(args: argparse.Namespace, workers: int, scale: Scale) -> int:
             with progress(f"{name}: trials", store.left, args.json) as bar:
                 table = run_sweep(store, workers, robust.SAMPLING_INTERVAL, bar, args.scheduler)
             results[name] = experiments_in(table)
-    robust.write_report(folder, results)
-    report = str(folder / "robust.md")
+    OWN[part].write_report(folder, results)
+    report = str(folder / f"{part}.md")
     print(json.dumps({"report": report}, indent=2) if args.json else report)
     return 0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -363,6 +363,42 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 # --- Over time -------------------------------------------------------------------------------------------
+
+_ERRORS = "lines are medians over the trials of a swarm's mean error, bands their 95 % intervals"
+
+
+def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: LimitsOf = paper_limits) -> Figure:
+    """The mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
+
+    Trials of one panel and filter are taken together. All need records of x.
+    """
+    together = [trials for own in panels.values() for trials in own]
+    filters = list(dict.fromkeys(trials.experiment.filter for trials in together))
+    looks = list(zip(filters, filter_colours(filters), strict=True))
+    figure, grid = _panels(-(-len(panels) // 3), min(len(panels), 3), 1.9, len(filters))
+    for axes, (title, own) in zip(grid.flat, panels.items(), strict=False):
+        axes.set_title(title, fontsize=SMALL, loc="left")
+        for each, colour in looks:
+            errors = [_mean_errors(trials) for trials in own if trials.experiment.filter == each]
+            if errors:
+                columns = np.concatenate(errors).T
+                middle, low, high = np.array([median_interval(column) for column in columns]).T
+                steps = np.linspace(0, own[0].experiment.steps, len(columns))
+                axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
+                axes.plot(steps, middle, color=colour, linewidth=1.4)
+        axes.set_yscale("log")
+        clean(axes)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    handles = [_handle(TYPESET_FILTER_NAMES[each], colour, "", "-") for each, colour in looks]
+    return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, _ERRORS, limits), handles)
+
+
+def _mean_errors(trials: Trials) -> NDArray[np.float64]:
+    """|x - f| over the robots, shape (trials, samples)."""
+    errors: NDArray[np.float64] = abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=2)
+    return errors
+
 
 _OFF = 0.05
 """Error above which b_hat is counted as wrong."""

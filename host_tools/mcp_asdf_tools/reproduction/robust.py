@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, averaged, interval, summarized
 from mcp_asdf_tools.reproduction.study import Scale
 
-GRID, BEYOND = "robust_grid", "robust_beyond"
+FILES = GRID, BEYOND = "robust_grid", "robust_beyond"
 SAMPLING_INTERVAL = 1000
 """Steps between the values of x of which the late error is made."""
 CONFIDENCE = 0.95

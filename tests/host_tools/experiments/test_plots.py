@@ -246,7 +246,7 @@ def test_series_beside_each_other_show_their_records() -> None:
 
 
 def test_numbers_in_words() -> None:
-    shown = {
+    shown: dict[float | str, str] = {
         "asdf_plus": "asdf plus",
         0.25: "0.25",
         65535: "65535",

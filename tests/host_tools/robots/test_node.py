@@ -107,8 +107,10 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
             twin.observe(z)
             if tick in (7, 8, 9):
                 stranger = encode(Message(5, tick, 0, tick), FrameFormat())
-                bus.send(stranger, timeout=1)
-                twin.hear(stranger)
+                cut = can.Message(arbitration_id=stranger.arbitration_id, data=stranger.data[:7])
+                for frame in (stranger, cut):
+                    bus.send(frame, timeout=1)
+                    twin.hear(frame)
             lockstep.settle({5})
             twin.settle()
 
@@ -125,6 +127,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
     assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
     expected = {"obeyed": 80, "refused": 3, "estimates_sent": 20, "id_conflicts": 3}
     assert report["results"]["frames"].items() >= expected.items()
+    assert report["results"]["frames"]["rejected"] == {"LENGTH": 3} == twin.figures()["rejected"]
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
     assert main(["replay", str(log)]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out

@@ -1,0 +1,54 @@
+"""The study of sensors that age, which the paper leaves open: the error at the end, and over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mcp_asdf_tools.common.files import write_together
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.reproduction.robust import csv_of, late, table_of
+
+FILES = ("ageing",)
+LONGEST = 2**31
+"""Memory of a robot that forgets nothing."""
+
+
+def kind_of(experiment: Experiment) -> str:
+    """How the sensors of an experiment age."""
+    if experiment.drift_of == "flawed":
+        return f"{experiment.flawed} of {experiment.robots} age alike"
+    if experiment.drift_spread:
+        return "all age, some faster"
+    kinds = {"none": "none ages", "linear": "all age alike", "stepped": "all age at once"}
+    return kinds.get(experiment.drift, "each ages in its own way")
+
+
+def row_of(experiment: Experiment) -> str:
+    """How sensors age, and what robots remember."""
+    memory = "longest" if experiment.memory == LONGEST else f"{experiment.memory}"
+    return f"{kind_of(experiment)}, {memory} memory"
+
+
+def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
+    """Write ``ageing.md`` and ``ageing.csv``, the late error, and ``ageing.svg``, the error over time of
+    robots with the longest memory."""
+    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments.plots import errors_over_time  # noqa: PLC0415
+
+    (own,) = (results[name] for name in FILES)
+    table = table_of("Sensors that age", own, row_of)
+    panels: dict[str, list[Trials]] = {}
+    for each in own:
+        if each.experiment.memory == LONGEST:
+            panels.setdefault(kind_of(each.experiment), []).append(each)
+    picture = folder / "ageing.svg"
+    lines = table.lines(late, "error of the last quarter (95 % interval)")
+    write_together(
+        {
+            folder / "ageing.md": f"# {table.title}\n\n{lines}\n\n![{table.title}]({picture.name})\n",
+            folder / "ageing.csv": csv_of([table]),
+            picture: image_of(errors_over_time(panels), picture),
+        }
+    )
