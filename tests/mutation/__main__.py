@@ -2,7 +2,7 @@
 
 Examples:
   python -m mutation host_tools/mcp_asdf_tools/radio --sample 40 --seed 1
-  python -m mutation firmware_py/mcp_asdf/mirror.py --tests tests/host_tools/crosscheck
+  python -m mutation firmware_py/mcp_asdf/mirror.py --tests tests/firmware_py
   python -m mutation host_tools/mcp_asdf_tools/bus/dbc.py#17          # one of them again
 """
 
@@ -34,7 +34,7 @@ def chosen(paths: list[str], sample: int | None = None, seed: int = 0) -> list[M
 
 def survivors(of: list[Mutant], tests: list[Path] | None = None) -> list[str]:
     """Lines that name and replay the mutants that pass the tests of their room, or these tests."""
-    folders = {each: tests or [tests_of(each.path)] for each in of}
+    folders = {each: tests or tests_of(each.path) for each in of}
     known = record(folder for each in folders.values() for folder in each)
     for test in known.failed:
         print(f"fails without a mistake, and is left out: {test}", flush=True)

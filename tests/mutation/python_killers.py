@@ -34,13 +34,14 @@ HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", 
 _FORK = get_context("fork")
 
 
-def tests_of(path: Path) -> Path:
-    """Tests of the room that a file is in; commands and what all rooms share are tested everywhere."""
+def tests_of(path: Path) -> list[Path]:
+    """Folders of the tests of the room that a file is in; commands and what all rooms share are tested
+    everywhere, the firmware by the cross-check, too."""
     if path.parts[0] == "firmware_py":
-        return Path("tests/firmware_py")
+        return [Path("tests/firmware_py"), Path("tests/host_tools/crosscheck")]
     room = Path("tests/host_tools", path.parts[2])
     is_room = path.parts[2] != "cli" and (ROOT / room).is_dir()
-    return room if is_room else room.parent
+    return [room if is_room else room.parent]
 
 
 @dataclass
