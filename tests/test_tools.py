@@ -70,6 +70,7 @@ COUNTS_BYTES = "bugprone-too-small-loop-variable"
 ON_BARE_METAL = ("comparePointers", "unusedStructMember")
 CORTEX_M = ("-mcpu=cortex-m3", "-mthumb", "-mfloat-abi=soft", "-ffreestanding")
 NOT_FOR_AVR_LIBC = ("-Wno-gnu-zero-variadic-macro-arguments", "-Wno-unknown-attributes")
+WASM = ("--target=wasm32", "-ffreestanding")
 RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 ROOMS = (
     Room("core", ("c_ref/src/*.c",)),
@@ -97,6 +98,14 @@ ROOMS = (
         packages="gcc-riscv64-unknown-elf",
         clang=("--target=riscv32-unknown-elf", *RISC_V),
         not_cppcheck=ON_BARE_METAL,
+    ),
+    Room(
+        "wasm",
+        ("c_ref/ports/wasm/*.c",),
+        gcc=("clang", *WASM),
+        packages="clang",
+        clang=WASM,
+        can_analyse=False,
     ),
     Room(
         "avr",

@@ -29,13 +29,13 @@ class Target:
 
     Attributes:
         name: Of the preset and of the toolchain file.
-        tools: Its compiler and its emulator.
+        tools: Its compiler and its emulator, and what else building takes.
         packages: Debian packages with what it needs.
         helpers: Regular expression of what the core may leave to the compiler's own library: integer helpers.
     """
 
     name: str
-    tools: tuple[str, str]
+    tools: tuple[str, ...]
     packages: str
     helpers: str = _BY_COMPILERS
 
@@ -47,6 +47,8 @@ BIG_ENDIAN = Target(
     ("s390x-linux-gnu-gcc", "qemu-s390x"),
     "gcc-s390x-linux-gnu libc6-dev-s390x-cross qemu-user",
 )
+WASM = Target("wasm32", ("clang", "wasm-ld", "llvm-ar", "node"), "clang lld llvm nodejs")
+"""Browsers; clang alone compiles for it."""
 HOST = Target("host", ("gcc", "cmake"), "gcc cmake")
 """This computer."""
 TARGETS = (
@@ -64,6 +66,7 @@ TARGETS = (
         "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user",
     ),
     BIG_ENDIAN,
+    WASM,
     HOST,
 )
 
@@ -125,7 +128,7 @@ class Cell:
         yield f"MCP_ASDF_CHOICE={';'.join(CHOICES[self.choice])}"
         if self.target == HOST:
             yield f"CMAKE_C_COMPILER={self.compiler}"
-        elif self.compiler == "clang":
+        elif self.compiler == "clang" and self.target != WASM:
             yield f"CMAKE_TOOLCHAIN_FILE={ROOT / 'c_ref/cmake/clang.cmake'}"
             yield f"MCP_ASDF_TARGET={self.target.name}"
         if self.target == AVR and self.level != "-Os":
@@ -134,13 +137,18 @@ class Cell:
 
 def quick_cell(target: Target) -> Cell:
     """What ``make test`` plays of a target."""
+    if target == WASM:
+        return Cell(target, "clang")
     return Cell(target, level="-Os" if target.name in ("avr", "cortex-m0") else "-O2")
 
 
 def slow_cells() -> Iterator[Cell]:
     """What ``make verify`` adds: every level, by one of the compilers at least, and every choice of the
     arithmetic, on either order of bytes. Clang 14 runs out of registers on an AVR."""
+    yield from (Cell(WASM, "clang", level) for level in ("-O0", "-Os", "-O3"))
     for target in TARGETS:
+        if target == WASM:
+            continue
         yield from (Cell(target, "gcc", level) for level in ("-O0", "-O3"))
         if target != AVR:
             yield from (Cell(target, "clang", level) for level in ("-Os", "-O2 LTO"))

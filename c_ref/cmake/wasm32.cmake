@@ -1,0 +1,10 @@
+# WebAssembly, compiled by clang without a C library and run under Node.js.
+set(CMAKE_SYSTEM_NAME Generic)
+set(CMAKE_SYSTEM_PROCESSOR wasm32)
+set(CMAKE_C_COMPILER clang)
+set(CMAKE_C_COMPILER_TARGET wasm32)
+set(CMAKE_C_FLAGS_INIT -ffreestanding)
+set(CMAKE_EXE_LINKER_FLAGS_INIT "-nostdlib -Wl,--no-entry")
+set(CMAKE_TRY_COMPILE_TARGET_TYPE STATIC_LIBRARY)
+set(MCP_ASDF_PORT wasm/host.c memory.c)
+set(CMAKE_CROSSCOMPILING_EMULATOR node ${CMAKE_CURRENT_LIST_DIR}/../ports/wasm/run.mjs)
