@@ -67,6 +67,7 @@ HARNESSES = {
         Harness("codec", (CORE.with_name("mcp_asdf_frame.c"),), 32),
         Harness("slcan", (PORTS / "slcan" / "slcan.c", *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
         Harness("node", (), 128),
+        Harness("multicast", (PORTS / "linux" / "multicast.c",), 256),
         Harness("radio", (PORTS / "packet_radio.c",), 96),
     )
 }

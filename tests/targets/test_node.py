@@ -191,6 +191,21 @@ LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
         (ON_A_BUS + "--id 1 --observations /no/such/file", "cannot open /no/such/file: "),
         (LOCKSTEP, "--interface is missing"),
         (f"{LOCKSTEP} --interface nocan7", "modprobe vcan\n  ip link add dev nocan7 type vcan\n"),
+        (f"{LOCKSTEP} --interface udp:239.74.163.2", "Invalid argument; name a multicast group and a port"),
+        (f"{LOCKSTEP} --interface udp:10.0.0.1:43113", "Invalid argument; name a multicast group and a port"),
+        (
+            f"{LOCKSTEP} --interface udp:[ff15::1]:65536",
+            "Invalid argument; name a multicast group and a port",
+        ),
+        (
+            f"{LOCKSTEP} --interface udp:239.74.163.2:9 --network no7",
+            "No such device; name an interface that",
+        ),
+        (
+            ON_A_BUS + LOCKSTEP + " --network lo",
+            "--network is lo; leave it out, or choose an --interface udp",
+        ),
+        (ON_A_BUS + LOCKSTEP + " --hop-limit 0", "--hop-limit is 0; leave it out, or"),
         (ON_A_BUS + LOCKSTEP, "cannot join unix:/no/such/socket: "),
         (f"{LOCKSTEP} --interface unix:/{'x' * 200}", "cannot join unix:/xxx"),
     ],

@@ -86,6 +86,11 @@ static void fail(const char *what, const char *which, const char *why, const cha
 static void join(bus_t *bus)
 {
     const int error = bus_open(bus);
+    if (error != 0 && bus->is_multicast) {
+        fail("cannot join", bus->name, strerror(error),
+             error == EINVAL ? "name a multicast group and a port, as udp:239.74.163.2:43113"
+                             : "name an interface that `ip link` shows by --network");
+    }
     if (error == ENODEV || error == EAFNOSUPPORT) {
         (void)fprintf(
             stderr,
@@ -105,6 +110,8 @@ static void set_up(run_t *run)
     const node_output_t output = {bus_send, &run->bus};
     const bool in_lockstep = options->node.lockstep;
     run->bus.name = options->interface;
+    run->bus.group.network = options->network;
+    run->bus.group.hops = (int)options->hops;
     run->bus.receive_buffer = (int)options->receive_buffer;
     run->bus.subjects[0] = options->node.estimate.subject;
     run->bus.subjects[1] = (in_lockstep ? options->node.command : options->node.estimate).subject;

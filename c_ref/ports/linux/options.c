@@ -25,8 +25,10 @@ enum option_index {
     COMMAND_SUBJECT,
     RECEIVE_BUFFER,
     SAVE_PERIOD,
+    HOP_LIMIT,
     ID,
     INTERFACE,
+    NETWORK,
     B_HAT,
     FILTER,
     ACTIVATION,
@@ -56,8 +58,10 @@ static const struct {
                 [COMMAND_SUBJECT] = {"command-subject", 0, MCP_ASDF_SUBJECT_MAX, 3002},
                 [RECEIVE_BUFFER] = {"receive-buffer", 0, INT32_MAX, 0},
                 [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
+                [HOP_LIMIT] = {"hop-limit", 0, 255, 1},
                 [ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
                 [INTERFACE] = {.name = "interface"},
+                [NETWORK] = {.name = "network"},
                 [B_HAT] = {.name = "b-hat"},
                 [FILTER] = {.name = "filter"},
                 [ACTIVATION] = {.name = "activation"},
@@ -73,7 +77,12 @@ static const struct {
 static const char usage[] =
     "A robot on a CAN bus: mcp_asdf_node --interface can0 --id 7 --sensor /sys/class/gpio/gpio48/value\n"
     "\n"
-    "  --interface NAME       can0, vcan0, ..., or unix:PATH, a socket that passes frames on\n"
+    "  --interface NAME       can0, vcan0, ...; udp:GROUP:PORT, multicast for robots without CAN, such as\n"
+    "                         udp:239.74.163.2:43113 or "
+    "udp:[ff15:7079:7468:6f6e:6465:6d6f:6d63:6173]:43113;\n"
+    "                         or unix:PATH, a socket that passes frames on\n"
+    "  --network NAME         what leads to the group, such as wlan0 (the kernel's route)\n"
+    "  --hop-limit N          networks that a datagram may cross, 0 (none: this computer) to 255 (1)\n"
     "  --id N                 of robot and node, 0 to 127\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
     "  --filter FILTER        how it recalibrates: none, asdf-plus, robust (asdf-plus)\n"
@@ -236,6 +245,16 @@ static void check_values(const node_settings_t *node, const char *const given[AL
     }
 }
 
+static void check_multicast(const char *const given[ALL])
+{
+    static const enum option_index only[] = {NETWORK, HOP_LIMIT};
+    for (size_t i = 0; i < sizeof only / sizeof only[0]; ++i) {
+        if (given[only[i]] != NULL && strncmp(given[INTERFACE], "udp:", 4) != 0) {
+            fail(only[i], given[only[i]], "leave it out, or choose an --interface udp:GROUP:PORT");
+        }
+    }
+}
+
 /* ---- All of it -------------------------------------------------------------------------------------- */
 
 static node_settings_t node_settings(const char *const given[ALL])
@@ -264,12 +283,15 @@ void options_read(options_t *options, int count, char *const arguments[])
     check_needed(given);
     const options_t read = {.node = node_settings(given),
                             .interface = given[INTERFACE],
+                            .network = given[NETWORK],
                             .observations = given[OBSERVATIONS],
                             .sensor = given[SENSOR],
                             .state = given[STATE],
                             .save_period = number(given, SAVE_PERIOD),
                             .ticks = number(given, TICKS),
-                            .receive_buffer = number(given, RECEIVE_BUFFER)};
+                            .receive_buffer = number(given, RECEIVE_BUFFER),
+                            .hops = number(given, HOP_LIMIT)};
+    check_multicast(given);
     check_values(&read.node, given);
     *options = read;
 }
