@@ -169,6 +169,23 @@ def test_the_verdict_on_a_node_with_the_robust_filter_is_good(start: Start, bus:
     assert node.stop()["updates"] > 10
 
 
+def test_a_node_says_that_it_is_there_until_it_is_commanded(start: Start, bus: UnixBus) -> None:
+    node = start("--lockstep")
+    began = time.monotonic()
+    while bus.greetings < 2:
+        assert bus.recv(PATIENCE) is not None
+    assert time.monotonic() - began > 0.9
+    drive(bus, [ID], 15, seed=1)
+    time.sleep(1.1)  # it has been commanded
+    assert bus.recv(0) is None
+    figures = node.stop()
+    assert (figures["heartbeats"], figures["ticks"]) == (2, 15)
+    assert [beat.uptime for each in bus.said if isinstance(beat := decode_heartbeat(each), Heartbeat)] == [
+        0,
+        1,
+    ]
+
+
 # ---- Usage ----
 
 LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "

@@ -32,7 +32,7 @@ typedef struct {
     uint32_t seen; /* ticks whose end note_progress() has seen */
     bus_t bus;
     source_t source;
-    ticker_t clock, reopening;
+    ticker_t clock, reopening, greeting;
     sigset_t when_waiting; /* signals blocked then */
     const char *ended;     /* why, or NULL */
     int save_error;        /* the last one, as an errno */
@@ -264,21 +264,24 @@ static void wait_for_work(run_t *run)
 {
     const bool is_joined = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
     struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* one below 0 is not waited for */
-    int64_t until = in_lockstep ? INT64_MAX : run->clock.next;
+    int64_t until = !in_lockstep ? run->clock.next : run->node.ticks == 0 ? run->greeting.next : INT64_MAX;
     if (!is_joined && run->reopening.next < until) {
         until = run->reopening.next;
     }
     const int64_t now = now_ns(), left = until > now ? until - now : 0;
     const struct timespec timeout = {.tv_sec = (time_t)(left / SECOND), .tv_nsec = (long)(left % SECOND)};
-    (void)ppoll(&bus, 1, in_lockstep && is_joined ? NULL : &timeout, &run->when_waiting);
+    (void)ppoll(&bus, 1, until == INT64_MAX ? NULL : &timeout, &run->when_waiting);
 }
 
 static void run_until_ended(run_t *run)
 {
     run->reopening = (ticker_t){.period = SECOND, .next = now_ns()};
     run->clock = (ticker_t){.period = SECOND / run->options.node.ticks_per_second, .next = now_ns()};
-    node_start(&run->node);
+    run->greeting = run->reopening;
     while (run->ended == NULL) {
+        if (run->node.ticks == 0 && is_due(&run->greeting, now_ns())) {
+            node_start(&run->node); /* again while no one commands it: who does may not have been there */
+        }
         wait_for_work(run);
         if (run->bus.fd < 0 && is_due(&run->reopening, now_ns())) {
             (void)bus_open(&run->bus);

@@ -39,7 +39,11 @@ static void send_heartbeat(node_t *node)
     }
 }
 
-void node_start(node_t *node) { send_heartbeat(node); }
+void node_start(node_t *node)
+{
+    node->counts.heartbeats = 0;
+    send_heartbeat(node);
+}
 
 static void send_estimate(node_t *node)
 {

@@ -46,7 +46,8 @@ typedef struct {
 } node_output_t;
 
 /* Frames by what became of them.
- *   estimates, heartbeats, telemetry   made, whether or not the bus took them; the next transfer ids, too
+ *   estimates, heartbeats, telemetry   made, the first heartbeat counted once, whether or not the bus
+ *                                      took them; the next transfer ids, too
  *   unsent       those that the bus did not take
  *   heard        legal estimates, all given to the firmware, whose counters tell what it made of them
  *   collisions   those among them with the node's own id: another node has it, too
@@ -78,7 +79,7 @@ typedef struct {
  * fit together. */
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output);
 
-/* Say that the node is there: its first heartbeat. */
+/* Say that the node is there: its first heartbeat, which may be repeated until the first tick. */
 void node_start(node_t *node);
 
 /* Begin a tick: a heartbeat if due, the observation, a broadcast if due. Ends one that is open, unanswered.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import configparser
 import errno
+import math
 import time
 from collections import deque
 from contextlib import suppress
@@ -28,6 +29,8 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
 _VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
 _REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
 _MOST_ECHOES = 4096
+_LONGEST_WAIT = 1.0
+"""Seconds."""
 _PROTOCOL_ERROR = 0x8
 """Class of an error frame in SocketCAN's identifiers: damaged on its way."""
 _ROBOT = "{robot}"
@@ -80,7 +83,8 @@ class BusChoice:
     def open(self) -> can.BusABC:
         """Join the bus as one more node. Raises UsageError if that is impossible.
 
-        The connection marks others' frames as received and returns no own ones, on any interface.
+        The connection marks others' frames as received and returns no own ones, on any interface, and waits
+        by a clock that nobody sets.
         """
         try:
             bus = can.Bus(interface=self.interface, single_handle=True, **self.settings)
@@ -88,8 +92,7 @@ class BusChoice:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         if bus.channel_info == can.BusABC.channel_info:
             bus.channel_info = self.channel or self.interface
-        wrapper = _WRAPPERS.get(self.interface)
-        return bus if wrapper is None else wrapper(bus)
+        return _WRAPPERS.get(self.interface, Connection)(bus)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -116,8 +119,8 @@ class BusChoice:
         return f"{cause}; as root, create it with: " + " && ".join(way.format(channel) for way in ways)
 
 
-class _Wrapper(can.BusABC):
-    """Connection that wraps another."""
+class Connection(can.BusABC):
+    """Connection that wraps another, whose own ``recv`` waits longer where the time of day is set back."""
 
     def __init__(self, bus: can.BusABC) -> None:
         """Take over ``bus``, which closes with this connection."""
@@ -129,6 +132,17 @@ class _Wrapper(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame, as ``can.BusABC.send``."""
         self._bus.send(msg, timeout)
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame that passes the filters, as ``can.BusABC.recv``."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while True:
+            left = end - time.monotonic()
+            frame, is_filtered = self._recv_internal(min(max(left, 0.0), _LONGEST_WAIT))
+            if frame is not None and (is_filtered or self._matches_filters(frame)):
+                return frame
+            if left <= 0.0:
+                return None
 
     def fileno(self) -> int:
         """File descriptor to wait on."""
@@ -143,8 +157,11 @@ class _Wrapper(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         return self._bus._recv_internal(timeout)
 
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._bus.set_filters(filters)  # by the kernel or the adapter, where they can
 
-class AllReceived(_Wrapper):
+
+class AllReceived(Connection):
     """SocketCAN connection that marks the frames of other programs on this computer as received.
 
     python-can marks them as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
@@ -156,11 +173,8 @@ class AllReceived(_Wrapper):
             frame.is_rx = True
         return frame, is_filtered
 
-    def _apply_filters(self, filters: CanFilters | None) -> None:
-        self._bus.set_filters(filters)  # by the kernel
 
-
-class WithoutEcho(_Wrapper):
+class WithoutEcho(Connection):
     """Connection without its own frames, to a bus that returns every frame sent."""
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -209,11 +223,7 @@ class Multicast(WithoutEcho):
         )
 
 
-_WRAPPERS: dict[str, type[_Wrapper]] = {
-    "socketcan": AllReceived,
-    "udp_multicast": Multicast,
-    "slcan": _Wrapper,
-}
+_WRAPPERS: dict[str, type[Connection]] = {"socketcan": AllReceived, "udp_multicast": Multicast}
 
 
 def _content(frame: can.Message) -> tuple[int, bytes]:

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import argparse
 import errno
+import os
 import random
+import signal
 import socket
 import struct
+import threading
+from itertools import count
 from typing import Any
 from unittest.mock import Mock
 
 import can
 import msgpack  # type: ignore[import-untyped]
 import pytest
+from can.interfaces.virtual import VirtualBus
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
 from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, WithoutEcho, add_arguments, choose_bus
+from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
 from multicast import multicast
 from robots import ALPHA_ONE
 from support import PATIENCE
+from wire import node_in_a_thread
 
 GROUP = 30
 
@@ -109,6 +116,36 @@ def test_frames_of_other_programs_on_socketcan_are_received() -> None:
     bus.shutdown.side_effect = can.CanOperationError("unplugged")
     connection.shutdown()
     bus.shutdown.assert_called_once_with()
+
+
+def radio(options: str) -> int:
+    return main(["radio", *options.split()])
+
+
+def test_waits_end_however_often_the_time_of_day_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Node and radio side by side: each takes the frames of the other, and a signal ends one that waits.
+
+    Every look at that clock finds it three days earlier.
+    """
+    days, waits = count(step=3 * 86400), list[float]()
+    receive = VirtualBus._recv_internal
+
+    def waiting(self: Any, timeout: float | None) -> Any:
+        waits.append(PATIENCE if timeout is None else timeout)
+        assert waits[-1] <= 1, "it would wait for days"
+        return receive(self, timeout)
+
+    with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
+        monkeypatch.setattr("can.bus.time", lambda: -next(days))
+        monkeypatch.setattr(VirtualBus, "_recv_internal", waiting)
+        assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
+    ending = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGTERM))
+    ending.start()
+    assert radio("--id 5 --robots 3 --interface virtual --channel another") == 0
+    ending.join()
+    with chosen("--channel", "mine").open() as bus:
+        assert bus.recv(0.01) is None
+    assert len(waits) > 5
 
 
 def chosen(*words: str) -> BusChoice:

@@ -478,10 +478,15 @@ def test_details_are_a_table_and_lists() -> None:
     ]
 
 
-def test_a_wrong_controller_gives_an_exit_code_and_a_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with node_in_a_thread(f"{CONTROLLER} --b-hat 0.56"):
-        assert radio(f"{CONTROLLER} --verify --timeout 20") == 1
+@pytest.mark.parametrize(
+    ("config", "phases"), [("--neighbours 20", 37), ("--activation always", 30), ("--filter none", 28)]
+)
+def test_a_wrong_controller_gives_an_exit_code_and_a_line(
+    capsys: pytest.CaptureFixture[str], config: str, phases: int
+) -> None:
+    own = f"--id {ID} --filter-period 10 {config}"
+    with node_in_a_thread(f"{own} --b-hat 0.56"):
+        assert radio(f"{own} --b-hat {B_HAT} --verify --timeout 20") == 1
     shown = capsys.readouterr().out
-    assert (
-        'FAILED: 0 of 37 phases passed; first in phase "alone" (no observation), tick 0: telemetry' in shown
-    )
+    first = f'FAILED: 0 of {phases} phases passed; first in phase "alone" (no observation), tick 0: telemetry'
+    assert first in shown
