@@ -1,6 +1,7 @@
 """Build of the documentation: pages made from the program itself, formulas as MathML, docstrings as Markdown.
 
 A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``.
+Each room of the tools has a page.
 The picture of the first page becomes the run itself, exported by ``mcp-asdf view``.
 Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
 """
@@ -19,8 +20,10 @@ from typing import Any
 
 import griffe
 from latex2mathml.converter import convert
+from mkdocs.structure.files import File
 
 from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common.versions import own_version
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ROOT / "host_tools/mcp_asdf_tools"
@@ -33,6 +36,26 @@ _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
 _FRAME = r'<iframe src="run.html" title="\1" style="width: 100%; height: 46rem; border: 0"></iframe>'
 _QUIET: Any = {"stdout": subprocess.DEVNULL}
+
+
+def on_config(config: Any, **_: Any) -> Any:
+    """The version beside the name, and the rooms below the page of the Python API."""
+    config.site_name += f" {own_version()}"
+    (reference,) = (
+        each["Reference"] for each in config.nav if isinstance(each, dict) and "Reference" in each
+    )
+    place = next(number for number, each in enumerate(reference) if "Python API" in each)
+    reference[place] = {
+        "Python API": [{"Overview": "api.md"}, *({name: f"api/{name}.md"} for name in room_names())]
+    }
+    return config
+
+
+def on_files(files: Any, config: Any, **_: Any) -> Any:
+    """Make a page of each room."""
+    for name in room_names():
+        files.append(File.generated(config, f"api/{name}.md", content=_room(ROOMS / name)))
+    return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -63,7 +86,8 @@ def on_post_build(config: Any, **_: Any) -> None:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Put the formulas in."""
+    """Name the columns in every cell, and put the formulas in."""
+    content = re.sub(r"<table>.*?</table>", _labelled, content, flags=re.DOTALL)
     for number, formula in enumerate(page.formulas):
         content = content.replace(f"formula{number}formula", formula)
     return content
@@ -111,18 +135,40 @@ def headers() -> str:
     return "\n".join(f"## {name}.h\n\n```c\n{text}```\n" for name, text in texts)
 
 
+def room_names() -> list[str]:
+    """The rooms that offer something to others."""
+    return sorted(path.parent.name for path in ROOMS.glob("*/__init__.py") if path.parent.name != "cli")
+
+
 def rooms() -> str:
-    """The public classes and functions of each room of the tools, module by module."""
-    return "\n".join(
-        _room(path.parent) for path in sorted(ROOMS.glob("*/__init__.py")) if path.parent.name != "cli"
-    )
+    """A line on each room, which leads to its page."""
+    return "\n".join(f"- [{name}](api/{name}.md): {_title(name)}" for name in room_names())
+
+
+def _title(room: str) -> str:
+    return (import_module(f"mcp_asdf_tools.{room}").__doc__ or "").strip()
 
 
 def _room(folder: Path) -> str:
-    title = (import_module(f"mcp_asdf_tools.{folder.name}").__doc__ or "").strip()
+    """The public classes and functions of a room, module by module."""
     modules = sorted(path.stem for path in folder.glob("[!_]*.py"))
     names = [f"::: mcp_asdf_tools.{folder.name}.{module}\n" for module in modules]
-    return f"## {folder.name}\n\n{title}\n\n" + "\n".join(names)
+    return f"# {folder.name}\n\n{_title(folder.name)}\n\n" + "\n".join(names)
+
+
+def _labelled(table: re.Match[str]) -> str:
+    """A table whose cells name their columns, for screens on which each row stands by itself."""
+    titles = [_plain(title) for title in re.findall(r"<th(?:\s[^>]*)?>(.*?)</th>", table[0], re.DOTALL)]
+
+    def row(found: re.Match[str]) -> str:
+        cells = iter(titles)
+        return re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
+
+    return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
+
+
+def _plain(title: str) -> str:
+    return html.escape(html.unescape(re.sub(r"<[^>]+>", "", title)), quote=True)
 
 
 class Docstrings(griffe.Extension):

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from browser import browser_page
 from mcp_asdf_tools.cli import main as cli
-from support import PAGES, ROOT, TABLE, blocks, require, run
+from support import PAGES, ROOT, TABLE, blocks, require, run, version_of_header
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
@@ -33,6 +34,7 @@ SHOWN = (
 RUN_ELSEWHERE = {
     "development.md": "tests/test_setup.py",
     "extending.md": "tests/host_tools/test_extending.py",
+    "installing.md": "tests/test_newcomer.py",
     "firmware_in_the_loop.md": "tests/targets/test_firmware_in_the_loop.py",
     "porting.md": "tests/c_ref/test_porting.py",
     "robot_tutorial.md": "tests/test_tutorials.py",
@@ -169,21 +171,52 @@ def test_make_knows_the_target(command: str) -> None:
     run(require("make", "make"), "-n", *command.split()[1:])
 
 
-def test_the_documentation_is_built(tmp_path: Path) -> None:
-    """Every name that the page of the Python API asks for is there, and links and anchors lead somewhere."""
+def build_site(folder: Path, with_api: bool = True) -> None:
     *_, command = run(require("make", "make"), "-n", "--no-print-directory", "docs").splitlines()
     words = shlex.split(command)
     assert "--strict" in words
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
-    run(require(Path(words[0]).name), *words[1:], "--site-dir", tmp_path)
+    run(require(Path(words[0]).name), *words[1:], "--site-dir", folder, WITH_API=f"{with_api}".lower())
+
+
+def test_the_documentation_is_built(tmp_path: Path) -> None:
+    """Every name that the pages of the Python API ask for is there, and links and anchors lead somewhere."""
+    build_site(tmp_path)
+    texts = {
+        path.parent.name: path.read_text(encoding="utf-8") for path in sorted(tmp_path.rglob("*/index.html"))
+    }
     commands, headers, method = (
-        html.unescape(re.sub(r"<[^>]+>", "", (tmp_path / page / "index.html").read_text(encoding="utf-8")))
-        for page in ("cli", "headers", "method")
+        html.unescape(re.sub(r"<[^>]+>", "", texts[page])) for page in ("cli", "headers", "method")
     )
     assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
     assert "$" not in method, "formulas are MathML"
     assert (tmp_path / "run.html").stat().st_size > 100_000
+    assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
+    advice = texts["advice"]
+    assert f"mcp-asdf {version_of_header()}</title>" in advice
+    menu = re.findall(r'class="md-nav__link"[^>]*>\s*<span[^>]*>\s*([^<]+?)\s*<', texts["cost"])
+    assert menu[1] == "Should I use it, and how?"
+    assert "md-footer__link--prev" in advice and "md-footer__link--next" in advice
+    for name, text in texts.items():
+        assert not re.search("flowchart|sequenceDiagram|<pre class=.mermaid", text), name
+
+
+@pytest.mark.slow
+def test_no_page_is_wider_than_a_phone(tmp_path: Path) -> None:
+    """Each row of a table stands by itself there, and each cell names its column."""
+    build_site(tmp_path, with_api=False)
+    with browser_page(width=390) as browser:
+        for path in sorted(tmp_path.rglob("index.html")):
+            browser.goto(path.as_uri(), wait_until="domcontentloaded")
+            wide = browser.evaluate(
+                "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
+                ".md-typeset table:not([class]) td')].map((each) => each.scrollWidth).filter((w) => w > 390)"
+            )
+            assert wide == [], path.parent.name
+        browser.goto((tmp_path / "advice/index.html").as_uri())
+        label = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
+        assert "filter" in browser.evaluate(label)
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:

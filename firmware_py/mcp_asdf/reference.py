@@ -304,6 +304,8 @@ class ReferenceRobot:
     ) -> None:
         check_settings(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
+        if self._omega:
+            t_score(2, self._omega, conventions)  # where SciPy is missing, now and not at the first test
         check_identity(robot_id, b_hat)
         self._config, self._id, self._conventions = config, index(robot_id), conventions
         self._t, self._n, self._b_hat, self._first = 0, 0, float(b_hat), float(b_hat)

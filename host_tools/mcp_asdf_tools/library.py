@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import can
 
+from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.pictures import PLOTS
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@naming_extras()
 def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     """A swarm in this process, before its first step: a context manager, in which ``tick`` takes a step.
 
@@ -36,12 +38,14 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", preserve_timestamps=True)))
 
 
+@naming_extras()
 def emulate(settings: SwarmSettings) -> SwarmRun:
     """Run a swarm with its CAN frames to its end. Ctrl-C ends it early and keeps what was done."""
     with start_swarm(settings) as swarm:
         return run_swarm(swarm)
 
 
+@naming_extras()
 def simulate(
     experiments: Experiment | Iterable[Experiment],
     output: Path | str | None = None,
@@ -64,6 +68,7 @@ def simulate(
             return run_sweep(store, workers, record, report)
 
 
+@naming_extras()
 def score(table: pa.Table, k_max: float | None = None, e_max: float | None = None) -> pa.Table:
     """The table with H, h_K and h_e for other limits; by default they are the paper's, T and 0.45.
 
@@ -72,6 +77,7 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     return rescored(table, chosen_limits(k_max, e_max))
 
 
+@naming_extras()
 def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     results: pa.Table | list[Trials],
     kind: str = PLOTS[0],

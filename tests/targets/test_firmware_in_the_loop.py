@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from socket import create_server
 from typing import Any
 
 import pytest
+import yaml
 
 from benchmarks.cost.images import TARGETS, Image
 from mcp_asdf.robot import Config, Filter
@@ -30,6 +32,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
 )
 from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
+from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate
@@ -297,3 +300,31 @@ def test_the_commands_of_the_page_work(target: str, tmp_path: Path) -> None:
     image = tmp_path / "build/loop/slcan_robot"
     flash, variables = Image(TARGETS[-1], image).sizes()
     assert flash < 8 * 1024 and variables < 1024
+
+
+@pytest.mark.slow
+def test_the_workflow_of_the_page_judges_an_image(tmp_path: Path) -> None:
+    """Its steps as they stand, but for what root installs. The image is configured otherwise than they
+    say, so the verdict comes soon: exit code 1, a report, and a log that can be replayed."""
+    require_target("cortex-m3")
+    for name in ("c_ref", "tables"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    with closing(create_server(("127.0.0.1", 0))) as free:
+        port = str(free.getsockname()[1])
+    (text,) = blocks(ROOT / "docs/ci.md", "yaml")
+    workflow = yaml.safe_load(text.replace("20001", port).replace("-B build ", "-B build -DROBOT_B_HAT=0.6 "))
+    steps = workflow["jobs"]["emulated"]["steps"]
+    upload = steps.pop()
+    build, verify = (
+        next(step["run"] for step in steps if step.get("name") == name) for name in ("build", "verify")
+    )
+    run("sh", "-exc", build, cwd=tmp_path)
+    try:
+        with pytest.raises(AssertionError, match=r"FAILED: 0 of \d+ phases passed"):
+            run("sh", "-exc", verify, cwd=tmp_path)
+    finally:
+        run("sh", "-c", "kill $(cat qemu.pid)", cwd=tmp_path)
+    assert upload["if"] == "always()" and upload["with"]["path"] == "verdict.*"
+    assert "expected" in (tmp_path / "verdict.md").read_text() and (tmp_path / "verdict.log.events").exists()
+    board = workflow["jobs"]["board"]["steps"][1]["run"].splitlines()[-1]
+    cli._parser_for("radio", cli._load("radio")).parse_args(shlex.split(board)[2:])

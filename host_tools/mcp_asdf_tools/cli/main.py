@@ -16,7 +16,7 @@ from typing import Protocol, TextIO, cast
 
 from mcp_asdf_tools.cli.parsing import Parser, offer
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.extras import missing_extra
+from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
 
 PROGRAM = "mcp-asdf"
@@ -80,16 +80,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _attempt(title: str, work: Callable[[], int]) -> int:
     """Do ``work``; returns its exit code, or prints what it raised and returns the code for that."""
     try:
-        return work()
+        with naming_extras():
+            return work()
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
     except UsageError as error:
         return _refuse(title, error)
-    except ImportError as error:
-        told = missing_extra(error)
-        if told is None:
-            raise
-        return _refuse(title, told)
     except KeyboardInterrupt:
         _tell(f"{title}: interrupted")
         return INTERRUPTED

@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import experiments_in
+from mcp_asdf_tools.experiments.results import experiments_in, require_arrow
 from mcp_asdf_tools.experiments.sweep import Store, run_missing, run_sweep
 from mcp_asdf_tools.reproduction import ageing, robust
 from mcp_asdf_tools.reproduction.runs import StudyFolder, make_folder
@@ -59,6 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, decide the claims, write the report."""
+    require_arrow()  # before there is a folder
+    from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
+
     workers, scale = options.check_workers(args.workers), scale_of(args)
     for name in OWN:
         if args.part is not None and name in args.part:
@@ -80,8 +83,6 @@ def run(args: argparse.Namespace) -> int:
     with telling_what_is_left(study.stores):
         runs = list(study.runs(run_store))
 
-    from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
-
     report.write_report(folder, runs, scale)
     claims = report.as_values(runs[0], scale)
     if args.json:
@@ -99,14 +100,11 @@ def _run_own(part: str, args: argparse.Namespace, workers: int, scale: Scale) ->
     if set(args.part) != {part} or args.paper or args.seeds is not None:
         raise UsageError(f"--part {part} is a study of its own; leave out --paper, --seeds and other parts")
     folder = args.output or Path(f"reproduction-{part}{'-quick' if args.quick else ''}")
+    wanted = {name: robust.experiments_of(name, scale, args.seed) for name in OWN[part].FILES}
     make_folder(folder)
     stores = {
-        name: Store(
-            folder / f"{name}.parquet",
-            robust.experiments_of(name, scale, args.seed),
-            robust.SAMPLING_INTERVAL,
-        )
-        for name in OWN[part].FILES
+        name: Store(folder / f"{name}.parquet", experiments, robust.SAMPLING_INTERVAL)
+        for name, experiments in wanted.items()
     }
     results = {}
     with telling_what_is_left(list(stores.values())):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from mcp_asdf_tools.common.errors import UsageError
 
 EXTRAS = {
@@ -17,10 +20,16 @@ EXTRAS = {
 """The extra of ``pyproject.toml`` that brings each module outside the base installation."""
 
 
-def missing_extra(error: ImportError) -> UsageError | None:
-    """The error that names the extra to install; None if no extra has the module that is missing."""
-    module = (error.name or "").partition(".")[0]
-    extra = EXTRAS.get(module)
-    if extra is None:
-        return None
-    return UsageError(f"this needs {module}, which is not installed; run: pip install 'mcp-asdf[{extra}]'")
+@contextmanager
+def naming_extras() -> Iterator[None]:
+    """Raises UsageError, which names the extra, where one is missing; around code, or as a decorator."""
+    try:
+        yield
+    except ImportError as error:
+        module = (error.name or "").partition(".")[0]
+        if module not in EXTRAS:
+            raise
+        extra = EXTRAS[module]
+        raise UsageError(
+            f"this needs {module}, which is not installed; run: pip install 'mcp-asdf[{extra}]'"
+        ) from error

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -187,11 +188,13 @@ def parts_of(output: Path) -> Path:
     return output.with_name(f"{output.name}.parts")
 
 
-def read_table(path: Path) -> pa.Table:
+@naming_extras()
+def read_table(path: Path | str) -> pa.Table:
     """Read a table that ``write_table`` wrote, or all of a folder, such as the parts of a sweep.
 
     Raises UsageError for any other file.
     """
+    path = Path(path)
     try:
         table = pa.parquet.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:

@@ -170,11 +170,25 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
         "plot x.parquet x.png": ("matplotlib", "study"),
         "reproduce --quick": ("pyarrow", "study"),
         "swarm --steps 3 --view": ("uvicorn", "view"),
+        "swarm --firmware reference --log reference.log": ("scipy", "study"),
     }
     codes, errors = in_base(tmp_path, needed)
     assert codes == ["2"] * len(needed) and len(errors) == len(needed)
+    assert list(tmp_path.iterdir()) == [], "nothing was begun"
     for told, (module, extra) in zip(errors, needed.values(), strict=True):
         assert module in told and f"pip install 'mcp-asdf[{extra}]'" in told
+
+
+def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
+    calls = (
+        ("m.simulate(m.Experiment(steps=1000, trials=1))", "study"),
+        ("m.plot([])", "study"),
+        ("m.read_table('x.parquet')", "study"),
+        ("m.emulate(m.SwarmSettings(firmware='reference', steps=10))", "study"),
+    )
+    for call, extra in calls:
+        code = f"{HIDING}import mcp_asdf_tools as m\ntry: {call}\nexcept m.UsageError as error: print(error)"
+        assert f"run: pip install 'mcp-asdf[{extra}]'" in python("-c", code, cwd=tmp_path).stdout, call
 
 
 def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
