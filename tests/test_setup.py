@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -94,3 +96,36 @@ def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
     done = [[word for word in call if word not in quiet] for call in set_up(clone, "test")]
     assert [call[1:] for call in shown] == [call[1:] for call in done]
     assert [Path(call[0]).name for call in shown] == [Path(call[0]).name for call in done]
+
+
+def report(tests: int, skipped: str = "", failures: int = 0) -> str:
+    """A JUnit report; ``skipped`` is why one of its tests was."""
+    case = f'<testcase classname="a" name="b"><skipped message="{skipped}"/></testcase>' if skipped else ""
+    numbers = f'tests="{tests}" failures="{failures}" skipped="{int(skipped != "")}"'
+    return f"<testsuites><testsuite {numbers}>{case}</testsuite></testsuites>"
+
+
+@pytest.mark.parametrize(
+    ("reports", "told"),
+    [
+        ([report(2000), report(700)], ""),
+        ([report(2000), report(700, "this processor has no vectors of x86-64-v4")], ""),
+        ([report(2000), report(700, "frama-c is not installed: make setup")], "a.b was skipped"),
+        ([report(2000), report(700).replace('failures="0"', 'disabled="1"')], "1 more were skipped"),
+        ([report(2000, failures=1), report(700)], "1 failed"),
+        ([report(2000)], "2000 passed; there were 2700 at the last release"),
+        ([], "0 passed; there were"),
+    ],
+)
+def test_continuous_integration_is_strict(reports: list[str], told: str, tmp_path: Path) -> None:
+    """A gate that is not there is red; on a user's machine it is only named."""
+    assert "count.py --strict" in (ROOT / ".ci/run").read_text(encoding="utf-8")
+    for number, text in enumerate(reports):
+        (tmp_path / f"{number}.xml").write_text(text)
+    for option, status in (("--strict", int(told != "")), ("", 0)):
+        words = [sys.executable, str(ROOT / ".ci/count.py"), *option.split(), str(tmp_path)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        assert (told in done.stdout) or not option
+        assert re.fullmatch(r"\d+ passed, \d failed, \d skipped", done.stdout.splitlines()[-1])
+        assert done.stdout.count("skipped: a.b: ") == sum("message" in text for text in reports)
