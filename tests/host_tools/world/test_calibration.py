@@ -1,0 +1,111 @@
+"""A sensor's threshold and accuracy from readings over known tiles."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.world.calibration import calibrate
+from wire import record
+
+Rows = list[tuple[float, bool]]
+Capture = pytest.CaptureFixture[str]
+
+
+def drawn(black: float, white: float, spread: float, rounding: Callable[[float], float], count: int) -> Rows:
+    draw = random.Random(f"{black} {white} {spread}")
+    centres = [(black, True), (white, False)] * count
+    return [(float(rounding(draw.gauss(centre, spread))), is_black) for centre, is_black in centres]
+
+
+@pytest.mark.parametrize("case", [*product((300, 700), (60, 250), (round, float))])
+def test_no_threshold_sees_the_worse_colour_better(case: tuple[int, int, Callable[[float], float]]) -> None:
+    """By trying every threshold and either side; and the accuracies are those of ``reading < threshold``."""
+    black, spread, rounding = case
+    rows = drawn(black, 1000 - black, spread, rounding, 60)
+    found = calibrate(rows)
+    values = {False: np.array([r for r, is_black in rows if not is_black])}
+    values[True] = np.array([r for r, is_black in rows if is_black])
+    below = {colour: np.mean(values[colour] < found.threshold) for colour in values}
+    is_below = found.black_is == "below"
+    assert is_below == (black == 300)
+    assert found.accuracy["black"] == pytest.approx(below[True] if is_below else 1 - below[True])
+    assert found.accuracy["white"] == pytest.approx(1 - below[False] if is_below else below[False])
+    for threshold, _ in rows:
+        on_black, on_white = np.mean(values[True] < threshold), np.mean(values[False] >= threshold)
+        assert (
+            min(found.accuracy.values()) >= max(min(on_black, on_white), 1 - max(on_black, on_white)) - 1e-12
+        )
+
+
+def test_the_interval_holds_the_accuracy_and_the_bias_is_the_robot_s() -> None:
+    """Accuracy 0.97 on black and 0.87 on white: a robot that starts with b_hat errs by the bias."""
+    rows = [(float(number % 1000 < 870), False) for number in range(4000)]
+    rows += [(float(number % 1000 >= 970), True) for number in range(4000)]
+    found = calibrate(rows)
+    assert found.threshold == 1
+    assert found.accuracy == {"black": 0.97, "white": 0.87}
+    assert abs(found.b_hat - 0.92) < found.uncertainty < 0.01
+    assert found.warning is not None
+    assert "+0.060" in found.warning
+    robot = record(1, "native", found.b_hat).make()
+    for number in range(1000):  # of tiles of which 400 are black
+        robot.observe(Observation(int(number < 0.97 * 400 + 0.13 * 600)))
+    assert robot.x_hat == pytest.approx(0.4 + found.bias, abs=0.001)
+    assert calibrate(rows[::2]).uncertainty == pytest.approx(found.uncertainty * 2**0.5, rel=0.01)
+
+
+def test_colours_that_are_far_apart_are_no_proof_of_a_perfect_sensor() -> None:
+    found = calibrate([(float(reading), reading < 10) for reading in range(8)] * 5 + [(21.0, False)] * 40)
+    assert (found.threshold, found.black_is, found.warning, found.bias) == (14, "below", None, 0)
+    assert found.b_hat == 41 / 42
+    assert 0.02 < found.uncertainty < 0.04
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (
+            "reading,colour\n512,grey",
+            "line 2: '512,grey' is no reading over a tile; write a number and black or",
+        ),
+        ("512", "line 1: '512' is no reading"),
+        ("512,black,3", "line 1: "),
+        ("\n\nnan,white", "line 3: 'nan,white' is no reading"),
+        ("1e999,1", "line 1: "),
+        ("512,black\nreading,colour", "line 2: "),
+        ("", "0 readings over black tiles; take 10 or more"),
+        ("5,black\n" * 10 + "4,white\n" * 9, "9 readings over white tiles; take 10 or more"),
+        ("5,1\n5,0\n" * 10, "the readings do not tell black from white"),
+        ("5,1\n5,0\n6,1\n6,0\n" * 10, "the readings do not tell black from white"),
+    ],
+)
+def test_what_cannot_be_used_is_named(lines: str, told: str, tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "readings.csv").write_text(lines, encoding="utf-8")
+    assert main(["calibrate", str(tmp_path / "readings.csv")]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_the_command_says_it_and_warns(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "readings.csv"
+    path.write_text(
+        "reading,colour\n" + "700, White\n300,black\n" * 90 + "300,0\n" * 10, encoding="utf-8-sig"
+    )
+    assert main(["calibrate", str(path)]) == 0
+    said = capsys.readouterr()
+    assert "threshold 500: below it a tile is black\naccuracy on black 1.0000 (90 readings)\n" in said.out
+    assert "x_hat is off by +0.056 on every floor" in said.err
+    assert main(["calibrate", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["threshold"], told["accuracy"]) == (500, {"black": 1.0, "white": 0.9})
+    assert said.out.endswith(f"--b-hat {told['b_hat']:.4f} (+- {told['uncertainty']:.4f}, 95 %)\n")
+    assert told["warning"] in said.err
+    assert main(["calibrate", str(tmp_path / "none.csv")]) == 2
