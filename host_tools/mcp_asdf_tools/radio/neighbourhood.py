@@ -101,11 +101,21 @@ class Neighbourhood:
         seen = dict(zip(self._ids, self._world.step(), strict=True))
         alive = [node for node in self.nodes.values() if self.faults.survives(node, self.tick)]
         frames = [(node.id, frame) for node in alive for frame in self._frames_of(node, seen[node.id])]
-        self._sent = [each for robot, frame in frames for each in self.faults.leave(frame, robot, self.tick)]
-        for robot in self.nodes:
-            for frame in self.faults.babble(robot, self.tick, self.tick / self._steps_per_second):
-                self._sent += self.faults.leave(frame, robot, self.tick)
+        early, late = (self._babble(is_early) for is_early in (True, False))
+        self._sent = [
+            each
+            for robot, frame in [*early, *frames, *late]
+            for each in self.faults.leave(frame, robot, self.tick)
+        ]
         return seen[self.settings.controller.id]
+
+    def _babble(self, is_early: bool) -> list[tuple[int, can.Message]]:
+        now = self.tick / self._steps_per_second
+        return [
+            (robot, frame)
+            for robot in self.nodes
+            for frame in self.faults.babble(robot, self.tick, now, is_early)
+        ]
 
     def finish(self, sent: Sequence[can.Message]) -> list[can.Message]:
         """Take the frames that the controller has ``sent``, and let all neighbours hear and settle.

@@ -35,6 +35,7 @@ class FaultKind(Enum):
     FREEZE = "freeze", (), "a broadcast repeats the estimate of the robot's last regular one"
     LIAR = "liar", ("x", "alpha"), "a broadcast carries x and alpha instead of the robot's own"
     COLLIDE = "collide", ("id",), "a node sends under another's id"
+    SYBIL = "sybil", ("ids", "x", "alpha"), "a node sends estimates under other ids, too, before all others"
     BUSOFF = "busoff", ("ticks",), "a node neither sends nor hears for ticks, while its robot goes on"
 
     def __new__(cls, name: str, options: tuple[str, ...], text: str) -> FaultKind:
@@ -50,8 +51,9 @@ class Fault:
 
     Attributes:
         kind: Kind of fault.
-        rate: Probability at each occasion, 0 .. 1: for ``babble``, ``crash`` and ``busoff`` of each tick; for
-            the kinds with receivers of each frame on its way to each receiver; for the others of each frame.
+        rate: Probability at each occasion, 0 .. 1: for ``babble``, ``sybil``, ``crash`` and ``busoff`` of
+            each tick; for the kinds with receivers of each frame on its way to each receiver; for the others
+            of each frame.
         start: First tick, from 0.
         stop: First tick after, above ``start``; None for no end.
         robots: Affected senders, None for all: the nodes themselves, under any id they use.
@@ -60,9 +62,10 @@ class Fault:
         bits: Different bits of a frame that are flipped, 1 .. 64.
         frames: Frames per tick, 0 .. 10000.
         rejoin: Whether a crashed robot rejoins ``new`` or ``restored`` as it was when it crashed.
-        x: Estimate that a liar claims, 0 .. 1.
-        alpha: Confidence that a liar claims, 0 up to the largest binary32.
+        x: Estimate that a liar or sybil claims, 0 .. 1.
+        alpha: Confidence that it claims, 0 up to the largest binary32.
         id: Id under which a node sends, 0 .. 127; required for ``collide``.
+        ids: Ids under which a node sends; required for ``sybil``.
     """
 
     kind: FaultKind
@@ -78,6 +81,7 @@ class Fault:
     x: float = 1.0
     alpha: float = 1e6
     id: int | None = None
+    ids: frozenset[int] | None = None
 
     def is_on(self, tick: int, sender: int) -> bool:
         """True if the fault may affect ``sender`` in this tick. O(1)."""
@@ -117,8 +121,8 @@ _REJOIN = ("new", "restored")
 def parse_fault(text: str) -> Fault:
     """Read a fault such as ``delay=0.5,ticks=3,from=100,to=500,robots=0+3-5``.
 
-    The first item is the kind and its rate (1 if left out); ``robots`` and ``receivers`` take ids and
-    ranges of ids, separated by +. Raises UsageError that names the error and the fix.
+    The first item is the kind and its rate (1 if left out); ``robots``, ``receivers`` and ``ids`` take ids
+    and ranges of ids, separated by +. Raises UsageError that names the error and the fix.
     """
     first, *rest = (item.strip() for item in text.split(","))
     name, _, rate = first.partition("=")
@@ -143,6 +147,8 @@ def _check(text: str, fault: Fault) -> None:
     """Refuse values that contradict each other."""
     if fault.kind is FaultKind.COLLIDE and fault.id is None:
         raise UsageError(f"fault {fault.kind.value} needs the id to send under, such as id=3")
+    if fault.kind is FaultKind.SYBIL and fault.ids is None:
+        raise UsageError(f"fault {fault.kind.value} needs the ids to send under, such as ids=30-39")
     if fault.stop is not None and fault.stop <= fault.start:
         raise _error(text, "to", fault.stop, f"above from, {fault.start}")
     if fault.ticks == 0 and fault.kind is not FaultKind.DUPLICATE:

@@ -33,6 +33,7 @@ from mcp_asdf_tools.bus.frames import (
     FRAME_BYTES,
     MAX_NODE_ID,
     ONE,
+    TRANSFER_IDS,
     FrameFormat,
     Message,
     bits_of,
@@ -68,15 +69,39 @@ class Spells(Injector):
 
 
 class Babbler(Injector):
-    """Babble: frames of random content."""
+    """Babble and sybil: frames besides a node's own, of random content or estimates under other ids."""
 
-    def contents(self, node: int, tick: int) -> list[bytes]:
-        """The data of this tick's frames."""
+    def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
+        super().__init__(fault, draws)
+        self.is_early = fault.kind is FaultKind.SYBIL
+        self._frames = frames
+
+    def frames(self, node: int, tick: int, now: float) -> list[can.Message]:
+        """This tick's frames, stamped ``now``."""
         if not (self.fault.is_on(tick, node) and below(self._draws.of_node(node, tick), self.fault.rate)):
             return []
-        self.injected += self.fault.frames
+        frames = self._estimates(tick, now) if self.is_early else self._random(node, tick, now)
+        self.injected += len(frames)
+        return frames
+
+    def _random(self, node: int, tick: int, now: float) -> list[can.Message]:
+        identifier = self._frames.identifier(node)
         words = (self._draws.of_node(node, tick, number)[1] for number in range(self.fault.frames))
-        return [word.to_bytes(FRAME_BYTES, "little") for word in words]
+        contents = [word.to_bytes(FRAME_BYTES, "little") for word in words]
+        return [
+            can.Message(timestamp=now, arbitration_id=identifier, data=data, is_rx=False) for data in contents
+        ]
+
+    def _estimates(self, tick: int, now: float) -> list[can.Message]:
+        ids = sorted(self.fault.ids or ())
+        said = (Message(each, round(self.fault.x * ONE), 0, tick % TRANSFER_IDS) for each in ids)
+        return [claiming(self.fault.alpha, encode(each, self._frames, now)) for each in said]
+
+
+def claiming(alpha: float, frame: can.Message) -> can.Message:
+    """The estimate with ``alpha`` as claimed: the codec would round it to the firmware's grid."""
+    frame.data[3:7] = bits_of(alpha).to_bytes(4, "little")
+    return frame
 
 
 class SenderFault(Injector):
@@ -108,8 +133,7 @@ class SenderFault(Injector):
         if not self._strikes(sent):
             return sent
         lie = self._say(sent, replace(own, x_hat=round(self.fault.x * ONE), alpha=0))
-        # As claimed; the codec would round it to the firmware's grid.
-        lie.frame.data[3:7] = bits_of(self.fault.alpha).to_bytes(4, "little")
+        claiming(self.fault.alpha, lie.frame)
         return lie
 
     def _freeze(self, sent: SentFrame, own: Message) -> SentFrame:
@@ -165,19 +189,16 @@ class Faults:
         # All are evaluated, since each counts its ticks.
         return bool(self._spells) and any([each.lasts(robot, tick) for each in self._spells])
 
-    def babble(self, robot: int, tick: int, now: float = 0.0) -> list[can.Message]:
-        """The frames, stamped ``now`` (seconds), that the node sends besides its own.
+    def babble(self, robot: int, tick: int, now: float = 0.0, is_early: bool = False) -> list[can.Message]:
+        """The frames, stamped ``now`` (seconds), that the node sends besides its own: before all others'
+        frames of this tick, or after them.
 
-        Call once per tick, and pass each to ``leave``.
+        Call once per tick for either, and pass each to ``leave``.
         """
-        if not self._babblers or self.is_off(robot, tick):
+        own = [each for each in self._babblers if each.is_early == is_early]
+        if not own or self.is_off(robot, tick):
             return []
-        identifier = self._frames.identifier(robot)
-        return [
-            can.Message(timestamp=now, arbitration_id=identifier, data=data, is_rx=False)
-            for each in self._babblers
-            for data in each.contents(robot, tick)
-        ]
+        return [frame for each in own for frame in each.frames(robot, tick, now)]
 
     def leave(self, frame: can.Message, sender: int, tick: int) -> list[SentFrame]:
         """What gets onto the bus when a node sends ``frame``: one frame, or none while the node is off.
@@ -218,8 +239,8 @@ class Faults:
     def _injector(self, fault: Fault, draws: Draws) -> Injector:
         if fault.kind in (FaultKind.CRASH, FaultKind.BUSOFF):
             return Spells(fault, draws)
-        if fault.kind is FaultKind.BABBLE:
-            return Babbler(fault, draws)
+        if fault.kind in (FaultKind.BABBLE, FaultKind.SYBIL):
+            return Babbler(fault, draws, self._frames)
         if fault.kind in LINK_FAULTS:
             return LinkFault(fault, draws)
         return SenderFault(fault, draws, self._frames)

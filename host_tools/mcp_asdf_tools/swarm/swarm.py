@@ -125,8 +125,9 @@ class Swarm:
         estimates = [*self._estimates(alive, seen), *self._commanded(seen)]
         # The robust filter hears by rising id, wherever the robots run.
         frames += sorted(estimates, key=lambda each: each[0].id)
-        sent = [each for node, frame in frames for each in self._send(node, frame)]
-        sent += [each for node in self.nodes if node.is_alive for each in self._babble(node)]
+        sent = self._babble(is_early=True)
+        sent += [each for node, frame in frames for each in self._send(node, frame)]
+        sent += self._babble(is_early=False)
         self._carrier.carry(self.ticks)
         for node in alive:
             node.end()
@@ -174,13 +175,16 @@ class Swarm:
             self._carrier.send(sent)
         return leaving
 
-    def _babble(self, node: BusRobot) -> list[SentFrame]:
-        frames = self.faults.babble(node.id, self.ticks, self._now)
-        leaving = [sent for frame in frames for sent in self.faults.leave(frame, node.id, self.ticks)]
-        for sent in leaving:
-            if self._input_log is not None and node.id not in self._remote:
-                self._input_log.injected(sent.frame)
-            self._carrier.send(sent)
+    def _babble(self, is_early: bool) -> list[SentFrame]:
+        """Let nodes send what they send besides their own frames."""
+        leaving: list[SentFrame] = []
+        for node in (node for node in self.nodes if node.is_alive):
+            for frame in self.faults.babble(node.id, self.ticks, self._now, is_early):
+                for sent in self.faults.leave(frame, node.id, self.ticks):
+                    if self._input_log is not None and node.id not in self._remote:
+                        self._input_log.injected(sent.frame)
+                    self._carrier.send(sent)
+                    leaving.append(sent)
         return leaving
 
     @property
