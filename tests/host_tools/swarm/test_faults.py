@@ -67,6 +67,7 @@ BAD = {
     "corrupt,bits=65": "bits is '65'; it must be a whole number, 1 to 64",
     "crash,rejoin=maybe": "rejoin is 'maybe'; it must be new or restored",
     "collide": "collide needs the id to send under, such as id=3",
+    "sybil,x=0": "sybil needs the ids to send under, such as ids=30-39",
     "liar,alpha=-1": "alpha is '-1'; it must be a number, 0 to 3.40282e",
 }
 
@@ -101,10 +102,13 @@ def any_fault(draw: st.DrawFn, most: int = 127, ticks: int = 2**32 - 1) -> Fault
         "x": st.floats(0, 1),
         "alpha": st.floats(0, 1e38),
         "id": st.integers(0, 127),
+        "ids": ids(127),
     }
     kind = draw(st.sampled_from(list(FaultKind)))
     chosen: dict[str, Any] = {
-        name: draw(options[name]) for name in kind.options if name in ("id", "frames") or draw(st.booleans())
+        name: draw(options[name])
+        for name in kind.options
+        if name in ("id", "ids", "frames") or draw(st.booleans())
     }
     start = draw(st.integers(0, ticks - 1))
     stop = draw(st.none() | st.integers(start + 1, ticks))
@@ -169,14 +173,22 @@ class Reference:
             if who == node
         )
 
-    def babble(self, node: int, tick: int) -> list[Frame]:
+    def babble(self, node: int, tick: int, kind: FaultKind) -> list[Frame]:
         found = []
         for place, fault in enumerate([] if self.off(node) else self.faults):
             struck = self.word(place, 0, tick, 0, 0, node, 0, 0, 0) < Fraction(fault.rate) * 2**64
-            if fault.kind is FaultKind.BABBLE and self.on(fault, tick, node) and struck:
+            if fault.kind is not kind or not (self.on(fault, tick, node) and struck):
+                continue
+            if fault.ids is None:
                 words = [self.word(place, 1, tick, k, 0, node, 0, 0, 0) for k in range(fault.frames)]
-                found += [(FORMAT.identifier(node), word.to_bytes(8, "little")) for word in words]
-                self.injected[place] += fault.frames
+                frames = [(FORMAT.identifier(node), word.to_bytes(8, "little")) for word in words]
+            else:
+                said = struct.pack("<I", round(fault.x * ONE))[:3] + struct.pack(
+                    "<fB", fault.alpha, 224 + tick
+                )
+                frames = [(FORMAT.identifier(each), said) for each in range(128) if each in fault.ids]
+            found += frames
+            self.injected[place] += len(frames)
         return found
 
     def leave(self, frame: Frame, node: int, tick: int, number: int) -> Frame:
@@ -248,7 +260,7 @@ def flipped(data: bytes, words: list[int]) -> bytes:
 
 EVERY_KIND = (
     *("loss=0.1", "delay=0.5", "duplicate=0.5,ticks=2", "corrupt=0.5,bits=3", "babble=0.5,frames=2"),
-    *("crash=0.1", "freeze=0.5", "liar=0.3", "collide=0.2,id=3", "busoff=0.1,ticks=2"),
+    *("crash=0.1", "freeze=0.5", "liar=0.3", "collide=0.2,id=3", "busoff=0.1,ticks=2", "sybil=0.2,ids=4-6"),
 )
 
 
@@ -276,10 +288,14 @@ def test_every_frame_meets_the_fate_that_the_reference_says(
             lasting = faults.crash(node, tick)
             assert (lasting is not None) == reference.off(node, FaultKind.CRASH), replay
             own = Message(node, int(chance.integers(ONE)), int(chance.integers(1, 1 << 24)), tick % 32)
-            babbled = faults.babble(node, tick, tick / 10)
-            before = [encode(own, FORMAT), encode_heartbeat(Heartbeat(node, tick, tick % 32)), *babbled]
+            early, late = (faults.babble(node, tick, tick / 10, is_early) for is_early in (True, False))
+            heartbeat = encode_heartbeat(Heartbeat(node, tick, tick % 32))
+            before = [*early, encode(own, FORMAT), heartbeat, *late]
             leaving = [each for frame in before for each in faults.leave(frame, node, tick)]
-            frames = [content(before[0]), content(before[1]), *reference.babble(node, tick)]
+            first, last_ones = (
+                reference.babble(node, tick, kind) for kind in (FaultKind.SYBIL, FaultKind.BABBLE)
+            )
+            frames = [*first, content(encode(own, FORMAT)), content(heartbeat), *last_ones]
             counts = Counter[int]()
             for frame in [] if reference.off(node) else frames:
                 expected.append(reference.leave(frame, node, tick, counts[frame[0]]))

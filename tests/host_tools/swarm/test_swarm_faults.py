@@ -37,7 +37,7 @@ UDP_PORT = 10_000 + os.getpid() % 500 * 40
 MIX = (
     *("loss=0.1", "corrupt=0.1,bits=2", "delay=0.2,ticks=3", "duplicate=0.2,ticks=1", "babble=0.1,frames=3"),
     *("crash=0.01,ticks=6", "crash=0.01,ticks=4,rejoin=restored", "busoff=0.01,ticks=3"),
-    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2"),
+    *("freeze=0.05", "liar=0.05,x=1,alpha=1e5", "collide=0.05,id=2", "sybil=0.05,ids=1+9,alpha=0"),
 )
 
 
@@ -246,7 +246,7 @@ ROWS = [
 @pytest.mark.parametrize(("faults", "figures"), [*ROWS[:2], *slow(ROWS[2:])])
 def test_the_table_of_threats_says_what_happens(faults: list[str], figures: list[str]) -> None:
     """The second row is the liar that takes all; robots from 6 on are those that go wrong."""
-    assert len(ROWS) == 16 and ROWS[0][0] == []
+    assert len(ROWS) == 20 and ROWS[0][0] == []
     found = []
     for filtering in ("asdf-plus", "robust"):
         settings = SwarmSettings(steps=500, filter_period=100, filter=filtering, faults=tuple(faults))
