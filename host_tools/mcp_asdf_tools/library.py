@@ -16,7 +16,8 @@ from mcp_asdf_tools.experiments.pictures import PLOTS
 from mcp_asdf_tools.experiments.pictures import draw as draw_results
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, rescored
 from mcp_asdf_tools.experiments.scores import LimitsOf, chosen_limits, paper_limits
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm

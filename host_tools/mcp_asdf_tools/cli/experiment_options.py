@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ def limits_of(args: argparse.Namespace) -> LimitsOf:
     return chosen_limits(args.k_max, args.e_max)
 
 
-def summary(experiments: Sequence[Trials], limits: LimitsOf) -> list[dict[str, Any]]:
+def summary(experiments: Iterable[Trials], limits: LimitsOf) -> list[dict[str, Any]]:
     """For each experiment its parameters, and medians and quartiles over the trials, as plain values."""
     return [
         {
@@ -99,11 +99,10 @@ def _quartiles(trials: Trials, limits: LimitsOf) -> dict[str, Any]:
     }
 
 
-def show(experiments: Sequence[Trials], limits: LimitsOf, title: str) -> None:
-    """Print a table with a row for each experiment and a column for each parameter in which they differ."""
-    rows = summary(experiments, limits)
+def show(rows: Sequence[dict[str, Any]], title: str) -> None:
+    """Print a summary: a row for each experiment, a column for each parameter in which they differ."""
     varying = [name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1]
-    k_max, e_max = (sorted({limits(each.experiment)[index] for each in experiments}) for index in (0, 1))
+    k_max, e_max = (sorted({row["limits"][name] for row in rows}) for name in ("k_max", "e_max"))
     words = f"{k_max[0]:g}" if len(k_max) == 1 else "the length of a trial"
     caption = f"K_max {words}, e_max {e_max[0]:.6g}; medians over the trials, H with quartiles"
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")

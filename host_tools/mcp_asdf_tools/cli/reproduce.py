@@ -15,7 +15,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in, require_arrow
-from mcp_asdf_tools.experiments.sweep import Store, run_missing, run_sweep
+from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.sweep import run_missing, run_sweep
 from mcp_asdf_tools.reproduction import ageing, robust
 from mcp_asdf_tools.reproduction.runs import StudyFolder, make_folder
 from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
@@ -25,12 +26,12 @@ OWN = {"robust": robust, "ageing": ageing}
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # as many trials as decide: half an hour
+  mcp-asdf reproduce                                # as many trials as decide
   mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --part robust                  # not the paper's: the robust filter, a quarter of an hour
-  mcp-asdf reproduce --part ageing                  # not the paper's: sensors that age, ten minutes
+  mcp-asdf reproduce --part robust                  # not the paper's: the robust filter
+  mcp-asdf reproduce --part ageing                  # not the paper's: sensors that age
 The same command resumes a run that was interrupted, and makes the report of a finished one again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments.results import experiments_in, metadata_of, read_table, write_csv
+from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table, write_csv
 
 EPILOG = """\
 examples:
@@ -26,14 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Score, keep and print."""
-    table = read_table(args.file)
-    experiments = experiments_in(table)
+    said = metadata_of(read_table(args.file, ["trial"]))
     limits = options.limits_of(args)
     if args.csv is not None:
-        write_csv(args.csv, experiments, limits)
+        write_csv(args.csv, experiments_at(args.file), limits)
+    rows = options.summary(experiments_at(args.file), limits)
     if args.json:
-        result = {**metadata_of(table), "experiments": options.summary(experiments, limits)}
-        print(json.dumps(result, indent=2))
+        print(json.dumps({**said, "experiments": rows}, indent=2))
     else:
-        options.show(experiments, limits, str(args.file))
+        options.show(rows, str(args.file))
     return 0

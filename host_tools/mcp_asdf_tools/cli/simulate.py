@@ -12,7 +12,8 @@ from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.sweep import run_sweep
 
 EPILOG = """\
 examples:
@@ -50,6 +51,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({**metadata_of(table), **options.summary(results, limits)[0]}, indent=2))
     else:
-        options.show(results, limits, "one experiment")
+        options.show(options.summary(results, limits), "one experiment")
         print_again(args, seed=experiment.seed)
     return 0

@@ -12,8 +12,9 @@ from pathlib import Path
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
-from mcp_asdf_tools.experiments.sweep import Store, run_sweep
+from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table
+from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.sweep import run_missing
 
 EPILOG = """\
 examples:
@@ -59,13 +60,15 @@ def run(args: argparse.Namespace) -> int:
     store = Store(output, given, args.record)
     missing = store.left
     with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
-        table = run_sweep(store, workers, args.record, report, args.scheduler)
-    experiments = experiments_in(table)
+        run_missing(store, workers, args.record, report, args.scheduler)
+        store.finish()
+    rows = options.summary(experiments_at(output), limits)
     if args.json:
-        result = {**metadata_of(table), "run": missing, "output": str(store.output)}
-        print(json.dumps({**result, "experiments": options.summary(experiments, limits)}, indent=2))
+        said = metadata_of(read_table(output, ["trial"]))
+        result = {**said, "run": missing, "output": str(output), "experiments": rows}
+        print(json.dumps(result, indent=2))
     else:
-        options.show(experiments, limits, str(store.output))
+        options.show(rows, str(output))
         seeds = {experiment.seed for experiment in given}
         print_again(args, **({"seed": seeds.pop()} if len(seeds) == 1 else {}))
     return 0

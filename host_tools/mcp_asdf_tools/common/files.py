@@ -35,6 +35,23 @@ def write_together(contents: Mapping[Path, bytes | str]) -> None:
                 draft.unlink()
 
 
+@contextmanager
+def draft_of(path: Path) -> Iterator[Path]:
+    """The name of a file that takes the place of ``path`` when this is left, unless by an error.
+
+    For what is too large to be written at once. Raises UsageError if it cannot be written.
+    """
+    draft = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        with explaining(path):
+            yield draft
+            with draft.open("rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(draft, check_target(path))
+    finally:
+        draft.unlink(missing_ok=True)
+
+
 def write_atomically(path: Path | str, data: bytes | str) -> None:
     """Write one file as ``write_together`` does."""
     write_together({Path(path): data})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from importlib import metadata
 
 
@@ -13,5 +14,11 @@ def own_version() -> str:
 
 def software_versions() -> dict[str, str]:
     """Versions of the software that results may depend on, by name."""
-    versions = {name: metadata.version(name) for name in ("mcp-asdf", "numpy", "python-can")}
-    return versions | {"python": platform.python_version()}
+    return {name: _version(name) for name in ("mcp-asdf", "numpy", "python-can")} | {
+        "python": platform.python_version()
+    }
+
+
+@cache
+def _version(name: str) -> str:
+    return metadata.version(name)

@@ -11,7 +11,8 @@ A Parquet file has a row for every trial: the experiment's parameters, a column 
   steps, where recorded.
 
 The file's metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the
-software, the threshold delta and ``sampling_interval``. Rows of equal parameters belong to one experiment.
+software, the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows of
+equal parameters belong to one experiment.
 """
 
 from __future__ import annotations
@@ -19,17 +20,22 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.common.files import draft_of, write_atomically
+from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
@@ -54,6 +60,33 @@ _LISTS = {
 }
 """Columns of lists: the attribute of ``Trials`` that each holds, and the type of its elements."""
 _PARAMETERS = tuple(Experiment().parameters())
+INDEX = (*_PARAMETERS, "trial")
+"""Columns that say which trial a row is of."""
+
+_UNITS = {
+    **dict.fromkeys(("drift_rate", "drift_spread", "drift_diffusion"), "1/step"),
+    **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
+    **dict.fromkeys(("drift_period", "observation_period", "steps", "comms_period"), "step"),
+    **dict.fromkeys(("filter_period", "latency", "k"), "step"),
+    **dict.fromkeys(SCORES, "point of 100"),
+    "speed": "m/s",
+    "steps_per_second": "1/s",
+}
+"""Units of the columns that have one."""
+
+_MEANINGS = {
+    "trial": "number of the trial, from 0",
+    "H": "score, mean of h_K and h_e, with the paper's K_max and e_max",
+    "h_K": "score of convergence",
+    "h_e": "score of accuracy",
+    "k": "K: step from which on x stays within delta, by robot",
+    "e": "|x - f| at K, by robot",
+    "b_hat": "assumed accuracy after each filter step, robot by robot within a step",
+    "tests": "hypothesis tests modulo 65536, by robot",
+    "updates": "re-estimates of b_hat modulo 65536, by robot",
+    **{f"record_{name}": f"{name} every sampling_interval steps, robot by robot" for name in QUANTITIES},
+}
+"""Meanings of the columns that are not parameters."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +144,19 @@ def table_of(trials: Trials, sampling_interval: int = 0) -> pa.Table:
         "versions": software_versions(),
         "delta": DELTA,
         "sampling_interval": sampling_interval,
+        "columns": columns_in_words(),
     }
     return pa.table(columns).replace_schema_metadata({_KEY: json.dumps(description)})
 
 
+@cache
+def columns_in_words() -> dict[str, dict[str, str]]:
+    """Unit, "1" for none, and meaning of every column."""
+    meanings = {name: each.text for name, each in parameters_of(Experiment).items()} | _MEANINGS
+    return {name: {"unit": _UNITS.get(name, "1"), "meaning": words} for name, words in meanings.items()}
+
+
+@cache
 def _kind(name: str) -> Any:
     default = getattr(Experiment(), name)
     kinds = {int: pa.uint64(), float: pa.float64()}
@@ -127,18 +169,64 @@ def _rows(array: NDArray[Any], kind: Any) -> Any:
     return pa.array([trial.ravel() for trial in array], pa.list_(named))
 
 
+class Stretch(NamedTuple):
+    """Rows of one experiment that follow each other: its parameters as JSON, first row, one past the last."""
+
+    parameters: str
+    start: int
+    stop: int
+
+
+def stretches_of(table: pa.Table) -> list[Stretch]:
+    """The stretches of a table. O(rows), and slow only for each stretch."""
+    begins = np.zeros(len(table), bool)
+    begins[:1] = True
+    for name in _PARAMETERS:
+        codes = table[name].combine_chunks().dictionary_encode("encode").indices.to_numpy()
+        begins[1:] |= codes[1:] != codes[:-1]
+    starts = np.flatnonzero(begins)
+    heads = table.select(_PARAMETERS).take(starts).to_pylist()
+    stops = [*starts[1:].tolist(), len(table)]
+    return [
+        Stretch(json.dumps(head), *each) for head, *each in zip(heads, starts.tolist(), stops, strict=True)
+    ]
+
+
+def _by_experiment(stretches: Iterable[Stretch]) -> dict[str, NDArray[np.int64]]:
+    """The rows of each experiment, by its parameters."""
+    found: dict[str, list[NDArray[np.int64]]] = {}
+    for each in stretches:
+        found.setdefault(each.parameters, []).append(np.arange(each.start, each.stop))
+    return {key: np.concatenate(rows) for key, rows in found.items()}
+
+
 def experiments_in(table: pa.Table) -> list[Trials]:
     """The experiments of a table in the order of their first rows. O(rows)."""
-    groups: dict[str, list[int]] = {}
-    for index, row in enumerate(table.select(_PARAMETERS).to_pylist()):
-        groups.setdefault(json.dumps(row), []).append(index)
+    groups = _by_experiment(stretches_of(table))
     whole = table.combine_chunks()  # rows picked from many small pieces take long
-    return [_trials(json.loads(key), whole.take(indices)) for key, indices in groups.items()]
+    return [_trials(key, whole.take(rows)) for key, rows in groups.items()]
 
 
-def _trials(parameters: dict[str, Any], table: pa.Table) -> Trials:
+def experiments_at(path: Path) -> Iterator[Trials]:
+    """The experiments of a file, or of a folder of them, as ``experiments_in``, but one after the other.
+
+    No more than one is in memory. Raises UsageError as ``read_table``.
+    """
+    pieces, stretches = Pieces(), []
+    for file in sorted(path.glob("*.parquet")) if path.is_dir() else [path]:
+        for first, table in pieces.add(file, _PARAMETERS):
+            stretches += [
+                each._replace(start=first + each.start, stop=first + each.stop)
+                for each in stretches_of(table)
+            ]
+    columns = [name for name in pieces.column_names if name not in _PARAMETERS]
+    for key, rows in _by_experiment(stretches).items():
+        yield _trials(key, pieces.take(rows, columns))
+
+
+def _trials(parameters: str, table: pa.Table) -> Trials:
     """The trials of rows that belong to one experiment, whose lists in a column are all of one length."""
-    experiment = Experiment.from_parameters(parameters)
+    experiment = Experiment.from_parameters(json.loads(parameters))
     table = table.sort_by("trial")
 
     def values(name: str, *shape: int) -> NDArray[Any]:
@@ -178,9 +266,19 @@ def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
 
 def write_table(path: Path, table: pa.Table) -> None:
     """Write a table as Parquet, whole or not at all. Raises UsageError if that cannot be done."""
-    sink = io.BytesIO()
-    pa.parquet.write_table(table, sink, compression="zstd")
-    write_atomically(path, sink.getvalue())
+    write_tables(path, [table])
+
+
+def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
+    """Write tables of the same columns, at least one, as row groups of one file, as ``write_table`` does."""
+    given = iter(tables)
+    first = next(given)
+    with (
+        draft_of(path) as draft,
+        pa.parquet.ParquetWriter(draft, first.schema, compression="zstd") as writer,
+    ):
+        for table in chain([first], given):
+            writer.write_table(table, row_group_size=len(table))
 
 
 def parts_of(output: Path) -> Path:
@@ -189,31 +287,126 @@ def parts_of(output: Path) -> Path:
 
 
 @naming_extras()
-def read_table(path: Path | str) -> pa.Table:
+def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a table that ``write_table`` wrote, or all of a folder, such as the parts of a sweep.
 
     Raises UsageError for any other file.
     """
     path = Path(path)
+    with _reading(path):
+        table = pa.parquet.read_table(path, partitioning=None, columns=columns)
+    _check(path, table.schema, len(table))
+    return table
+
+
+def _open(path: Path) -> Any:
+    """A file that ``write_table`` wrote, to be read in row groups. Raises UsageError for any other."""
+    with _reading(path):
+        file = pa.parquet.ParquetFile(path)
+    _check(path, file.schema_arrow, file.metadata.num_rows)
+    if absent := set(_PARAMETERS) - set(file.schema_arrow.names):
+        raise UsageError(f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again")
+    return file
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while ``path`` is read into a UsageError that names it."""
     try:
-        table = pa.parquet.read_table(path, partitioning=None)
+        yield
     except (OSError, pa.ArrowException) as error:
         parts = parts_of(path)
         hint = f"; its sweep is not finished, partial data is in {parts}" if parts.is_dir() else ""
         reason = error if path.exists() else "there is no such file"
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
-    known = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+
+
+def _check(path: Path, schema: Any, rows: int) -> None:
+    """Raise UsageError if a file with this schema is not one of results."""
+    known = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
     if known.get("format") != FORMAT:
         holds = "no results" if "format" not in known else f"results in format {known['format']}"
         raise UsageError(f"{path} holds {holds}; format {FORMAT} is needed: run mcp-asdf sweep again")
-    if not len(table):
+    if not rows:
         raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
-    return table
+
+
+class _Piece(NamedTuple):
+    """A row group of a file, and how many rows stand before it."""
+
+    path: Path
+    group: int
+    first: int
+
+
+class Pieces:
+    """Rows of many files as one sequence, of which only a few row groups are in memory."""
+
+    _KEPT = 4
+    """Row groups that are kept, as rows that are taken together stand close."""
+
+    def __init__(self) -> None:
+        self._pieces: list[_Piece] = []
+        self._read: OrderedDict[tuple[_Piece, tuple[str, ...] | None], pa.Table] = OrderedDict()
+        self.column_names: list[str] = []
+        self.rows = 0
+
+    def add(self, path: Path, columns: Sequence[str]) -> Iterator[tuple[int, pa.Table]]:
+        """Append a file's rows; yields for each row group the number of its first row, and these columns.
+
+        Raises UsageError as ``read_table``.
+        """
+        file = _open(path)
+        self.column_names = file.schema_arrow.names
+        for group in range(file.num_row_groups):
+            with _reading(path):
+                table = file.read_row_group(group, columns=list(columns))
+            self._pieces.append(_Piece(path, group, self.rows))
+            self.rows += len(table)
+            yield self._pieces[-1].first, table
+
+    def append(self, path: Path, rows: int) -> None:
+        """Append the only row group of a file that has just been written."""
+        self._pieces.append(_Piece(path, 0, self.rows))
+        self.rows += rows
+
+    def join(self, count: int, path: Path) -> None:
+        """Let the only row group of ``path`` stand for that of the last ``count`` files, which it holds."""
+        self._pieces[-count:] = [self._pieces[-count]._replace(path=path)]
+
+    def rows_of_last(self, count: int) -> int:
+        """Number of rows of the last ``count`` row groups."""
+        return self.rows - self._pieces[-count].first if count else 0
+
+    def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
+        """Some rows in this order."""
+        firsts = [piece.first for piece in self._pieces]
+        owners = np.searchsorted(firsts, rows, side="right") - 1
+        tables, places = [], []
+        for owner in np.unique(owners):
+            places.append(np.flatnonzero(owners == owner))
+            piece = self._pieces[owner]
+            tables.append(self._table(piece, columns).take(rows[places[-1]] - piece.first))
+        order = np.argsort(np.concatenate(places))
+        return pa.concat_tables(tables).combine_chunks().take(order)
+
+    def _table(self, piece: _Piece, columns: Sequence[str] | None) -> pa.Table:
+        key = (piece, None if columns is None else tuple(columns))
+        if key not in self._read:
+            with _reading(piece.path):
+                self._read[key] = (
+                    _open(piece.path).read_row_group(piece.group, columns=columns).combine_chunks()
+                )
+            if len(self._read) > self._KEPT:
+                self._read.popitem(last=False)
+        self._read.move_to_end(key)
+        return self._read[key]
 
 
 def metadata_of(table: pa.Table) -> dict[str, Any]:
     """Format, versions, delta and sampling interval of a table."""
     metadata: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
+    metadata.pop("columns", None)  # as ``columns_in_words``
     return metadata
 
 

@@ -1,50 +1,33 @@
-"""Run many experiments on all cores, so that no finished trial is lost or run twice.
-
-Trials run in jobs. Each job writes its results to a file in the folder ``OUTPUT.parts`` when it ends; once
-all are complete they are merged into the file OUTPUT and the folder is removed. An interrupted sweep
-therefore resumes where it stopped, and a larger sweep runs only the trials that are new.
-"""
+"""Run many experiments on all cores, in jobs whose results a store keeps as they come."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from contextlib import contextmanager
 from itertools import groupby, islice
 from multiprocessing import active_children, get_context, parent_process
-from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
-from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import (
-    Trials,
-    metadata_of,
-    parts_of,
-    read_table,
-    require_arrow,
-    table_of,
-    write_table,
-)
+from mcp_asdf_tools.experiments.results import Trials, read_table
+from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.trials import Job
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
-else:
-    from mcp_asdf_tools.experiments import arrow as pa
 
-_MOST_TRIALS = 32
-"""Most trials of a job: twice as many as the engine runs side by side."""
+_TRIALS = 32, 1000
+"""Most trials of a job: twice as many as the engine runs side by side; more if they are short, as each job
+has its price."""
+
+_SHORT_ROBOT_STEPS = 1_000_000
+"""Steps of all robots in a job up to which its trials are short."""
 
 _MOST_ROBOT_STEPS = 20_000_000
 """Most steps of all robots in a job of several trials, which bounds its memory."""
@@ -53,128 +36,17 @@ Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
 
 
-def identity(experiment: Experiment, sampling_interval: int) -> str:
-    """Digest of everything that decides a trial's result, given its number."""
-    parameters = {
-        **replace(experiment, trials=1).parameters(),
-        "sampling_interval": sampling_interval,
-        "version": software_versions()["mcp-asdf"],
-    }
-    return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:20]
-
-
-class Store:
-    """The results of a sweep on disk, finished or not."""
-
-    def __init__(
-        self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0, most: int = 0
-    ) -> None:
-        """Read the results of ``experiments`` that exist already, also of further trials up to ``most``.
-
-        Raises UsageError if the files hold other results, which would be lost, or cannot be written.
-        """
-        require_arrow()  # before anything is run
-        self.output = output
-        self.parts = parts_of(output)
-        self._interval = sampling_interval
-        self._most = most
-        self.want(experiments)
-        self._tables: list[pa.Table] = []
-        self._rows: dict[tuple[str, int], int] = {}  # of all tables together, by identity and trial
-        check_target(output)
-        for path in [*sorted(self.parts.glob("*.parquet")), output]:
-            if path.exists():
-                self._take_file(path)
-
-    def want(self, experiments: Iterable[Experiment]) -> None:
-        """Choose the experiments whose results it is for."""
-        self.experiments = list(dict.fromkeys(experiments))
-        self._names = {each: identity(each, self._interval) for each in self.experiments}
-
-    def missing(self, experiment: Experiment) -> list[int]:
-        """The trials of an experiment that have no results yet."""
-        return [
-            trial for trial in range(experiment.trials) if (self._names[experiment], trial) not in self._rows
-        ]
-
-    @property
-    def left(self) -> int:
-        """How many trials have no results yet."""
-        return sum(len(self.missing(experiment)) for experiment in self.experiments)
-
-    def add(self, trials: Trials) -> None:
-        """Write a job's results to disk. Raises UsageError if that fails."""
-        table = table_of(trials, self._interval)
-        name = self._names[trials.experiment]
-        try:
-            self.parts.mkdir(exist_ok=True)
-        except OSError as error:
-            raise UsageError(f"cannot make the folder {self.parts}: {error.strerror}") from error
-        write_table(self.parts / f"{name}-{trials.numbers[0]}-{len(table)}.parquet", table)
-        self._take(table, [name] * len(table))
-
-    def table(self) -> pa.Table:
-        """All trials, in the order of the experiments. Needs all of them."""
-        wanted = [(each, trial) for each in self.experiments for trial in range(each.trials)]
-        rows = [self._rows[self._names[experiment], trial] for experiment, trial in wanted]
-        table = pa.concat_tables(self._tables).combine_chunks().take(rows)
-        column = table.column_names.index("trials")  # there may have been fewer when a row was made
-        trials = pa.array([experiment.trials for experiment, _ in wanted], pa.uint64())
-        return table.set_column(column, "trials", trials)
-
-    def finish(self) -> pa.Table:
-        """Write the one file and remove the parts; returns the table. Needs all trials."""
-        table = self.table()
-        write_table(self.output, table)
-        for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
-            path.unlink(missing_ok=True)
-        with suppress(OSError):  # absent, or it holds other files
-            self.parts.rmdir()
-        return table
-
-    def _take_file(self, path: Path) -> None:
-        table = read_table(path)
-        said = metadata_of(table)
-        rows = [json.dumps(row) for row in table.select(list(Experiment().parameters())).to_pylist()]
-        own = {
-            row: identity(Experiment.from_parameters(json.loads(row)), self._interval) for row in set(rows)
-        }
-        wanted = {
-            (name, trial)
-            for experiment, name in self._names.items()
-            for trial in range(max(self._most, experiment.trials))
-        }
-        found = zip([own[row] for row in rows], table["trial"].to_pylist(), strict=True)
-        is_same = (
-            said["sampling_interval"] == self._interval
-            and said["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
-        )
-        if not is_same or not wanted.issuperset(found):
-            raise UsageError(
-                f"{path} holds results of other experiments, recordings or versions; "
-                "choose another name or move it away"
-            )
-        self._take(table, [own[row] for row in rows])
-
-    def _take(self, table: pa.Table, names: Sequence[str]) -> None:
-        """Remember each row of a table."""
-        start = sum(map(len, self._tables))
-        self._tables.append(table)
-        for index, (name, trial) in enumerate(zip(names, table["trial"].to_pylist(), strict=True)):
-            self._rows[name, trial] = start + index
-
-
 def jobs_of(store: Store, sampling_interval: int = 0) -> Iterator[Job]:
     """Jobs for the trials that are missing."""
     for experiment in store.experiments:
         is_native = experiment.firmware == "native"
-        size = (
-            min(_MOST_TRIALS, _MOST_ROBOT_STEPS // (experiment.robots * experiment.steps)) if is_native else 1
-        )
+        robot_steps = experiment.robots * experiment.steps
+        few, many = _TRIALS
+        size = min(max(few, _SHORT_ROBOT_STEPS // robot_steps), many, _MOST_ROBOT_STEPS // robot_steps)
         # Numbers less their places are equal within a run without gaps.
         for _, gapless in groupby(enumerate(store.missing(experiment)), lambda pair: pair[1] - pair[0]):
             trials = (trial for _, trial in gapless)
-            while batch := list(islice(trials, max(1, size))):
+            while batch := list(islice(trials, max(1, size) if is_native else 1)):
                 yield Job(experiment, batch[0], len(batch), sampling_interval)
 
 
@@ -187,7 +59,8 @@ def run_sweep(
 ) -> pa.Table:
     """Run what is missing, as ``run_missing``, and return the finished table."""
     run_missing(store, workers, sampling_interval, report, scheduler)
-    return store.finish()
+    store.finish()
+    return read_table(store.output)
 
 
 def run_missing(
@@ -200,12 +73,18 @@ def run_missing(
     """Run what is missing on ``workers`` processes, 1 being this one. With the address of a ``scheduler`` run
     it on that Dask cluster instead.
 
-    KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run
-    or a worker process of this machine dies.
+    KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run,
+    a worker process of this machine dies, or another process is at work on the output.
     """
-    for trials in _results_of(jobs_of(store, sampling_interval), workers, scheduler):
-        store.add(trials)
-        report(len(trials.numbers))
+    if not store.left:
+        return
+    store.reserve()
+    try:
+        for trials in _results_of(jobs_of(store, sampling_interval), workers, scheduler):
+            store.add(trials)
+            report(len(trials.numbers))
+    finally:
+        store.flush()
 
 
 def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[Trials]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import experiments_in
-from mcp_asdf_tools.experiments.sweep import Store
+from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.reproduction.decisions import Decided, decide
 from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cells_of, experiment_of, study_of
 

@@ -18,6 +18,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
     QUANTITIES,
+    experiments_at,
     experiments_in,
     metadata_of,
     read_table,
@@ -68,8 +69,19 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert row["b_hat"] == trials.b_hat.ravel().tolist()
     assert (row["H"], row["h_K"], row["h_e"]) == tuple(each[0] for each in trials.scores().values)
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
+    columns = said.pop("columns")
+    assert list(columns) == file.schema_arrow.names
+    assert all(each["meaning"] for each in columns.values())
+    units = [columns[name]["unit"] for name in ("k", "filter_period", "tile", "speed", "H", "fill_ratio")]
+    assert units == ["step", "step", "m", "m/s", "point of 100", "1"]
     assert said == {"format": FORMAT, "versions": software_versions(), "delta": 0.01, "sampling_interval": 10}
     assert said == metadata_of(read_table(path))
+
+
+def test_results_without_a_parameter_are_refused(path: Path) -> None:
+    pq.write_table(pq.read_table(path).drop_columns(["latency", "memory"]), path)
+    with pytest.raises(UsageError, match=r"results\.parquet has no latency, memory: an older mcp-asdf"):
+        next(experiments_at(path))
 
 
 def test_a_file_of_something_else_is_refused(path: Path) -> None:

@@ -19,7 +19,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import cluster as cluster_module
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import read_table
-from mcp_asdf_tools.experiments.sweep import Store, jobs_of, run_sweep
+from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from support import ROOT, slow
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: make setup")
