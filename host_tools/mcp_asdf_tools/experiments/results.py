@@ -305,7 +305,9 @@ def _open(path: Path) -> Any:
         file = pa.parquet.ParquetFile(path)
     _check(path, file.schema_arrow, file.metadata.num_rows)
     if absent := set(_PARAMETERS) - set(file.schema_arrow.names):
-        raise UsageError(f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again")
+        raise UsageError(
+            f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again"
+        )
     return file
 
 
