@@ -15,6 +15,13 @@ static inline uint32_t caller_where_large(uint32_t value)
     return value;
 }
 
+static inline uint32_t counted(uint32_t value)
+{
+    uint32_t count = 0;
+    const uint32_t before = value > 7U ? count++ : 0U;
+    return value < 3U && ++count == 1U ? count + 1U : count + before;
+}
+
 static inline uint32_t turned(uint32_t value)
 {
     for (uint8_t i = 0; i < 4U; ++i) { /* at most 3 turns */

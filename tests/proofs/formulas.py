@@ -10,7 +10,7 @@ import z3
 from proofs.arithmetic import EXACT
 from proofs.machine import Machine, Place, Summary
 from proofs.numbers import Number, Type, Words
-from proofs.prove import any_result, terms
+from proofs.prove import any_result
 from proofs.source import Program
 
 RESULTS = {
@@ -64,10 +64,10 @@ BY_LEMMA: dict[str, Summary] = {
 
 
 def same(after: Any, before: Any) -> Any:
-    """That a structure is as it was, but for what pointers point to."""
+    """That a structure, and what its pointers point to, is as it was, as far as ``before`` has it."""
     if isinstance(before, dict) and isinstance(after, dict):
-        return z3.And([same(after[name], each) for name, each in before.items() if name in after])
-    return after == before if isinstance(before, z3.ExprRef) else z3.BoolVal(True)
+        return z3.And([same(after[name], each) for name, each in before.items()])
+    return after == before if isinstance(before, z3.ExprRef) else z3.BoolVal(after == before)
 
 
 def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
@@ -83,10 +83,7 @@ def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tupl
     given: dict[str, Any] = {}
     values = [machine.unknown_of(each.type, each.name) for each in program.parameters(name)]
     for parameter, value in zip(program.parameters(name), values, strict=True):
-        seen = terms(machine.load(value) if isinstance(value, Place) else value)
+        seen = machine.seen(value)
         given |= seen if isinstance(seen, dict) else {parameter.name: seen}
-    given = {
-        name: terms(machine.load(each)) if isinstance(each, Place) else each for name, each in given.items()
-    }
-    found = terms(machine.call(name, *values))
-    return given, (found, terms(machine.load(values[0])) if isinstance(values[0], Place) else None)
+    found = machine.seen(machine.call(name, *values))
+    return given, (found, machine.seen(values[0]) if isinstance(values[0], Place) else None)

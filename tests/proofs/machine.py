@@ -27,14 +27,40 @@ INTEGERS = {
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value is: a variable, and members or elements on the way down from it."""
+    """Where a value is: a variable, and members or elements on the way down from it. An element that is not
+    known before is a number."""
 
     variable: tuple[int, str]
-    path: tuple[str, ...] = ()
+    path: tuple[str | Number, ...] = ()
+
+    def below(self, *steps: str | Number) -> Place:
+        return Place(self.variable, (*self.path, *steps))
+
+    def whole(self) -> Place:
+        """The array, if this is an element of one."""
+        return Place(self.variable, self.path[:-1])
+
+
+@dataclass(frozen=True)
+class Either:
+    """A pointer that depends on a condition."""
+
+    condition: Any
+    first: Any
+    second: Any
 
 
 Fields = dict[str, Any]
-"""A structure: values by the names of its members."""
+"""A structure or an array: values by the names of its members, or by the numbers of its elements. A union has
+its first member."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Constant words, any number of them."""
+
+    word: Any
+    type: Type
 
 
 @dataclass(frozen=True)
@@ -100,16 +126,45 @@ class Machine:
 
     def unknown_of(self, declared: Any, name: str) -> Any:
         """An unknown value of a declared type: a number, or a structure of them."""
+        return self._filled(declared, name, self.unknown)
+
+    def _filled(self, declared: Any, name: str, number: Callable[[str, Type], Number]) -> Any:
         kind = self._resolve(declared)
         if kind == "void":
             return None
         if isinstance(kind, Type):
-            return self.unknown(name, kind)
+            return number(name, kind)
         if isinstance(kind, c_ast.PtrDecl):
-            return self.at(name, self.unknown_of(kind.type, name))
-        if not isinstance(kind, c_ast.Struct):
-            return None
-        return {each.name: self.unknown_of(each.type, each.name) for each in kind.decls}
+            return self._pointer_to(kind.type, name)
+        if isinstance(kind, c_ast.ArrayDecl):
+            size = known(self.value(kind.dim).term)
+            return {str(index): self._filled(kind.type, name, number) for index in range(size)}
+        members = kind.decls[:1] if isinstance(kind, c_ast.Union) else kind.decls
+        return {each.name: self._filled(each.type, each.name, number) for each in members}
+
+    def _pointer_to(self, declared: Any, name: str) -> Place:
+        """To something unknown: constant words may be any number of them."""
+        kind = self._resolve(declared)
+        if not isinstance(kind, Type) or "const" not in declared.quals:
+            return self.at(name, self.unknown_of(declared, name))
+        word = self.arithmetic.constant(0, kind).term.sort()
+        return self.at(name, Table(z3.Function(f"{name}_{self._names}", word, word), kind)).below("0")
+
+    def parameter_of(self, parameter: Any) -> Any:
+        """An unknown argument: for an array, a pointer to its first element."""
+        value = self.unknown_of(parameter.type, parameter.name)
+        is_array = isinstance(parameter.type, c_ast.ArrayDecl)
+        return self.at(parameter.name, value).below("0") if is_array else value
+
+    def seen(self, value: Any) -> Any:
+        """The solver's terms in a value and in what its pointers point to, by name."""
+        if isinstance(value, Place):
+            return self.seen(self.load(value.whole() if value.path[-1:] == ("0",) else value))
+        if isinstance(value, Either):
+            return chosen(value.condition, self.seen(value.first), self.seen(value.second))
+        if isinstance(value, dict):
+            return {name: self.seen(each) for name, each in value.items()}
+        return value.term if isinstance(value, Number) else value
 
     def constant_of(self, declared: Any, value: int) -> Number:
         """A known number of a declared type."""
@@ -133,8 +188,25 @@ class Machine:
     def load(self, place: Place) -> Any:
         value = self._memory[place.variable]
         for step in place.path:
-            value = value[step]
+            value = self._element(value, step)
         return value
+
+    def _element(self, whole: Any, step: str | Number) -> Any:
+        if isinstance(whole, Table):
+            index = step if isinstance(step, Number) else self.arithmetic.constant(int(step), whole.type)
+            word = Number(whole.word(self._converted(index, whole.type).term), whole.type)
+            self.facts.append(self.arithmetic.fits(word))
+            return word
+        if isinstance(step, str):
+            return whole[step]
+        first, *others = whole.items()
+        found = first[1]
+        for at, each in others:
+            found = _merged(self._is_at(step, at), each, found)
+        return found
+
+    def _is_at(self, index: Number, at: str) -> Any:
+        return index.term == self.arithmetic.constant(int(at), index.type).term
 
     def know(self, formula: Any) -> None:
         """Something that holds wherever the program gets here."""
@@ -262,6 +334,15 @@ class Machine:
         behind += [z3.Implies(condition, each) for each in self._path[depth + 1 :]]
         del self._path[depth:]
 
+    @contextmanager
+    def _only(self, condition: Any) -> Iterator[None]:
+        """For a part of an expression: what it changes is changed only where the condition holds."""
+        before = dict(self._memory)
+        with self._under(condition):
+            yield
+        for key, value in before.items():
+            self._memory[key] = _merged(condition, self._memory[key], value)
+
     # --- Expressions ---
 
     def value(self, node: Any) -> Any:
@@ -272,14 +353,16 @@ class Machine:
         """The formula that the expression is not 0."""
         if isinstance(node, c_ast.BinaryOp) and node.op in ("&&", "||"):
             left = self.truth(node.left)
-            with self._under(left if node.op == "&&" else z3.Not(left)):
+            with self._only(left if node.op == "&&" else z3.Not(left)):
                 right = self.truth(node.right)
             return z3.And(left, right) if node.op == "&&" else z3.Or(left, right)
         if isinstance(node, c_ast.UnaryOp) and node.op == "!":
             return z3.Not(self.truth(node.expr))
         if isinstance(node, c_ast.BinaryOp) and node.op in _COMPARISONS:
-            both = self._common(self.value(node.left), self.value(node.right))
-            return self.arithmetic.compare(node.op, *both)
+            left, right = self.value(node.left), self.value(node.right)
+            if isinstance(left, Place) or isinstance(right, Place):
+                return z3.BoolVal((left == right) == (node.op == "=="))
+            return self.arithmetic.compare(node.op, *self._common(left, right))
         return self.value(node).term != 0
 
     def _value_Constant(self, node: Any) -> Number:  # noqa: N802
@@ -302,8 +385,10 @@ class Machine:
         return whole[node.field.name]
 
     def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
-        index = self.value(node.subscript)
-        return self.value(node.name)[known(index.term)]
+        array = self.value(node.name)
+        if isinstance(array, Place):
+            return self.load(self._place(node))
+        return array[str(known(self.value(node.subscript).term))]
 
     def _value_Cast(self, node: Any) -> Any:  # noqa: N802
         kind, value = self._resolve(node.to_type.type), self.value(node.expr)
@@ -313,9 +398,9 @@ class Machine:
         condition = z3.simplify(self.truth(node.cond))
         if z3.is_true(condition) or z3.is_false(condition):
             return self.value(node.iftrue if z3.is_true(condition) else node.iffalse)
-        with self._under(condition):
+        with self._only(condition):
             first = self.value(node.iftrue)
-        with self._under(z3.Not(condition)):
+        with self._only(z3.Not(condition)):
             second = self.value(node.iffalse)
         if isinstance(first, Number):
             first, second = self._common(first, second)
@@ -327,7 +412,9 @@ class Machine:
         if node.op == "*":
             return self.load(self.value(node.expr))
         if node.op in ("++", "--", "p++", "p--"):
-            return self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
+            before = self.value(node.expr)
+            after = self._changed(node.expr, node.op[-1], self.arithmetic.constant(1, self.int))
+            return before if node.op[0] == "p" else after
         if node.op == "!":
             return self._truth_value(self.truth(node))
         number = self._promoted(self.value(node.expr))
@@ -370,25 +457,64 @@ class Machine:
         if isinstance(node, c_ast.ID):
             return self.variable(node.name)
         if isinstance(node, c_ast.StructRef):
-            whole = self._place(node.name) if node.type == "." else self.value(node.name)
-            return Place(whole.variable, (*whole.path, node.field.name))
+            whole: Place = self._place(node.name) if node.type == "." else self.value(node.name)
+            return whole.below(node.field.name)
+        if isinstance(node, c_ast.ArrayRef):
+            return self._place_of_element(node)
         if isinstance(node, c_ast.UnaryOp) and node.op == "*":
             place = self.value(node.expr)
             assert isinstance(place, Place)
             return place
         raise NotImplementedError(f"{type(node).__name__} as a place")
 
+    def _place_of_element(self, node: Any) -> Place:
+        """Of an array, or counted from the element that a pointer points to."""
+        index = self.value(node.subscript)
+        if isinstance(node.name, c_ast.StructRef) and node.name.field.name == "all":
+            return self._place(node.name).below(str(known(index.term)))
+        array = self.value(node.name)
+        place = self._place(node.name) if isinstance(array, dict) else array.whole()
+        start = 0 if isinstance(array, dict) else int(array.path[-1])
+        constant = z3.simplify(index.term)
+        if z3.is_int_value(constant) or z3.is_bv_value(constant):
+            return place.below(str(start + constant.as_long()))
+        assert start == 0, "a pointer into an array, and an unknown distance"
+        elements = self.load(place)
+        if isinstance(elements, dict):
+            bounds = (self.arithmetic.constant(each, index.type) for each in (0, len(elements)))
+            holds = map(self.arithmetic.compare, (">=", "<"), (index, index), bounds)
+            self.claim(z3.And(*holds), "an element of the array")
+        return place.below(index)
+
     def store(self, place: Place, value: Any) -> Any:
+        if place.path[-2:-1] == ("all",):
+            assert known(value.term) == 0, "long words of a union of bytes are cleared, nothing else"
+            for byte in range(8 * int(str(place.path[-1])), 8 * int(str(place.path[-1])) + 8):
+                self.store(Place(place.variable, (*place.path[:-2], "of", str(byte))), value)
+            return value
         before = self.load(place)
         if isinstance(before, Number):
             value = self._converted(value, before.type)
         elif before is None and not place.path:
             value = self._converted(value, self._resolve(self._frames[-1].types[place.variable[1]]))
-        self._memory[place.variable] = _replaced(self._memory[place.variable], place.path, value)
+        self._memory[place.variable] = self._replaced(self._memory[place.variable], place.path, value)
         return value
 
+    def _replaced(self, whole: Any, path: tuple[str | Number, ...], value: Any) -> Any:
+        if not path:
+            return value
+        step, *below = path
+        if isinstance(step, str):
+            return {**whole, step: self._replaced(whole[step], tuple(below), value)}
+        return {
+            at: _merged(self._is_at(step, at), self._replaced(each, tuple(below), value), each)
+            for at, each in whole.items()
+        }
+
     def _changed(self, target: Any, operator: str, by: Number) -> Any:
-        place = self._place(target)
+        place, value = self._place(target), self.value(target)
+        if isinstance(value, Place):
+            return self.store(place, value.whole().below(str(int(str(value.path[-1])) + known(by.term))))
         return self.store(place, self._combined(operator, self.load(place), by))
 
     def _combined(self, operator: str, left: Number, right: Number) -> Number:
@@ -429,11 +555,12 @@ class Machine:
     def _initialised(self, kind: Any, node: Any) -> Any:
         if isinstance(kind, c_ast.Union):
             return self._union(node)
-        members = [(each.name, self._resolve(each.type)) for each in kind.decls]
-        values = [self.value(each) for each in node.exprs]
-        return {
-            name: self._converted(value, type_) for (name, type_), value in zip(members, values, strict=True)
-        }
+        members = {each.name: self._resolve(each.type) for each in kind.decls}
+        found = self._filled(kind, "", lambda _, type_: self.arithmetic.constant(0, type_))
+        for name, each in zip(members, node.exprs, strict=False):
+            if isinstance(members[name], (Type, c_ast.PtrDecl)):
+                found[name] = self._converted(self.value(each), members[name])
+        return found
 
     def _union(self, node: Any) -> Fields:
         """The headers' two unions: a binary32 and its bits; a long word and its two halves on an AVR."""
@@ -444,7 +571,8 @@ class Machine:
         if given.name[0].name == "both":
             both = self.value(given.expr)
             halves = (both, self.arithmetic.binary(">>", both, by))
-            return {"word": [self._converted(each, INTEGERS["uint32_t"]) for each in halves]}
+            words = (self._converted(each, INTEGERS["uint32_t"]) for each in halves)
+            return {"word": {str(index): each for index, each in enumerate(words)}}
         low, high = (self._converted(self.value(each), long) for each in given.expr.exprs)
         return {"both": self.arithmetic.binary("+", self.arithmetic.binary("<<", high, by), low)}
 
@@ -454,10 +582,10 @@ class Machine:
             return self._resolve(declared.type)
         if isinstance(declared, c_ast.IdentifierType):
             (*_, name) = declared.names
-            if name in INTEGERS:
-                return INTEGERS[name]
+            if name in INTEGERS or name == "int":
+                return INTEGERS.get(name, self.int)
             return self._resolve(self.program.types[name]) if name in self.program.types else name
-        return declared
+        return self.int if isinstance(declared, c_ast.Enum) else declared
 
     def _chosen(self, returned: list[tuple[Any, Any, Any]]) -> Any:
         if not returned:
@@ -482,11 +610,11 @@ def _merged(condition: Any, first: Any, second: Any) -> Any:
         return first if same else Number(z3.If(condition, first.term, second.term), first.type)
     if isinstance(first, dict):
         return {name: _merged(condition, first[name], second[name]) for name in first}
-    assert first == second, "pointers that depend on a condition"
-    return first
+    return first if first == second else Either(condition, first, second)
 
 
-def _replaced(whole: Any, path: tuple[str, ...], value: Any) -> Any:
-    if not path:
-        return value
-    return {**whole, path[0]: _replaced(whole[path[0]], path[1:], value)}
+def chosen(condition: Any, first: Any, second: Any) -> Any:
+    """The first terms where the condition holds, the second elsewhere."""
+    if isinstance(first, dict):
+        return {name: chosen(condition, first[name], second[name]) for name in first}
+    return z3.If(condition, first, second) if isinstance(first, z3.ExprRef) else first

@@ -55,6 +55,10 @@ class Words:
         """A number of which nothing is known but this formula."""
         return Number(z3.BitVec(name, type_.bits), type_), z3.BoolVal(True)
 
+    def fits(self, _: Number) -> Any:
+        """That the number is one of its type."""
+        return z3.BoolVal(True)
+
     def convert(self, number: Number, type_: Type) -> Number:
         more = type_.bits - number.type.bits
         if type_.bits == 1:
@@ -120,8 +124,11 @@ class Integers:
         return Number(z3.IntVal(value), type_)
 
     def unknown(self, name: str, type_: Type) -> tuple[Number, Any]:
-        term = z3.Int(name)
-        return Number(term, type_), z3.And(type_.least <= term, term <= type_.most)
+        number = Number(z3.Int(name), type_)
+        return number, self.fits(number)
+
+    def fits(self, number: Number) -> Any:
+        return z3.And(number.type.least <= number.term, number.term <= number.type.most)
 
     def convert(self, number: Number, type_: Type) -> Number:
         if number.type.least >= type_.least and number.type.most <= type_.most:

@@ -115,7 +115,7 @@ class Contract:
         """The function as its callers may see it."""
 
         def summary(machine: Machine, *arguments: Any) -> Any:
-            before = [_seen(machine, each) for each in arguments]
+            before = [machine.seen(each) for each in arguments]
             machine.claim(self.requires(*before), f"what {name} requires")
             result = any_result(name)(machine, *arguments)
             machine.know(self.ensures(*_results(machine, result, arguments), *before))
@@ -184,22 +184,18 @@ def _run(
     arguments = [
         machine.constant_of(each.type, constants[each.name])
         if each.name in constants
-        else machine.unknown_of(each.type, each.name)
+        else machine.parameter_of(each)
         for each in parameters
     ]
-    before = [_seen(machine, each) for each in arguments]
+    before = [machine.seen(each) for each in arguments]
     machine.given = {each.name: term for each, term in zip(parameters, before, strict=True)}
     machine.facts.append(requires(*before))
     result = machine.call(name, *arguments)
     return before, _results(machine, result, arguments)
 
 
-def _seen(machine: Machine, argument: Any) -> Any:
-    return terms(machine.load(argument) if isinstance(argument, Place) else argument)
-
-
 def _results(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
-    pointed_to = [_seen(machine, each) for each in arguments if isinstance(each, Place)]
+    pointed_to = [machine.seen(each) for each in arguments if isinstance(each, Place)]
     return [*([] if result is None else [terms(result)]), *pointed_to]
 
 

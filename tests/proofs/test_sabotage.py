@@ -86,6 +86,7 @@ FALSEHOODS: dict[str, Callable[[], None]] = {
             "same": Contract(lambda found, value: large(value), requires=large),
         },
     ),
+    "counted": of_calls("counted", {"counted": Contract(lambda found, value: found == 1)}),
     "step": of_calls("same", {"same": replace(NONE, steps=(lambda *_: NEVER,))}),
     "another contract": of_calls("same", {"same": ANY}, {"same": NONE}),
     "another lemma": of_calls("caller", {"caller": CALLER, "same": SAME}, {"caller": CALLER, "same": ANY}),
@@ -97,6 +98,13 @@ FALSEHOODS: dict[str, Callable[[], None]] = {
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prover, "EFFORTS", (10**5,))
+
+
+def test_side_effects_are_of_the_path() -> None:
+    exact = Contract(
+        lambda found, value: found == z3.If(large(value), 1, z3.If(z3.ULT(value, 3), 2, z3.BitVecVal(0, 32)))
+    )
+    of_calls("counted", {"counted": exact})()
 
 
 @pytest.mark.parametrize("name", FALSEHOODS)

@@ -1,0 +1,300 @@
+"""The calls: observe, receive, settle and the test do what docs/design.md says (sections 2 and 8), in all
+states in the ranges of docs/invariants.md. What they call is any function of what it is given, and changes no more than
+its own lemma says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import z3
+
+from proofs import arithmetic, core, robust
+from proofs.arithmetic import EXACT
+from proofs.core import ONE
+from proofs.formulas import BY_LEMMA, same, units
+from proofs.machine import Machine, Summary, chosen
+from proofs.numbers import Integers, Number
+from proofs.prove import Contract, Formula, always
+from proofs.robust import VOTE
+from proofs.source import Variant
+
+ROBUST = 3
+UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT, ERR_IMAGE = 2, 1, -5, -6, -7, -8
+
+# --- What is called --------------------------------------------------------------------------------------
+
+
+def words(value: Any) -> Iterator[Any]:
+    """All terms in a value."""
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from words(each)
+    elif isinstance(value, z3.ExprRef):
+        yield value
+
+
+def computed(name: str, like: Any, *given: Any) -> Any:
+    """What a function makes of what it is given, in the form of ``like``: the same of the same."""
+    if isinstance(like, dict):
+        return {each: computed(f"{name} {each}", value, *given) for each, value in like.items()}
+    terms = [each for value in given for each in words(value)]
+    return z3.Function(name, *(each.sort() for each in terms), like.sort())(*terms)
+
+
+def opaque(name: str, *changes: str, requires: Formula = always, reads: str = "") -> Summary:
+    """Stands for a function that changes these members, of what its first argument points to, at most; and
+    that may read all of it, or one member."""
+
+    def summary(machine: Machine, *arguments: Any) -> Any:
+        given = [machine.seen(each) for each in arguments]
+        machine.claim(requires(*given), f"what {name} requires")
+        given[0] = given[0][reads] if reads else given[0]
+        for member in changes:
+            place = arguments[0].below(member)
+            found = computed(f"{name} {member}", machine.seen(machine.load(place)), *given)
+            machine.store(place, _numbers(machine.load(place), found))
+        result = machine.unknown_of(machine.program.functions[name].decl.type.type, name)
+        return None if result is None else _numbers(result, computed(name, machine.seen(result), *given))
+
+    return summary
+
+
+def _numbers(like: Any, found: Any) -> Any:
+    """Terms as numbers of these types."""
+    if isinstance(like, dict):
+        return {name: _numbers(each, found[name]) for name, each in like.items()}
+    return Number(found, like.type)
+
+
+def opaque_all(*names: str) -> dict[str, Summary]:
+    return {name: opaque(name) for name in names}
+
+
+def _wide(word: Any, bits: int = 64) -> Any:
+    return z3.ZeroExt(bits - word.size(), word)
+
+
+def _returns(status: Any, *cases: tuple[Any, int], otherwise: int = 0) -> Any:
+    """The code of the first case that is so."""
+    found = z3.BitVecVal(otherwise, status.size())
+    for condition, code in reversed(cases):
+        found = z3.If(condition, z3.BitVecVal(code, status.size()), found)
+    return status == found
+
+
+# --- observe ---------------------------------------------------------------------------------------------
+
+
+def _may_observe(robot: Any, _: Any) -> Any:
+    """I2, and what init admits."""
+    memory = robot["config"]["memory"]
+    allowed = (z3.UGE(memory, 64), z3.ULE(memory, 2**31), z3.Extract(1, 0, memory) == 0)
+    return z3.And(*allowed, z3.ULE(robot["n"], robot["t"]), z3.ULT(robot["t"], memory))
+
+
+def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
+    """And I2 holds again."""
+    is_colour = z3.Or(z == 0, z == 1)
+    t, n = _wide(robot["t"]) + 1, _wide(robot["n"]) + _wide(z)
+    has_reached = t == _wide(robot["config"]["memory"])
+    to_even = z3.If(n % 2 == 0, z3.UDiv(n, 2), 2 * z3.UDiv(n + 1, 4))
+    t, n = z3.If(has_reached, z3.UDiv(t, 2), t), z3.If(has_reached, to_even, n)
+    t, n = (z3.Extract(31, 0, each) for each in (t, n))
+    formed = computed("estimate", {name: t for name in ("x_hat", "alpha")}, t, n, robot["accuracy"])
+    updated = {"t": t, "n": n, "updated": z3.BitVecVal(0, 8), **formed}
+    return z3.And(
+        _returns(status, (z3.Not(is_colour), ERR_OBSERVATION)),
+        same(after, chosen(is_colour, {**robot, **updated}, robot)),
+        _may_observe(after, z),
+    )
+
+
+OBSERVE = Contract(_observed, requires=_may_observe, instead=opaque_all("estimate"))
+
+# --- receive ---------------------------------------------------------------------------------------------
+
+
+def _heard(robot: Any) -> Any:
+    """The senders heard, as one word."""
+    return z3.Concat(*reversed(robot["heard"]["of"].values()))
+
+
+def _is_robust(robot: Any) -> Any:
+    return robot["config"]["filter"] == ROBUST
+
+
+def _may_receive(robot: Any, *_: Any) -> Any:
+    """I24, as far as a vote needs it."""
+    return z3.Implies(_is_robust(robot), VOTE.requires(robot, None, z3.BitVecVal(0, 32)))
+
+
+def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
+    sender, x_hat, alpha = message
+    is_sender = z3.And(z3.ULE(sender, 127), sender != robot["id"])
+    is_valid = z3.And(is_sender, z3.ULE(x_hat, ONE))
+    heard, one = _heard(robot), z3.BitVecVal(1, 128) << _wide(sender, 128)
+    is_new = heard & one == 0
+    is_accepted = z3.And(is_valid, is_new)
+    counted = {
+        "accepted": is_accepted,
+        "repeated": z3.And(is_valid, z3.Not(is_new)),
+        "rejected": z3.Not(is_valid),
+    }
+    counters = robot["counters"]
+    counters = {
+        **counters,
+        **{
+            name: counters[name] + z3.If(each, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16))
+            for name, each in counted.items()
+        },
+    }
+    says_something = z3.And(is_accepted, units(alpha) != 0)
+    voted = computed("vote crowd", robot["crowd"], robot["crowd"], sender, x_hat)
+    is_robust = _is_robust(robot)
+    expected = {
+        **{name: each for name, each in robot.items() if name != "heard"},
+        "counters": counters,
+        "open": chosen(
+            z3.And(says_something, z3.Not(is_robust)),
+            _added(robot["open"], x_hat, units(alpha)),
+            robot["open"],
+        ),
+        "crowd": chosen(z3.And(says_something, is_robust), voted, robot["crowd"]),
+    }
+    return z3.And(
+        _returns(
+            status, (z3.Not(is_sender), ERR_SENDER), (z3.Not(is_valid), ERR_X_HAT), (z3.Not(is_new), REPEATED)
+        ),
+        _heard(after) == z3.If(is_accepted, heard | one, heard),
+        same(after, expected),
+    )
+
+
+def _added(sums: Any, x_hat: Any, alpha: Any) -> Any:
+    """Section 6."""
+
+    def product(a: Any, b: Any) -> Any:
+        return computed("multiply", alpha, a, b)
+
+    terms = {
+        "alpha": alpha,
+        "alpha_x_low": product(EXACT["low_word"](alpha), x_hat),
+        "alpha_x_high": product(EXACT["high_word"](alpha), x_hat),
+        "x_squared": product(x_hat, x_hat),
+        "x": x_hat,
+        "count": 1,
+    }
+    return {name: each + terms[name] for name, each in sums.items()}
+
+
+RECEIVE = Contract(
+    _received,
+    requires=_may_receive,
+    instead={
+        **BY_LEMMA,
+        **opaque_all("multiply"),
+        "vote": opaque("vote", "crowd", requires=VOTE.requires, reads="crowd"),
+    },
+)
+
+# --- settle ----------------------------------------------------------------------------------------------
+
+FILTER_CHANGES = ("accuracy", "counters", "updated", "crowd")
+
+
+def _filtered(status: Any, after: Any, robot: Any) -> Any:
+    """What a filter leaves alone, and what it counts. Its b_hat, ``accuracy`` and ``robust`` show."""
+    found, counters = after["counters"], robot["counters"]
+    is_updated = status == UPDATED
+    kept = {name: each for name, each in robot.items() if name not in FILTER_CHANGES}
+    of_crowd = {name: each for name, each in robot["crowd"].items() if name != "votes"}
+    counted = {name: each for name, each in counters.items() if name not in ("tests", "updates")}
+    tested = found["tests"] - counters["tests"]
+    unless_updated = {name: robot[name] for name in ("accuracy", "updated")}
+    return z3.And(
+        *(same(after, kept), same(after["crowd"], of_crowd), same(found, counted), z3.ULE(tested, 1)),
+        z3.Or(is_updated, z3.And(status == 0, same(after, unless_updated))),
+        found["updates"] == counters["updates"] + z3.If(is_updated, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16)),
+        z3.Implies(is_updated, after["updated"] == 1),
+        z3.Implies(robot["t"] == 0, z3.And(status == 0, same(after, robot))),
+    )
+
+
+FILTER = Contract(
+    _filtered,
+    instead=opaque_all(
+        *("test_rejects", "mean", "reestimate", "deviates"),
+        *("leading_zeros", "shift_left", "square_of_ratio"),
+    ),
+)
+
+
+def _settled(status: Any, after: Any, robot: Any) -> Any:
+    """The filter runs on the round that closes."""
+    left, period = robot["filter_left"] - 1, robot["config"]["filter_period"]
+    runs = left == 0
+    ended = {
+        **robot,
+        "closed": {name: robot["open"][name] for name in robot["closed"]},
+        "filter_left": period,
+    }
+    found = {name: computed(f"filter {name}", robot[name], ended) for name in FILTER_CHANGES}
+    expected = chosen(runs, {**ended, **found}, {**ended, "filter_left": left})
+    nothing = {name: z3.BitVecVal(0, each.size()) for name, each in robot["open"].items()}
+    nobody = {index: z3.BitVecVal(0, 8) for index in robot["heard"]["of"]}
+    status_of_filter = computed("filter", status, ended)
+    return z3.And(
+        status == z3.If(runs, status_of_filter, z3.BitVecVal(0, status.size())),
+        same(after, {**expected, "open": nothing, "heard": {"of": nobody}}),
+    )
+
+
+SETTLE = Contract(_settled, instead={"filter": opaque("filter", *FILTER_CHANGES)})
+
+# --- The test --------------------------------------------------------------------------------------------
+
+
+def is_round(sums: Any) -> Any:
+    """Sums of x_hat that so many messages can have (section 10), in whole numbers."""
+    m, x, x_squared = (sums[name] for name in ("count", "x", "x_squared"))
+    return z3.And(m <= 127, x <= ONE * m, x_squared <= ONE * x, x * x <= m * x_squared)
+
+
+def _may_test(robot: Any) -> Any:
+    return z3.And(is_round(robot["open"]), robot["open"]["count"] >= 2, robot["x_hat"] <= ONE)
+
+
+def _terms_of_test(robot: Any) -> tuple[Any, Any, Any]:
+    """(sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
+    sums, word = robot["open"], robot["config"]["table"].word
+    m, x, q = sums["count"], sums["x"], word(0) % 256
+    difference = x - m * robot["x_hat"]
+    return difference * difference, word(z3.If(m <= q, m, q + 1)), m * sums["x_squared"] - x * x
+
+
+def _spread_is_small(_: Any, __: Any, robot: Any) -> Any:
+    spread = _terms_of_test(robot)[2]
+    return z3.And(spread >= 0, spread < 2**58)
+
+
+def _decided(rejects: Any, _: Any, robot: Any) -> Any:
+    """Eq. 12 multiplied out, with k in units of 2^-26."""
+    square, k, spread = _terms_of_test(robot)
+    return (rejects != 0) == (2**26 * square > k * spread)
+
+
+TEST = Contract(_decided, Integers, requires=_may_test, steps=(_spread_is_small,), uses=("multiply",))
+CONTRACTS = {
+    "mcp_asdf_observe": OBSERVE,
+    "mcp_asdf_receive": RECEIVE,
+    "filter": FILTER,
+    "mcp_asdf_settle": SETTLE,
+    "test_rejects": TEST,
+}
+
+
+def contracts(variant: Variant) -> dict[str, Contract]:
+    """Of all functions that have one, for one variant."""
+    return {**arithmetic.contracts(variant), **core.CONTRACTS, **robust.CONTRACTS, **CONTRACTS}
