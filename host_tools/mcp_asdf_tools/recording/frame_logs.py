@@ -23,13 +23,17 @@ def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
 
 
 def check_log(path: Path | str) -> None:
-    """Raises UsageError if there is no log that can be read, and names its part if its run was cut off."""
+    """Raises UsageError if there is no log that can be read, or an empty one; names its part if its run was
+    cut off."""
     try:
-        Path(path).open("rb").close()
+        with Path(path).open("rb") as file:
+            is_empty = not file.read(1)
     except OSError as error:
         part = Path(f"{path}{PART}")
         hint = f"; its run was cut off, partial data is in {part}" if part.exists() else ""
         raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
+    if is_empty:
+        raise UsageError(f"the log {path} is empty: the disk was full, or nothing was sent yet; run it again")
 
 
 def read_log(path: Path | str) -> Iterator[can.Message]:

@@ -3,14 +3,15 @@
 The input_log of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
 run (`InputLogHeader`). Every other line is either
 
-- ``[robot, event, ...]``: the next events of one robot, in order. Lines of different robots may come in
-  any order, for robots share no state. An event is
+- ``[robot, event, ...]``: the next events of one robot, in order. An event is
 
   ===================== ================================================================================
   0, 1, 2               a tick began, in which it observed white, black, nothing
   3                     the tick ended (all four are the numbers of ``frames.Action``)
   [sender, x_hat, alpha] it took a message, which its firmware may have refused; raw integers as in
                         ``mcp_asdf_tools.bus.frames.Message``
+  "1b"                  it took the last such message, of any line up to here, of each sender whose bit is
+                        set in the hexadecimal mask, by ids: here of robots 0, 1, 3 and 4
   [x_hat, alpha]        its last broadcast went out with these false values (a fault), alpha in the binary32
                         bits of the frame
   "silent"              its last broadcast did not go out at all (a fault)
@@ -23,6 +24,7 @@ run (`InputLogHeader`). Every other line is either
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -30,6 +32,7 @@ from typing import Any
 
 import can
 
+from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
@@ -38,9 +41,10 @@ from mcp_asdf_tools.robots.bus_robot import RESTART, SETTLE, SILENT, Event, Reco
 from mcp_asdf_tools.robots.record import RobotRecord
 
 FORMAT = "mcp-asdf events"
-VERSION = 2
-"""1 had binary32 bits for alpha, and tables of another format."""
+VERSION = 3
+"""1 had binary32 bits for alpha, and tables of another format; 2 had a message whenever it was heard."""
 _MAX_WORD = 2**32 - 1
+_MASK = re.compile(r"[0-9a-f]{1,32}")
 
 
 def input_log_path(log: Path | str) -> Path:
@@ -84,6 +88,35 @@ class InputLogHeader:
 # --- Writing ---------------------------------------------------------------------------------------------
 
 
+class _Latest:
+    """The last message of each sender that a line told, by which others are told: most are heard by many."""
+
+    def __init__(self) -> None:
+        self._told: dict[int, list[int]] = {}
+
+    def tell(self, messages: list[list[int]]) -> str:
+        """Events of a robot that took these. O(messages)."""
+        events, mask = list[str](), 0
+
+        def end_run() -> None:
+            if mask:
+                events.append(f'"{mask:x}"')
+
+        for message in messages:
+            sender = message[0]
+            is_known = self._told.get(sender) == message and sender <= MAX_ID
+            if not is_known or mask >> sender:
+                end_run()
+                mask = 0
+            if is_known:
+                mask |= 1 << sender
+            else:
+                self._told[sender] = message
+                events.append("[{},{},{}]".format(*message))
+        end_run()
+        return ",".join(events)
+
+
 class InputLogWriter:
     """Lines of an input log after its header, as events come.
 
@@ -97,7 +130,8 @@ class InputLogWriter:
         if len(set(ids)) < len(ids):
             raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
         self._write = write
-        self.robots = {robot: Recorder(robot, write) for robot in ids}
+        tell = _Latest().tell
+        self.robots = {robot: Recorder(robot, write, tell) for robot in ids}
 
     def injected(self, frame: can.Message) -> None:
         """``frame`` went over the bus, but no robot sent it."""
@@ -147,7 +181,7 @@ class InputLogReader:
 
         Raises UsageError, naming the line, if one is malformed.
         """
-        known = {robot.id for robot in self.header.robots}
+        known, said = {robot.id for robot in self.header.robots}, dict[int, list[int]]()
         for content in self._contents:
             if isinstance(content, str):
                 yield content
@@ -157,10 +191,20 @@ class InputLogReader:
             robot, *events = content
             if robot not in known:
                 raise self.wrong(f"robot {robot} is not in the first line")
-            for event in events:
-                if not _is_event(event):
-                    raise self.wrong(f"{event!r} is no event")
-            yield robot, events
+            yield robot, [each for event in events for each in self._read(event, said)]
+
+    def _read(self, event: Any, said: dict[int, list[int]]) -> Sequence[Event]:
+        """An event, or the messages that it refers to, of those ``said`` last by their senders."""
+        if isinstance(event, str) and _MASK.fullmatch(event):
+            senders = [robot for robot in range(MAX_ID + 1) if int(event, 16) >> robot & 1]
+            if not said.keys() >= {*senders}:
+                raise self.wrong(f"{event!r} refers to a robot of which no message is told before")
+            return [said[sender] for sender in senders]
+        if not _is_event(event):
+            raise self.wrong(f"{event!r} is no event")
+        if isinstance(event, list) and len(event) == 3:
+            said[event[0]] = event
+        return (event,)
 
     def _parsed(self) -> Iterator[Any]:
         """Yield the value of each line, except a part's last line that has no end."""

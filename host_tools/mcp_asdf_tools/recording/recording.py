@@ -23,8 +23,28 @@ _PERIOD = 1.0
 """Seconds after which frames and events are on disk."""
 _MOST_WAITING = 4096
 """Frames and events that may wait for that."""
-_BUFFER = 1 << 20
-"""Bytes; more than is written between two flushes, so that these decide on the order of what is on disk."""
+
+
+class _Part:
+    """A file that is being written; what a full disk does not take waits."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._waiting = path, bytearray()
+        self.file = path.open("xb", buffering=0)
+
+    def write(self, text: str) -> None:
+        """Take text, which is on disk after the next flush."""
+        self._waiting += text.encode()
+
+    def flush(self) -> None:
+        """Write what waits. Raises OSError if the disk does not take it."""
+        while self._waiting:
+            del self._waiting[: self.file.write(self._waiting)]
+
+    def close(self) -> None:
+        """The same, and that was all."""
+        self.flush()
+        self.file.close()
 
 
 class NoRecording(nullcontext[LogOutputs]):
@@ -40,8 +60,9 @@ class Recording:
     """Log of a run and, with a header, its input log; a context manager that yields their takers.
 
     Both grow as ``NAME.part``, are on disk once a second, and take their names at a regular end, the log
-    last: a log under its own name always has its own input log. After any other end they stay parts. A full
-    disk ends the recording, but not the run.
+    last: a log under its own name never has another run's input log. After any other end they stay parts. On
+    a full disk the input log gives way to the log; when that has no room either the recording ends, but not
+    the run.
 
     Attributes:
         failure: Why the recording is not complete; None while nothing is wrong with it.
@@ -54,7 +75,8 @@ class Recording:
         warn: Callable[[str], object],
         channel: str = "vcan0",
     ) -> None:
-        """Prepare the log ``path``, in candump's format. ``warn`` gets a line, once, if the recording fails.
+        """Prepare the log ``path``, in candump's format. ``warn`` gets a line each if the input
+        log is given up and if the recording fails.
 
         ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
         log's name or place is unusable.
@@ -69,7 +91,7 @@ class Recording:
         names = [path] if header is None else [path, input_log_path(path)]
         self._targets = [check_target(each) for each in names]
         self._parts = [target.with_name(target.name + PART) for target in self._targets]
-        self._is_empty = True
+        self._is_empty, self._is_over = True, False
         self._waiting = 0
         self._flush_at = time.monotonic() + _PERIOD
         self._events = None if header is None else InputLogWriter(header, self._write_events)
@@ -81,8 +103,8 @@ class Recording:
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
         with explaining(self._path):
-            self._files = [part.open("x", encoding="utf-8", buffering=_BUFFER) for part in self._parts]
-        self._log = can.CanutilsLogWriter(self._files[0])
+            self._files = [_Part(part) for part in self._parts]
+        self._log = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]  # which only writes
         if self._header is not None:
             self._files[1].write(self._header.line())
         return self._write_frame, self._events
@@ -120,7 +142,8 @@ class Recording:
 
     def _write_events(self, line: str) -> None:
         self._flush_if_due()
-        self._attempt(lambda: self._files[1].write(line))
+        if len(self._files) > 1 and not self._is_over:
+            self._files[1].write(line)
 
     def _flush_if_due(self) -> None:
         """Write to disk what came before: the events that follow from the last frame are among it."""
@@ -134,11 +157,25 @@ class Recording:
     def _on_files(self, call: str) -> None:
         """Flush or close, the log last: so the input log explains all that it holds but open ticks."""
         for file in reversed(self._files):
-            getattr(file, call)()
+            try:
+                getattr(file, call)()
+            except OSError as error:
+                if len(self._files) == 1:
+                    raise
+                self._give_up_events(error.strerror or str(error))
+                getattr(self._files[0], call)()
+
+    def _give_up_events(self, reason: str) -> None:
+        """Leave their room to the log."""
+        events, _ = self._files.pop(), self._targets.pop()
+        events.file.close()
+        self._parts.pop().unlink()
+        self.failure = reason
+        self._warn(f"{events.path} is given up to leave room for the log, which goes on: {reason}")
 
     def _attempt(self, work: Callable[[], object]) -> None:
-        """Do ``work`` unless the recording has failed; what goes wrong fails it."""
-        if self.failure is not None:
+        """Do ``work`` unless the recording is over; what goes wrong ends it."""
+        if self._is_over:
             return
         try:
             work()
@@ -146,9 +183,10 @@ class Recording:
             self._fail(error.strerror or str(error) if isinstance(error, OSError) else str(error))
 
     def _fail(self, reason: str) -> None:
-        if self.failure is None:
-            self.failure = reason
+        if not self._is_over:
+            self._is_over, self.failure = True, reason
             self._warn(f"the log {self._path} is not complete: {reason}; partial data is in {self._parts[0]}")
             for file in self._files:
                 with suppress(OSError):
                     file.close()
+                file.file.close()

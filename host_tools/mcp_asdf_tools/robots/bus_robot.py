@@ -57,12 +57,15 @@ Event = int | str | list[int]
 
 
 class Recorder:
-    """Recorder of one robot's events, that writes a line per settle."""
+    """Recorder of one robot's events, that writes a line per settle, with the texts that ``tell`` makes of
+    messages."""
 
-    def __init__(self, robot: int, write: Callable[[str], object]) -> None:
+    def __init__(
+        self, robot: int, write: Callable[[str], object], tell: Callable[[list[list[int]]], str]
+    ) -> None:
         self._head = f"[{robot}"
-        self._parts = [self._head]
-        self._write = write
+        self._parts: list[str | list[list[int]]] = [self._head]
+        self._write, self._tell = write, tell
 
     def observe(self, z: Observation | None) -> None:
         """The robot began a tick and observed ``z``, if anything."""
@@ -70,8 +73,10 @@ class Recorder:
 
     def receive(self, words: Words) -> None:
         """The robot took messages. O(messages)."""
-        if len(words):
-            self._parts.append(str(words.tolist())[1:-1].replace(" ", ""))
+        if isinstance(self._parts[-1], list):
+            self._parts[-1] += words.tolist()
+        elif len(words):
+            self._parts.append(words.tolist())
 
     def settle(self) -> None:
         """The robot ended the tick."""
@@ -97,7 +102,8 @@ class Recorder:
     def flush(self) -> None:
         """Write the events taken so far."""
         if len(self._parts) > 1:
-            self._write(",".join(self._parts) + "]\n")
+            texts = [part if isinstance(part, str) else self._tell(part) for part in self._parts]
+            self._write(",".join(texts) + "]\n")
             self._parts = [self._head]
 
 

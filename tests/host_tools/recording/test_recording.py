@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -221,19 +223,57 @@ def test_a_full_disk_ends_the_log_but_not_the_swarm(
     log, options = tmp_path / "run.log", "--robots 3 --steps 200 --json"
     with disk_with_room_for(8000):
         assert main(["swarm", *shlex.split(options), "--log", str(log)]) == 2
-    said = capsys.readouterr()
+    said, told = capsys.readouterr(), "mcp-asdf swarm: "
     assert said.err == (
-        f"mcp-asdf swarm: the log {log} is not complete: File too large; partial data is in {log}.part\n"
+        f"{told}{log}.events.part is given up to leave room for the log, which goes on: File too large\n"
+        f"{told}the log {log} is not complete: File too large; partial data is in {log}.part\n"
     )
     assert json.loads(said.out)["results"]["steps"] == 200
     assert json.loads(Path(f"{log}.json").read_text()) == json.loads(said.out)
-    assert main(["replay", f"{log}.part"]) == 0
-    assert "is incomplete: its run was cut off" in capsys.readouterr().err
+    assert len(list(read_log(Path(f"{log}.part")))) > 100
     assert main(["replay", str(log)]) == 2
     assert (
         f"No such file or directory; its run was cut off, partial data is in {log}.part"
         in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("room", [*range(900, 3000, 300)])
+def test_events_never_take_the_last_byte_from_the_log(
+    room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk with room for the log and some of the events: the log is whole, whichever is flushed first."""
+    log, said = tmp_path / "run.log", list[str]()
+
+    class Full(FileIO):
+        def write(self, data: Any) -> int:
+            left = room - sum(path.stat().st_size for path in tmp_path.iterdir())
+            if left <= 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(bytes(data[:left])) or 0
+
+    def opened(path: Path, mode: str = "r", **_: object) -> FileIO:
+        return Full(path, mode.replace("b", ""))
+
+    monkeypatch.setattr(Path, "open", opened)
+    monkeypatch.setattr(module, "_MOST_WAITING", 5)
+    recording = Recording(log, HEADER, said.append)
+    with recording as (write, events):
+        assert write is not None and events is not None
+        for number in range(16):
+            events.robots[5].observe(Observation.BLACK)
+            write(frame(number))
+            events.robots[5].settle()
+    monkeypatch.undo()
+    size = len(HEADER.line()) + 16 * len("[5,1,3]\n") + log.stat().st_size
+    assert numbers(log) == [*range(16)]
+    if size <= room:
+        assert names(tmp_path) == ["run.log", "run.log.events"] and not said
+        return
+    assert names(tmp_path) == ["run.log"]
+    assert said == [
+        f"{log}.events.part is given up to leave room for the log, which goes on: {recording.failure}"
+    ]
 
 
 def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,11 +8,14 @@ import shlex
 from copy import copy
 from decimal import Decimal
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import can
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from input_logs import input_log_in
 from mcp_asdf.robot import Config, Filter, Observation
@@ -209,6 +212,44 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         assert (reader.header, [*reader.lines()]) == (HEADER, [*FRAMES, *events])
 
 
+@given(data=st.data())
+@settings(deadline=None, max_examples=25)
+def test_messages_come_back_in_the_order_in_which_each_robot_took_them(data: st.DataObject) -> None:
+    """However many there are, known and new ones, of any order."""
+    numbers = st.one_of(st.integers(0, 200), st.integers(0, 9000))
+    run = st.builds(lambda first, length: [*range(first, first + length)], numbers, st.integers(0, 300))
+    taken = data.draw(st.lists(st.tuples(st.sampled_from([0, 3, 7, 127]), st.one_of(run, st.lists(numbers)))))
+    lines, messages = [HEADER.line()], {robot: list[list[int]]() for robot in (0, 3, 7, 127)}
+    writer = InputLogWriter(HEADER, lines.append)
+    for robot, chosen in taken:
+        words = np.array([[each % 128, each, 2**32 - 1 - each] for each in chosen], np.uint32).reshape(-1, 3)
+        writer.robots[robot].receive(words)
+        messages[robot] += words.tolist()
+        if len(words) % 2:
+            writer.robots[robot].settle()
+    writer.finish()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "x"
+        path.write_text("".join(lines))
+        with InputLogReader(path) as reader:
+            for line in reader.lines():
+                assert not isinstance(line, str)
+                assert all(event == 3 or event == messages[line[0]].pop(0) for event in line[1])
+    assert not any(messages.values())
+
+
+@pytest.mark.parametrize(("options", "most"), [("", 1.2), ("--fault loss=0.3", 1.25)])
+def test_the_events_of_many_robots_are_hardly_more_than_the_log(
+    options: str, most: float, tmp_path: Path
+) -> None:
+    """The sizes of docs/radio.md."""
+    log = tmp_path / "run.log"
+    assert main(["swarm", *f"--robots 100 --steps 12 --quiet --log {log} {options}".split()]) == 0
+    lines = input_log_path(log).read_text().splitlines(keepends=True)
+    assert most - 0.2 < sum(map(len, lines[1:])) / log.stat().st_size < most
+    assert check([*read_log(log)], log).reproduced == 1200
+
+
 def test_what_cannot_be_written() -> None:
     with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
         InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
@@ -234,8 +275,8 @@ EVENTS = {
     "(1.0) vcan0 1#00": "1: not JSON",
     "[" * 100_000: "1: not JSON",
     "\xff\xfe": "1: not JSON",
-    spoiled(version=1): "1: the format is version 1, and version 2 is read here; replay",
-    spoiled(version=3): "1: the format is version 3, and version 2 is read here",
+    spoiled(version=2): "1: the format is version 2, and version 3 is read here; replay",
+    spoiled(version=4): "1: the format is version 4, and version 3 is read here",
     spoiled(robots=5): "1: ",
     spoiled(frames={"subject": 6144, "priority": 4}): "1: subject is 6144",
     spoiled(filter="sometimes"): "1: filter is 'sometimes'; it must be one of adaptive, always, off",
@@ -247,10 +288,21 @@ EVENTS = {
     f"{GOOD}[0,1,3]\n{{}}": "3: neither a robot with its events nor a frame",
     f"{GOOD}[]": "2: neither a robot",
     f"{GOOD}[5,1]": "2: robot 5 is not in the first line",
+    f'{GOOD}[0,1,[1,2,3],"2"]\n[7,1,"6",3]': "3: '6' refers to a robot of which no message is told before",
     f'{GOOD}[0,3]\n[0,3,"silent"]': "3: robot 0 has a broadcast silent before it made one",
     **{
         f"{GOOD}[0,{event}]": f"2: {event.replace(',', ', ').replace(chr(34), chr(39))} is no event"
-        for event in ("4", "-1", "1.0", "[1]", "[1,2,-3]", "[1,2,4294967296]", '"lost"')
+        for event in (
+            "4",
+            "-1",
+            "1.0",
+            "[1]",
+            "[1,2,-3]",
+            "[1,2,4294967296]",
+            '"lost"',
+            '""',
+            f'"{"1" * 33}"',
+        )
     },
 }
 """Input logs, and what is told of which line."""
@@ -261,7 +313,7 @@ FILES = {
     "run.log --events run.log": "run.log, line 1: not JSON",
     "lone.log": "there is no lone.log.events, without which nothing can be checked; give it as --events",
     "cut.log --events run.log.events": "the log cut.log is malformed after frame 3 ",
-    "empty.log --events run.log.events": "the log empty.log holds no frame",
+    "empty.log": "the log empty.log is empty: the disk was full, or nothing was sent yet",
     "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
 }

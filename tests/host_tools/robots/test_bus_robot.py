@@ -268,7 +268,7 @@ def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
 def test_events_tell_what_happened_to_a_robot() -> None:
     """A crash that loses the state is among them, and one that keeps it is not."""
     lines: list[str] = []
-    recorder = Recorder(5, lines.append)
+    recorder = Recorder(5, lines.append, lambda messages: str(messages)[1:-1].replace(" ", ""))
     one = BusRobot(record(5), ESTIMATES, recorder)
     for loses_state in (False, True):
         one.die(loses_state)
