@@ -1,20 +1,56 @@
-"""A bar that shows how far a long task has come."""
+"""How far a long task has come, how fast it is, and how long it will take at that rate."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.text import Text
+
+_SECONDS = 60.0
+"""Between the lines where there is no terminal."""
 
 
 @contextmanager
 def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[[float], None]]:
-    """A bar on standard error, in terminals and notebooks; yields a function that adds to its count."""
+    """Show progress on standard error: a bar in terminals and notebooks, elsewhere a line a minute.
+
+    Yields a function that adds to the count.
+    """
     console = Console(stderr=True)
-    is_shown = console.is_terminal or console.is_jupyter
-    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=quiet or not is_shown, transient=True) as bar:
+    is_bar = console.is_terminal or console.is_jupyter
+    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
+    start = said = time.monotonic()
+    done = 0.0
+    with Progress(*columns, console=console, disable=quiet or not is_bar, transient=True) as bar:
         task = bar.add_task(unit, total=total)
-        yield lambda count: bar.advance(task, count)
+
+        def add(count: float) -> None:
+            nonlocal done, said
+            done += count
+            bar.advance(task, count)
+            now = time.monotonic()
+            if not (is_bar or quiet) and now - said >= _SECONDS:
+                said = now
+                console.print(f"{unit}: {done:g} of {total:g}, {rate_in_words(done, total, now - start)}")
+
+        yield add
+
+
+class _Rate(ProgressColumn):
+    """``rate_in_words`` in a bar."""
+
+    def render(self, task: Task) -> Text:
+        return Text(rate_in_words(task.completed, task.total or 0.0, task.elapsed or 0.0))
+
+
+def rate_in_words(done: float, total: float, seconds: float) -> str:
+    """The rate so far and the time that the rest takes at it; nothing before anything is done."""
+    if not done or not seconds:
+        return ""
+    minutes, rest = divmod(round((total - done) * seconds / done), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{done / seconds:.3g}/s, {hours}:{minutes:02}:{rest:02} left"

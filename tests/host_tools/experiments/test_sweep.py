@@ -18,6 +18,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.common import progress_bar
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import results as results_module
 from mcp_asdf_tools.experiments import store as store_module
@@ -222,6 +223,20 @@ def test_a_second_process_on_one_output_is_refused(output: Path) -> None:
     assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
     Store(output, GRID).reserve()
     assert Store(output, GRID).left == 40 * len(GRID) - 40
+
+
+def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rate and time left, where there is no terminal as a line now and then."""
+    words = progress_bar.rate_in_words
+    found = [words(30, 120, 60.0), words(1, 10_001, 2.0), words(9, 9, 3.0), words(0, 9, 3.0)]
+    assert found == ["0.5/s, 0:03:00 left", "0.5/s, 5:33:20 left", "3/s, 0:00:00 left", ""]
+    for seconds, lines in ((60.0, 0), (0.0, 2)):
+        monkeypatch.setattr(progress_bar, "_SECONDS", seconds)
+        with progress_bar.progress("trials", 8) as add:
+            add(2)
+            add(4)
+        said = capsys.readouterr().err.splitlines()
+        assert [line.partition(",")[0] for line in said] == ["trials: 2 of 8", "trials: 6 of 8"][:lines]
 
 
 # --- Commands --------------------------------------------------------------------------------------------

@@ -1,0 +1,62 @@
+"""Every benchmark and generator of a page ends, in its shortest form; test_robust has robust_page."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks import engine, fidelity, study_page
+from host_tools.reproduction.test_report import run_of
+from mcp_asdf_tools.reproduction import report, resampling
+from mcp_asdf_tools.reproduction.study import PAPER, Part
+
+pytestmark = pytest.mark.slow
+
+
+def test_all_are_known() -> None:
+    scripts = {path.stem for path in Path(__file__).parent.glob("*.py")}
+    assert scripts == {"engine", "fidelity", "robust_page", "study_page", "test_benchmarks", "test_cost"}
+
+
+def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(engine, "REPEATS", 1)
+    for name in ("FULL", "MOVING"):
+        monkeypatch.setattr(engine, name, replace(getattr(engine, name), steps=1000))
+    engine.main()
+    out = capsys.readouterr().out
+    assert out.count("robot-steps/s") == 5 and out.count("\n") == 5 + 5 * 4 + 2
+    assert all(float(line.split()[-1]) > 0 for line in out.splitlines() if "/s" not in line)
+    assert engine.SIMULATOR in out
+
+
+def test_distributions_are_compared(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    parts = {part: (path, 4) for part, (path, _) in fidelity.PARTS.items()}
+    some = {path: fidelity.read_cells(path)[:1] for path, _ in parts.values()}
+    monkeypatch.setattr(fidelity, "PARTS", parts)
+    monkeypatch.setattr(fidelity, "read_cells", lambda path: some[path])
+    assert fidelity.main() == 0
+    assert capsys.readouterr().out.count("by Holm's correction over 3 tests") == 2
+
+
+def test_the_page_of_the_study_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resampling, "RESAMPLES", 50)
+    monkeypatch.setattr(report, "pictures", lambda study, scale: [])
+    page, verdicts = tmp_path / "page.md", tmp_path / "verdicts.csv"
+    shutil.copy(study_page.PAGE, page)
+    monkeypatch.setattr(study_page, "PAGE", page)
+    monkeypatch.setattr(study_page, "VERDICTS", verdicts)
+    monkeypatch.setattr("sys.argv", ["study_page.py", str(tmp_path)])
+    run = run_of(1, "90 - P / 2", Part.DYNAMIC)
+    report.write_report(tmp_path, [run], PAPER)
+    assert study_page.main() == 0
+    assert len(verdicts.read_text().splitlines()) == 1 + len(run.decided)
+    before, after = (
+        path.read_text(encoding="utf-8") for path in (study_page.ROOT / "docs/reproduce.md", page)
+    )
+    assert f"of {len(run.decided)} claims hold" in after
+    assert after.partition(study_page.END)[2] == before.partition(study_page.END)[2] != ""
