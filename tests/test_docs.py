@@ -36,6 +36,7 @@ RUN_ELSEWHERE = {
     "extending.md": "tests/host_tools/test_extending.py",
     "installing.md": "tests/test_newcomer.py",
     "firmware_in_the_loop.md": "tests/targets/test_firmware_in_the_loop.py",
+    "khepera.md": "tests/targets/test_khepera.py",
     "porting.md": "tests/c_ref/test_porting.py",
     "robot_tutorial.md": "tests/test_tutorials.py",
 }
