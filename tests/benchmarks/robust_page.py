@@ -7,20 +7,19 @@ python tests/benchmarks/robust_page.py FOLDER
 
 from __future__ import annotations
 
+import io
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from mcp_asdf_tools.common import figures
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import filter_colours, median_interval
+from mcp_asdf_tools.experiments.plots import Name, errors_over_time
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
 from mcp_asdf_tools.reproduction import robust
 from mcp_asdf_tools.robots.population import FILTER_NAMES
@@ -47,12 +46,14 @@ def row_of(experiment: Experiment) -> str:
     """What sets a world apart, over- and underconfident robots in one row."""
     share = f", {100 * experiment.flawed // experiment.robots} % flawed"
     words = [re.sub(r", (under|over)confident|, \d+ robots", "", robust.row_of(experiment))]
+    if experiment.sensor:
+        words.append("the floor changes")
     if experiment.firmware in WORLDS:
         words.append(WORLDS[experiment.firmware])
-    elif experiment.sensor:
-        words.append("the floor changes")
-    elif share not in words[0]:
+    elif not experiment.sensor and share not in words[0]:
         words[0] += share
+    if experiment.steps == 10_000:
+        words.append("10,000 steps")
     return ", ".join(words)
 
 
@@ -63,27 +64,21 @@ PEERS = robust.Special(
 )
 
 
-def pairs(table: dict[str, robust.Table], head: str) -> str:
-    """Late errors, of the underconfident and the overconfident in one place."""
-    under, over = table["under"], table["over"]
+def pairs(results: Sequence[Trials], row: Name, special: robust.Special = robust.PLAIN) -> str:
+    """A table of late errors, of the underconfident, or where none are flawed, and of the overconfident."""
+    halves = [
+        [each for each in results if (each.experiment.true_accuracy < 0.6) is over] for over in (False, True)
+    ]
+    under, over = (robust.table_of("", half, row, special) for half in halves)
 
     def shown(place: tuple[str, str]) -> str:
         return ", ".join(robust.late(each.entries[place]) for each in (under, over) if place in each.entries)
 
     rows = dict.fromkeys(row for row, _ in under.entries)
-    lines = [f"| {head} | {' | '.join(under.columns)} |", "|---" * (len(under.columns) + 1) + "|"]
+    lines = [f"| underconfident, overconfident | {' | '.join(under.columns)} |"]
+    lines += ["|---" * (len(under.columns) + 1) + "|"]
     lines += [f"| {row} | {' | '.join(shown((row, each)) for each in under.columns)} |" for row in rows]
     return "\n".join(lines)
-
-
-def halves(results: Sequence[Trials], special: robust.Special, row: object) -> dict[str, robust.Table]:
-    """Two tables: of the underconfident, with those of which none are flawed, and of the overconfident."""
-    over = [each for each in results if each.experiment.true_accuracy < 0.6]
-    under = [each for each in results if each.experiment.true_accuracy >= 0.6]
-    return {
-        name: robust.table_of(name, some, row, special)  # type: ignore[arg-type]
-        for name, some in (("under", under), ("over", over))
-    }
 
 
 def beyond_row(experiment: Experiment) -> str:
@@ -100,14 +95,12 @@ def is_world(experiment: Experiment) -> bool:
 def tables_of(found: Results) -> dict[str, str]:
     """The tables of the page by the words of their marks."""
     grid = robust.table_of("", found[robust.GRID], robust.grid_row)
-    worlds = [each for each in found["peers"] if is_world(each.experiment)]
-    peers = [each for each in found["peers"] if not is_world(each.experiment)]
-    head = "underconfident, overconfident"
+    peers, worlds = ([e for e in found["peers"] if is_world(e.experiment) is hard] for hard in (False, True))
     return {
         "grid": grid.lines(robust.whole, robust.WHOLE),
-        "beyond": pairs(halves(found[robust.BEYOND], robust.PLAIN, beyond_row), head),
-        "peers": pairs(halves(peers, PEERS, row_of), head),
-        "worlds": pairs(halves(worlds, PEERS, row_of), head),
+        "beyond": pairs(found[robust.BEYOND], beyond_row),
+        "peers": pairs(peers, row_of, PEERS),
+        "worlds": pairs(worlds, row_of, PEERS),
     }
 
 
@@ -115,56 +108,43 @@ def tables_of(found: Results) -> dict[str, str]:
 
 IN_PICTURE: dict[str, tuple[str, Callable[[Experiment], bool]]] = {
     "30 % flawed": (robust.GRID, lambda each: 10 * each.flawed == 3 * each.robots),
-    "30 % flawed and 5 liars": ("peers", lambda each: each.firmware == "liars-5"),
+    "30 % flawed and 5 liars": ("peers", lambda each: each.firmware == "liars-5" and not each.sensor),
     "50 % flawed": (robust.GRID, lambda each: 2 * each.flawed == each.robots),
 }
 """The columns: their results, and which of them."""
 
-HUES = dict(zip(FILTER_NAMES, filter_colours([*FILTER_NAMES]), strict=True))
-
-POINTS = 20
+POINTS = 16
 """Of a curve, besides the start."""
 
 
-def error_over_time(trials: Trials) -> NDArray[np.float64]:
-    """Steps, the median over the trials of the honest robots' mean error, and its 95 % interval; 4 rows."""
-    honest = trials.experiment.robots - PEERS.liars(trials.experiment)
-    x = trials.records["x"][..., :honest]
-    chosen = np.linspace(0, x.shape[1] - 1, POINTS + 1).astype(int)
-    errors = abs(x[:, chosen] - trials.experiment.fill_ratio).mean(axis=2)
-    steps = chosen * trials.experiment.steps / (x.shape[1] - 1)
-    return np.array([steps, *np.array([median_interval(each) for each in errors.T]).T])
-
-
-def draw(axes: Axes, results: Iterable[Trials]) -> None:
-    """A line for each filter, in a band that is its interval."""
-    for trials in results:
-        steps, middle, low, high = error_over_time(trials)
-        axes.fill_between(steps, low, high, color=HUES[trials.experiment.filter], alpha=0.25, linewidth=0)
-        axes.plot(steps, middle, color=HUES[trials.experiment.filter], linewidth=1.4)
-    axes.set(yscale="log", ylim=(3e-4, 1))
-    figures.clean(axes)
+def honest_and_few(trials: Trials) -> Trials:
+    """The trials without liars, and with few samples."""
+    x = trials.records["x"][..., : trials.experiment.robots - PEERS.liars(trials.experiment)]
+    return replace(trials, records={"x": x[:, np.linspace(0, x.shape[1] - 1, POINTS + 1).astype(int)]})
 
 
 def picture_of(found: Results) -> Figure:
     """Errors over time: a column for each of IN_PICTURE, a row for under- and for overconfident robots."""
-    figure = figures.empty_figure(figures.WIDTH, 5)
-    grid = figure.subplots(2, len(IN_PICTURE), sharex="col", sharey=True)
-    for row, name, world in zip(
-        grid, ("under", "over"), ((0.55, 0.95, 0.55), (0.95, 0.55, 0.95)), strict=True
-    ):
-        for axes, (title, (source, is_meant)) in zip(row, IN_PICTURE.items(), strict=True):
+    panels = {}
+    for name, *world in ("underconfident", 0.55, 0.95, 0.55), ("overconfident", 0.95, 0.55, 0.95):
+        for title, (source, is_meant) in IN_PICTURE.items():
             own = [(each, each.experiment) for each in found[source] if each.experiment.is_dynamic]
-            own = [
-                (each, e) for each, e in own if (e.fill_ratio, e.true_accuracy, e.flawed_accuracy) == world
-            ]
-            draw(axes, [each for each, e in own if is_meant(e)])
-            axes.set_title(f"{title}, {name}confident", fontsize=figures.SMALL)
-    figure.supylabel("mean error of x", fontsize=figures.MEDIUM)
-    figures.add_caption(figure, "step", "")
-    looks = zip(FILTER_NAMES.values(), HUES.values(), strict=True)
-    figures.add_legend(figure, [Line2D([], [], color=hue, label=name) for name, hue in looks])
+            own = [(one, e) for one, e in own if [e.fill_ratio, e.true_accuracy, e.flawed_accuracy] == world]
+            panels[f"{title}, {name}"] = [honest_and_few(each) for each, e in own if is_meant(e)]
+    figure = errors_over_time(panels)
+    figure.supxlabel("step")  # the page has the caption
+    for axes in figure.axes:
+        axes.minorticks_off()
     return figure
+
+
+def small_svg(figure: Figure) -> bytes:
+    """The figure with letters as such and coordinates to a tenth, since it is kept with the sources."""
+    image = io.StringIO()
+    with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "none"}):
+        figure.savefig(image, format="svg", metadata={"Date": None})
+    short = re.sub(r"\d+\.\d{2,}", lambda found: f"{float(found[0]):.1f}", image.getvalue())
+    return re.sub(r"\n +", "\n", short).encode()
 
 
 def main() -> int:
@@ -178,7 +158,7 @@ def main() -> int:
         start, _, rest = text.partition(f"<!-- {name} -->\n")
         text = f"{start}<!-- {name} -->\n{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
     PAGE.write_text(text, encoding="utf-8")
-    figures.save_figure(picture_of(found), PICTURE)
+    PICTURE.write_bytes(small_svg(picture_of(found)))
     return 0
 
 

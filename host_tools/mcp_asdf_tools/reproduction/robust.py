@@ -174,10 +174,10 @@ WHOLE = "H, error of the last quarter, e, healthy robots harmed"
 
 def whole(entry: Entry) -> str:
     """What WHOLE says."""
-    h, harmed = entry.measures["H"], entry.measures["harmed"]
+    h, harmed = entry.measures["H"], Estimate(*(100 * each for each in entry.measures["harmed"]))
     words = [with_interval(h, "{:.1f}".format, 0.5), late(entry), error(entry.measures["e"].value)]
     if not np.isnan(harmed.value):
-        words.append(with_interval(harmed, lambda share: f"{100 * share:.1f} %", 0.01))
+        words.append(with_interval(harmed, "{:.1f}".format, 1) + " %")
     return ", ".join(words)
 
 
