@@ -8,6 +8,7 @@ import random
 import re
 import shutil
 import subprocess
+from itertools import groupby
 from pathlib import Path
 
 import can
@@ -266,3 +267,93 @@ def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
     arguments = (image, tmp_path / "sent", *CLOCKS[board])
     subprocess.run([simulator, *map(str, arguments)], input=played(ticks), capture_output=True, check=True)
     assert (tmp_path / "sent").read_bytes() == expected(ticks)
+
+
+# --- Two Kilobots ------------------------------------------------------------------------------------------
+
+KILOBOTS, ROUND = (5, 6), 1953 * 8 * 32
+"""Ids, and clock cycles of a round: 32 ticks of the clock of kilobot/kilolib.h."""
+TELLING = "static uint32_t told(void) { return mcp_asdf_x(&robot); }\n"
+
+
+def own_message(robot: MirrorRobot, number: int) -> can.Message:
+    return frames.encode(Message(robot.id, robot.x_hat_raw, robot.alpha_raw, number % 32), ESTIMATES)
+
+
+def heard_by(robot: MirrorRobot, frame: can.Message) -> None:
+    message = frames.decode(frame, ESTIMATES)
+    assert isinstance(message, Message)
+    robot.receive_raw(message.sender, message.x_hat, message.alpha)
+
+
+def kilobots(tiles: tuple[str, str]) -> tuple[list[list[bytes]], list[list[int]]]:
+    """Data of the messages, and x after each change, of both.
+
+    The second is half a round later. What a robot hears first in a round counts: what the other said last.
+    """
+    first, second = (
+        MirrorRobot(Config(generate(parse_omega("0.05"), 30)), each, B_HAT / 2**32) for each in KILOBOTS
+    )
+    said, told = ([own_message(first, 0)], [own_message(second, 0)]), ([first.x_raw], [second.x_raw])
+    for number, pair in enumerate(zip(*tiles, strict=True), 1):
+        heard_by(first, said[1][max(0, number - 2)])
+        for robot, tile, messages, answers in zip((first, second), pair, said, told, strict=True):
+            robot.settle()
+            robot.observe(Observation(int(tile)))
+            messages.append(own_message(robot, number))
+            answers.append(robot.x_raw)
+            if robot is first:
+                heard_by(second, said[0][number - 1])
+    data = [[bytes([each.arbitration_id & 0x7F, *each.data]) for each in messages] for messages in said]
+    return data, [[x for x, _ in groupby(answers)] for answers in told]
+
+
+@pytest.mark.slow
+def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
+    require("avr-gcc", PACKAGES)
+    if not Path("/usr/include/simavr/sim_avr.h").exists():
+        pytest.skip("no simavr library: apt-get install libsimavr-dev")
+    (code,) = (block for block in blocks("c") if "kilolib.h" in block)
+    (tmp_path / "kilobot.c").write_text(code + TELLING, encoding="utf-8")
+    here, simulator, image = Path(__file__).parent, tmp_path / "avr_pair", tmp_path / "kilobot.elf"
+    sources = (
+        *CORE.parent.glob("mcp_asdf*.c"),
+        ROOT / "tables/t_table_omega05_q30.c",
+        tmp_path / "kilobot.c",
+    )
+    flags = (
+        "-mmcu=atmega328p",
+        "-Os",
+        "-std=gnu99",
+        "-DF_CPU=8000000UL",
+        "-ffunction-sections",
+        "-Wl,--gc-sections",
+    )
+    run(
+        "avr-gcc",
+        *flags,
+        *WARNINGS.split(),
+        f"-I{CORE.parent}",
+        f"-I{here / 'kilobot'}",
+        *sources,
+        "-o",
+        image,
+    )
+    run("cc", "-O2", "-I/usr/include/simavr", here / "avr_pair.c", "-lsimavr", "-o", simulator)
+    draw = random.Random(9)
+    tiles = ("".join(draw.choices("01", (1, 2), k=12)), "".join(draw.choices("01", (1, 2), k=12)))
+    paths = [tmp_path / "first", tmp_path / "second"]
+    run(simulator, image, str(ROUND), tiles[0], paths[0], tiles[1], paths[1])
+    data, answers = kilobots(tiles)
+    for path, messages, told in zip(paths, data, answers, strict=True):
+        said = path.read_bytes()
+        seen = [part[:9] for part in re.findall(rb"M(.{12})|X.{4}", said, re.DOTALL) if part]
+        xs = [
+            int.from_bytes(part, "little") for part in re.findall(rb"M.{12}|X(.{4})", said, re.DOTALL) if part
+        ]
+        distinct = [each for each, _ in groupby(seen)]
+        assert distinct == messages[: len(distinct)]
+        assert xs == told[: len(xs)]
+        assert min(len(distinct), len(xs)) > 9
+    alone = kilobots((tiles[0], "0" * 12))[1][0]
+    assert alone[:9] != answers[0][:9], "the first one's x depends on what it hears"
