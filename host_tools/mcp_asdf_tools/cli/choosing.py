@@ -6,8 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.cli.parsing import offer
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.results import Trials

@@ -15,19 +15,21 @@ examples:
   mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, a CMake file
   mcp-asdf firmware vendor/mcp_asdf --neighbours 30       # a shorter table: 372 bytes of flash
 With CMake: add_subdirectory(vendor/mcp_asdf), link mcp_asdf::mcp_asdf. Without: compile all .c files there.
+Its own files it replaces, and leaves one table; sha256sums.txt says which files are as they were written.
 exit code: 0 done, 2 bad usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder for the files, made if need be")
+    parser.add_argument("--force", action="store_true", help="also replace files that somebody has changed")
     add_table_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the files."""
     omega, q = table_of(args)
-    files = [str(path) for path in write_firmware(omega, q, args.folder)]
+    files = [str(path) for path in write_firmware(omega, q, args.folder, args.force)]
     symbol = describe(omega, q)["symbol"]
     if args.json:
         print(json.dumps({"files": files, "symbol": symbol}, indent=2))

@@ -7,6 +7,7 @@ written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -14,8 +15,8 @@ from contextlib import suppress
 from importlib import import_module
 from typing import Protocol, TextIO, cast
 
-from mcp_asdf_tools.cli.parsing import Parser, offer
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.cli.parsing import Parser
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
 
@@ -70,15 +71,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else list(argv)
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
+    as_json = "--json" in arguments
     with interruptible() as exit_code:
         if name is None:
-            code = _attempt(title, lambda: _show_overview(arguments))
+            code = _attempt(title, lambda: _show_overview(arguments), as_json)
         else:
-            code = _attempt(title, lambda: _run_command(name, arguments[1:]))
-        return _attempt(title, _flush) or exit_code(code)
+            code = _attempt(title, lambda: _run_command(name, arguments[1:]), as_json)
+        return _attempt(title, _flush, as_json) or exit_code(code)
 
 
-def _attempt(title: str, work: Callable[[], int]) -> int:
+def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
     """Do ``work``; returns its exit code, or prints what it raised and returns the code for that."""
     try:
         with naming_extras():
@@ -86,17 +88,19 @@ def _attempt(title: str, work: Callable[[], int]) -> int:
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
     except UsageError as error:
-        return _refuse(title, error)
+        return _refuse(title, str(error), as_json)
     except KeyboardInterrupt:
         _tell(f"{title}: interrupted")
         return INTERRUPTED
     except OSError as error:
         _drop(sys.stdout)
-        return 141 if isinstance(error, BrokenPipeError) else _refuse(title, _explained(error))
+        return 141 if isinstance(error, BrokenPipeError) else _refuse(title, _explained(error), as_json)
 
 
-def _refuse(title: str, error: UsageError | str) -> int:
-    _tell(f"{title}: error: {error}")
+def _refuse(title: str, error: str, as_json: bool) -> int:
+    """Tell the error and where help is, in two lines, or as one line of JSON."""
+    told = f"{title}: error: {error}\nSee '{title} --help'."
+    _tell(json.dumps({"command": title, "error": error, "exit_code": 2}) if as_json else told)
     return 2
 
 
@@ -143,6 +147,7 @@ def _load(name: str) -> Command:
 
 def _parser_for(name: str, command: Command) -> Parser:
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
+    parser.add_help_all()
     command.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     return parser

@@ -6,12 +6,16 @@ import argparse
 from collections.abc import Collection, Iterable
 from typing import Any, TypeVar
 
-from mcp_asdf_tools.cli.parsing import offer
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
-from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.population import FILTER_MEANINGS, Population
 
 Settings = TypeVar("Settings", bound=Population)
+
+
+_FILTERS = "What --filter may be:\n" + "\n".join(
+    f"  {name:11} {text}" for name, text in FILTER_MEANINGS.items()
+)
 
 
 def option_of(name: str) -> str:
@@ -23,7 +27,8 @@ def add_parameters(
     parser: argparse.ArgumentParser, kind: Any, title: str, only: Collection[str] | None = None
 ) -> None:
     """An option for every parameter of ``kind``, or for those in ``only``; those not given are None."""
-    group = parser.add_argument_group(title)
+    names = parameters_of(kind) if only is None else only
+    group = parser.add_argument_group(title, _FILTERS if "filter" in names else None)
     for name, each in parameters_of(kind).items():
         if only is None or name in only:
             _add(group, each)

@@ -1,15 +1,20 @@
-"""Parser of a command line whose errors take two lines and offer what was probably meant."""
+"""Parser of a command line: a short help and a full one, and errors that offer what was probably meant."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
+import re
+from collections.abc import Sequence
 from typing import Any, NoReturn
+
+from mcp_asdf_tools.common.errors import UsageError, offer
+
+_FEW, _FIRST = 4, 5
+"""Options that are not worth hiding; examples of a short help."""
 
 
 class Parser(argparse.ArgumentParser):
-    """ArgumentParser of a command."""
+    """ArgumentParser of a command. ``--help`` shows some examples and their options."""
 
     def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
         super().__init__(
@@ -31,6 +36,41 @@ class Parser(argparse.ArgumentParser):
         found.command_line = [self.prog, *words]
         return found
 
+    def add_help_all(self) -> None:
+        """The option that shows the whole help."""
+        self.add_argument("--help-all", action=_HelpAll, nargs=0, help="show all options and exit")
+
+    def format_help(self) -> str:
+        """What ``--help`` shows."""
+        lines = (self.epilog or "").splitlines()
+        more = [line for line in lines if line.startswith(f"  {self.prog} ")][_FIRST:]
+        epilog = "\n".join(line for line in lines if line not in more)
+        words = set(re.findall(r"--?[a-z][a-z-]*", epilog)) | {"--help", "--help-all", "--json"}
+        shown = [
+            each
+            for each in self._actions
+            if each.required or not each.option_strings or words & {*each.option_strings}
+        ]
+        hidden = len(self._actions) - len(shown)
+        if hidden < _FEW:
+            return super().format_help()
+        formatter = self._get_formatter()
+        formatter.add_usage(None, [each for each in shown if not each.option_strings], [])
+        formatter.add_text(self.description)
+        for group in self._action_groups:
+            own = [each for each in group._group_actions if each in shown]
+            formatter.start_section(group.title)
+            formatter.add_text(group.description if own else None)
+            formatter.add_arguments(own)
+            formatter.end_section()
+        formatter.add_text(f"{hidden} options more, and examples: {self.prog} --help-all")
+        formatter.add_text(epilog)
+        return formatter.format_help().replace(self.prog, f"{self.prog} [OPTION ...]", 1)
+
+    def format_help_all(self) -> str:
+        """What ``--help-all`` shows."""
+        return super().format_help()
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Offer the nearest choice; argparse's own message has none."""
         if action.choices is not None and value not in action.choices:
@@ -40,11 +80,15 @@ class Parser(argparse.ArgumentParser):
             )
 
     def error(self, message: str) -> NoReturn:
-        """Print the error and where help is; end the program with exit code 2."""
-        self.exit(2, f"{self.prog}: error: {message}\nSee '{self.prog} --help'.\n")
+        """Raise UsageError, which ends the program as any other does."""
+        raise UsageError(message)
 
 
-def offer(word: str, known: Iterable[str]) -> str:
-    """A question that offers the nearest of the ``known`` words; nothing if none is near."""
-    near = get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+class _HelpAll(argparse.Action):
+    """Print the whole help, and end the program."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Find ``--help-all``."""
+        assert isinstance(parser, Parser)
+        print(parser.format_help_all(), end="")
+        parser.exit()

@@ -81,6 +81,11 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         check_target(args.report)
     settings, choice = settings_of(args), interfaces.choose_bus(args)
+    if choice.is_private and "interface" not in args:
+        raise UsageError(
+            f"say with --interface on which bus the controller is: the bus {choice} is inside this process, "
+            "where nothing else is"
+        )
     console = Console(stderr=True)
     console.quiet = args.json or not console.is_terminal
     return (_verify if args.verify else _emulate)(args, settings, choice, console)

@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the log."""
+    events = args.events or input_log_path(args.log)
     check_log(args.log)
     if args.log.suffix == PART:
         print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
-    events = args.events or input_log_path(args.log)
     if args.events is None and not events.exists():
         raise UsageError(
             f"there is no {events}, without which nothing can be checked; give it as --events (to play the "

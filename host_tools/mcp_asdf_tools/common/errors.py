@@ -1,5 +1,8 @@
 """The one exception that the command line turns into a message and exit code 2."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 _LONGEST = 800
 
 
@@ -15,6 +18,12 @@ class UsageError(ValueError):
         if len(shown) > _LONGEST:
             shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
         super().__init__(shown)
+
+
+def offer(word: str, known: Iterable[str]) -> str:
+    """A question that offers the nearest of the ``known`` words; nothing if none is near."""
+    near = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _escaped(character: str) -> str:

@@ -48,8 +48,12 @@ _MASK = re.compile(r"[0-9a-f]{1,32}")
 
 
 def input_log_path(log: Path | str) -> Path:
-    """Path of the input log of a log; that of a part is a part."""
+    """Path of the input log of a log; that of a part is a part. Raises UsageError for an input log."""
     path = Path(log)
+    if path.suffix == ".events":
+        raise UsageError(
+            f"{path} is what happened to the robots of a log; give the log, {path.with_suffix('')}"
+        )
     return Path(f"{path.with_suffix('')}.events{PART}" if path.suffix == PART else f"{path}.events")
 
 

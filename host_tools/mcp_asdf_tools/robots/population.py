@@ -16,7 +16,7 @@ from mcp_asdf.robot import (
     Config,
     Filter,
 )
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -36,6 +36,14 @@ FILTER_NAMES: dict[Filtering, str] = {
 """Names in ASCII, the first three the paper's."""
 TYPESET_FILTER_NAMES = {key: name.replace("-", "\N{MINUS SIGN}") for key, name in FILTER_NAMES.items()}
 """The same for pictures and pages."""
+
+FILTER_MEANINGS: dict[Filtering, str] = {
+    "none": "no robot recalibrates",
+    "asdf-minus": "the flawed robots do, by the paper's filter: for when one knows which they may be",
+    "asdf-plus": "all robots do, by the paper's filter, which may spoil healthy ones",
+    "robust": "all robots do, by this project's own filter: for when fewer than two in five may be wrong",
+}
+"""A line on each."""
 
 Activation = Literal["adaptive", "always"]
 """When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
@@ -160,7 +168,8 @@ class Population(WorldSettings):
         known = parameters_of(cls)
         for key in parameters:
             if key not in known:
-                raise ParameterError(key, f"unknown key {key!r}; known are {', '.join(known)}")
+                fix = offer(key, known) or f"; known are {', '.join(known)}"
+                raise ParameterError(key, f"unknown key {key!r}{fix}")
         return cls(**parameters)
 
 

@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Any
 
 from mcp_asdf_tools.bus.frames import MAX_NODE_ID, float_of
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 
 
 class FaultKind(Enum):
@@ -127,14 +127,15 @@ def parse_fault(text: str) -> Fault:
     first, *rest = (item.strip() for item in text.split(","))
     name, _, rate = first.partition("=")
     if name not in _KINDS:
-        raise UsageError(f"fault {text!r}: no kind is called {name!r}; choose one of {', '.join(_KINDS)}")
+        fix = offer(name, _KINDS) or f"; choose one of {', '.join(_KINDS)}"
+        raise UsageError(f"fault {text!r}: no kind is called {name!r}{fix}")
     options = (*_ALWAYS, *_KINDS[name].options)
     values = {"rate": _read(text, "rate", rate)} if "=" in first else {}
     for item in rest:
         option, _, value = item.partition("=")
         if option not in options:
-            fix = f"its options are {', '.join(options)}"
-            raise UsageError(f"fault {text!r}: {name} has no option {option!r}; {fix}")
+            fix = offer(option, options) or f"; its options are {', '.join(options)}"
+            raise UsageError(f"fault {text!r}: {name} has no option {option!r}{fix}")
         if option in values:
             raise UsageError(f"fault {text!r}: {option} is given twice; give it once")
         values[option] = _read(text, option, value)

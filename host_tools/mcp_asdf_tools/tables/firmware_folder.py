@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from decimal import Decimal
+from hashlib import sha256
 from pathlib import Path
 
 from mcp_asdf import _native
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import write_files
 from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.tables.table_files import c_text, stem
@@ -23,15 +26,44 @@ target_include_directories(mcp_asdf PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})
 """
 
 
-def write_firmware(omega: Decimal, q: int, folder: Path) -> list[Path]:
+_SUMS = "sha256sums.txt"
+
+
+def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) -> list[Path]:
     """Write the firmware into ``folder``, which is made if need be; returns the paths written.
 
-    All files are written, or none; those of an earlier version are replaced. Raises UsageError if one cannot
-    be written.
+    All files are written, or none; those of an earlier version are replaced, and other tables removed. Raises
+    UsageError if one cannot be written or, without ``force``, has been changed since it was written.
     """
     core = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
     contents = {path.name: path.read_text(encoding="utf-8") for path in sorted(core.iterdir())}
     contents[f"{stem(omega, q)}.c"] = c_text(omega, q)
     sources = " ".join(sorted(name for name in contents if name.endswith(".c")))
     contents["CMakeLists.txt"] = _CMAKE.format(version=own_version(), omega=omega, q=q, sources=sources)
-    return write_files(folder, contents)
+    contents[_SUMS] = "".join(f"{_sum(text.encode())}  {name}\n" for name, text in sorted(contents.items()))
+    others = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in contents]
+    if not force:
+        _check_unchanged([*others, *(folder / name for name in contents if name != _SUMS)], folder, contents)
+    paths = write_files(folder, contents)
+    for path in others:
+        path.unlink()
+    return paths
+
+
+def _sum(data: bytes) -> str:
+    return sha256(data).hexdigest()
+
+
+def _check_unchanged(paths: Iterable[Path], folder: Path, contents: Mapping[str, str]) -> None:
+    """Raises UsageError for a file that is neither what will be written nor what was."""
+    sums = folder / _SUMS
+    lines = sums.read_text(encoding="utf-8", errors="replace").splitlines() if sums.is_file() else []
+    written = {name: known for known, _, name in (line.partition("  ") for line in lines)}
+    for path in paths:
+        if path.is_file():
+            own = _sum(path.read_bytes())
+            if own not in (written.get(path.name), _sum(contents.get(path.name, "").encode())):
+                raise UsageError(
+                    f"{path} is not as mcp-asdf firmware wrote it; keep it elsewhere, or give --force to "
+                    "replace it"
+                )

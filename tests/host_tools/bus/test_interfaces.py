@@ -119,7 +119,7 @@ def test_frames_of_other_programs_on_socketcan_are_received() -> None:
 
 
 def radio(options: str) -> int:
-    return main(["radio", *options.split()])
+    return main(["radio", "--interface", "virtual", *options.split()])
 
 
 def test_waits_end_however_often_the_time_of_day_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:

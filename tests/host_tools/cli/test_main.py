@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -49,7 +51,14 @@ def test_the_overview_has_every_command(capsys: Capture) -> None:
     ("line", "told"),
     [
         ("tabel", "no command is called 'tabel'; did you mean table?"),
-        ("xyz --json", "no command is called 'xyz'"),
+        ("xyz", "no command is called 'xyz'"),
+        ("swarm --fault los=0.1", "fault 'los=0.1': no kind is called 'los'; did you mean loss?"),
+        ("swarm --fault loss,robot=1", "loss has no option 'robot'; did you mean robots?"),
+        ("radio --id 3", "the bus virtual vcan0 is inside this process, where nothing else is"),
+        (
+            "replay run.log.events",
+            "run.log.events is what happened to the robots of a log; give the log, run.log",
+        ),
         ("help", "no command is called 'help'; did you mean --help?"),
         ("--versoin", "no such option: --versoin; did you mean --version?"),
         ("swarm --robtos=3", "no such option: --robtos=3; did you mean --robots?"),
@@ -67,6 +76,17 @@ def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture
     first, second = err.splitlines()
     assert out == "" and first.startswith(f"{program}: error: ") and first.endswith(told)
     assert second == f"See '{program} --help'."
+
+
+@pytest.mark.parametrize("line", ["table --omega 3 --output .", "swarm --robots many", "table --jsn"])
+def test_an_error_is_json_where_that_is_asked_for(line: str, capsys: Capture) -> None:
+    """With the message that people get, in one line."""
+    assert cli.main(line.split()) == 2
+    _, _, message = capsys.readouterr().err.splitlines()[0].partition(": error: ")
+    assert cli.main([*line.split(), "--json"]) == 2
+    out, err = capsys.readouterr()
+    name = f"mcp-asdf {line.split(maxsplit=1)[0]}"
+    assert out == "" and json.loads(err) == {"command": name, "error": message, "exit_code": 2}
 
 
 @pytest.mark.parametrize(
@@ -120,7 +140,7 @@ def test_output_that_cannot_be_written_is_no_failed_check(line: str, code: int, 
     command = f"{shlex.quote(sys.executable)} -m mcp_asdf_tools.cli.main {line}"
     result = python("-c", f"import os; os.execl('/bin/sh', 'sh', '-c', {command!r})")
     assert (result.returncode, result.stdout, told in result.stderr) == (code, "", True)
-    assert result.stderr.count("\n") == bool(told)
+    assert result.stderr.count("\n") == 2 * bool(told)
 
 
 HIDING = """\
@@ -144,6 +164,20 @@ def in_base(folder: Path, lines: Iterable[str]) -> tuple[list[str], list[str]]:
     return done.stdout.splitlines()[-1].split()[1:], done.stderr.splitlines()
 
 
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_a_short_help_leads_to_all_options(name: str, capsys: Capture) -> None:
+    """It fits a screen, has what its own examples use, and says how many options are not in it."""
+    helps = [str(cli.main([name, option])) + capsys.readouterr().out for option in ("--help", "--help-all")]
+    short, whole = [set(re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", text, re.MULTILINE)) for text in helps]
+    actions = cli._parser_for(name, cli._load(name))._actions
+    assert whole == {each.option_strings[-1] for each in actions if each.option_strings[-1:]}
+    if short != whole:
+        assert short < whole and len(helps[0].splitlines()) <= 50
+        assert f"\n{len(whole - short)} options more" in helps[0]
+        used = re.findall(rf"^  mcp-asdf {name} [^#\n]*", helps[0], re.MULTILINE)
+        assert set(re.findall(r" (--[a-z-]+)", " ".join(used))) <= short
+
+
 def test_the_base_runs_robots_and_knows_all_options(tmp_path: Path) -> None:
     """The options of commands, too, that need more to run."""
     lines = [
@@ -152,7 +186,7 @@ def test_the_base_runs_robots_and_knows_all_options(tmp_path: Path) -> None:
         "replay run.log",
         "view run.log --export run.html",
         "table --output tables --neighbours 4",
-        "radio --id 3 --robots 3 --steps 1 --steps-per-second 500",
+        "radio --id 3 --robots 3 --steps 1 --steps-per-second 500 --interface virtual",
         "firmware vendor",
         "dbc --output mcp_asdf.dbc",
         "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
@@ -173,9 +207,9 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
         "swarm --firmware reference --log reference.log": ("scipy", "study"),
     }
     codes, errors = in_base(tmp_path, needed)
-    assert codes == ["2"] * len(needed) and len(errors) == len(needed)
+    assert codes == ["2"] * len(needed) and len(errors) == 2 * len(needed)
     assert list(tmp_path.iterdir()) == [], "nothing was begun"
-    for told, (module, extra) in zip(errors, needed.values(), strict=True):
+    for told, (module, extra) in zip(errors[::2], needed.values(), strict=True):
         assert module in told and f"pip install 'mcp-asdf[{extra}]'" in told
 
 
@@ -234,7 +268,10 @@ EXPERIMENT = "robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n"
     [
         (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
         (f"swarm {SHORT} --seed=7 --set true-accuracy=0.30000000000000004 --set latency=1 --compare", ""),
-        ("radio --id 3 --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3", "--seed=1"),
+        (
+            "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
+            "--seed=1",
+        ),
         (f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5", "--seed=1"),
         ("simulate --output results.parquet one.toml --seed 3", ""),
         ("sweep grid.toml --output 'two words.parquet'", "--seed=1"),

@@ -35,8 +35,8 @@ CASES = [
     *slow(
         [
             (f"swarm --robots 2 --steps 100000000 --quiet --processes {LOG}", HUNG_UP, None),
-            (f"radio --id 3 --robots 4 {LOG}", KILLED, 0),
-            ("radio --id 3 --verify --wait 1000 --json", HUNG_UP, None),
+            (f"radio --id 3 --robots 4 --interface virtual {LOG}", KILLED, 0),
+            ("radio --id 3 --interface virtual --verify --wait 1000 --json", HUNG_UP, None),
             ("simulate --trials 1000000", KILLED, None),
             ("crosscheck --steps 100000000", HUNG_UP, None),
             ("reproduce --output study", KILLED, None),

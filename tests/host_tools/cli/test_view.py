@@ -136,5 +136,5 @@ def raise_bus_error(film: BusFilm, should_stop: object) -> None:
 def test_what_cannot_be_shown_is_refused(line: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(line.split()) == 2
     out, err = capsys.readouterr()
-    assert reason in err and not out and err.count("\n") == 1
+    assert reason in err and not out and err.count("\n") == 2
     assert not [*Path().glob("out.*")]

@@ -146,7 +146,7 @@ def test_neighbours_stop_when_asked_to(ticks: int | None) -> None:
 
 
 def radio(options: str) -> int:
-    return main(["radio", *shlex.split(options)])
+    return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
 def test_neighbours_in_real_time_speak_and_leave_a_report(

@@ -438,7 +438,7 @@ CONTROLLER = f"--id {ID} --b-hat {B_HAT} --filter-period 10 --neighbours 20"
 
 
 def radio(options: str) -> int:
-    return main(["radio", *shlex.split(options)])
+    return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
 def test_a_verification_leaves_a_report_and_a_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

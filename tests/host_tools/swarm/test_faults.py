@@ -53,7 +53,7 @@ def test_a_text_may_have_spaces_and_lists_of_ids() -> None:
 
 BAD = {
     "": "no kind is called ''; choose one of loss, delay, duplicate",
-    "lose=0.2": "no kind is called 'lose'; choose",
+    "lose=0.2": "no kind is called 'lose'; did you mean loss?",
     "loss=2": "rate is '2'; it must be a number, 0 to 1",
     "loss=nan": "rate is 'nan'; it must be a number",
     "loss,ticks=3": "loss has no option 'ticks'; its options are from, to, robots, receivers",
