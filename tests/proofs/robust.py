@@ -124,7 +124,7 @@ def of_deviates(program: Program) -> Iterator[Claim]:
     given, (found, _) = formed(program, "deviates")
     crowd, t, product = given["crowd"], given["t"], partial(call, "multiply")
     first, centre, upper = crowd["first"], crowd["centre"], partial(call, "multiply_high")
-    r = z3.If(z3.LShR(centre, 30) == 0, 4 * centre, z3.BitVecVal(2**32 - 1, 32))
+    r = z3.If(z3.LShR(centre, 30) == 0, centre << 2, z3.BitVecVal(2**32 - 1, 32))
     long = partial(z3.ZeroExt, 32)
     yield "R", long(r) == _least(4 * long(centre), z3.BitVecVal(2**32 - 1, 64)), [in_range(crowd)]
     p = upper(first, r) + upper(~first, ~r)
@@ -133,7 +133,7 @@ def of_deviates(program: Program) -> Iterator[Claim]:
     g = z3.If(z3.LShR(first, 31) == 0, -2 * first, 2 * first)
     is_positive = z3.And(2 * long(first) - 2**32 == long(g), z3.UGE(first, 2**31))
     yield "g", z3.Or(is_positive, 2**32 - 2 * long(first) == long(g)), [in_range(crowd)]
-    g_spread = upper(g, 4 * crowd["spread"])
+    g_spread = upper(g, crowd["spread"] << 2)
     distance = z3.If(z3.UGT(seen, p), seen - p, p - seen)
     square, least = product(distance, distance), 12 * product(g_spread, g_spread)
     high, low = call("high_word", square - least), call("low_word", square - least)
