@@ -13,7 +13,7 @@ import z3
 from proofs import arithmetic, core, robust
 from proofs.arithmetic import EXACT
 from proofs.core import ONE
-from proofs.formulas import BY_LEMMA, same, units
+from proofs.formulas import BY_LEMMA, returns, same, units
 from proofs.machine import Machine, Summary, chosen
 from proofs.numbers import Integers, Number
 from proofs.prove import Contract, Formula, always
@@ -54,17 +54,17 @@ def opaque(name: str, *changes: str, requires: Formula = always, reads: str = ""
         for member in changes:
             place = arguments[0].below(member)
             found = computed(f"{name} {member}", machine.seen(machine.load(place)), *given)
-            machine.store(place, _numbers(machine.load(place), found))
-        result = machine.unknown_of(machine.program.functions[name].decl.type.type, name)
-        return None if result is None else _numbers(result, computed(name, machine.seen(result), *given))
+            machine.store(place, numbers(machine.load(place), found))
+        result = machine.unknown_of(machine.program.heads[name].type, name)
+        return None if result is None else numbers(result, computed(name, machine.seen(result), *given))
 
     return summary
 
 
-def _numbers(like: Any, found: Any) -> Any:
+def numbers(like: Any, found: Any) -> Any:
     """Terms as numbers of these types."""
     if isinstance(like, dict):
-        return {name: _numbers(each, found[name]) for name, each in like.items()}
+        return {name: numbers(each, found[name]) for name, each in like.items()}
     return Number(found, like.type)
 
 
@@ -74,14 +74,6 @@ def opaque_all(*names: str) -> dict[str, Summary]:
 
 def _wide(word: Any, bits: int = 64) -> Any:
     return z3.ZeroExt(bits - word.size(), word)
-
-
-def _returns(status: Any, *cases: tuple[Any, int], otherwise: int = 0) -> Any:
-    """The code of the first case that is so."""
-    found = z3.BitVecVal(otherwise, status.size())
-    for condition, code in reversed(cases):
-        found = z3.If(condition, z3.BitVecVal(code, status.size()), found)
-    return status == found
 
 
 # --- observe ---------------------------------------------------------------------------------------------
@@ -105,7 +97,7 @@ def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
     formed = computed("estimate", {name: t for name in ("x_hat", "alpha")}, t, n, robot["accuracy"])
     updated = {"t": t, "n": n, "updated": z3.BitVecVal(0, 8), **formed}
     return z3.And(
-        _returns(status, (z3.Not(is_colour), ERR_OBSERVATION)),
+        returns(status, (z3.Not(is_colour), ERR_OBSERVATION)),
         same(after, chosen(is_colour, {**robot, **updated}, robot)),
         _may_observe(after, z),
     )
@@ -164,7 +156,7 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
         "crowd": chosen(z3.And(says_something, is_robust), voted, robot["crowd"]),
     }
     return z3.And(
-        _returns(
+        returns(
             status, (z3.Not(is_sender), ERR_SENDER), (z3.Not(is_valid), ERR_X_HAT), (z3.Not(is_new), REPEATED)
         ),
         _heard(after) == z3.If(is_accepted, heard | one, heard),

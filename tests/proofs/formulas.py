@@ -8,7 +8,7 @@ from typing import Any
 import z3
 
 from proofs.arithmetic import EXACT
-from proofs.machine import Machine, Place, Summary
+from proofs.machine import Machine, Place, Summary, Table
 from proofs.numbers import Number, Type, Words
 from proofs.prove import any_result
 from proofs.source import Program
@@ -64,10 +64,21 @@ BY_LEMMA: dict[str, Summary] = {
 
 
 def same(after: Any, before: Any) -> Any:
-    """That a structure, and what its pointers point to, is as it was, as far as ``before`` has it."""
+    """That a structure, and what its pointers point to, is as it was, as far as ``before`` has it. Of tables,
+    which may hold anything, the same one is sure to have the same first word."""
     if isinstance(before, dict) and isinstance(after, dict):
         return z3.And([same(after[name], each) for name, each in before.items()])
-    return after == before if isinstance(before, z3.ExprRef) else z3.BoolVal(after == before)
+    if isinstance(before, Table):
+        return after.word(z3.BitVecVal(0, 32)) == before.word(z3.BitVecVal(0, 32))
+    return after == before
+
+
+def returns(status: Any, *cases: tuple[Any, int], otherwise: int = 0) -> Any:
+    """The code of the first case that is so."""
+    found = z3.BitVecVal(otherwise, status.size())
+    for condition, code in reversed(cases):
+        found = z3.If(condition, z3.BitVecVal(code, status.size()), found)
+    return status == found
 
 
 def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:

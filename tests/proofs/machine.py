@@ -617,4 +617,6 @@ def chosen(condition: Any, first: Any, second: Any) -> Any:
     """The first terms where the condition holds, the second elsewhere."""
     if isinstance(first, dict):
         return {name: chosen(condition, first[name], second[name]) for name in first}
-    return z3.If(condition, first, second) if isinstance(first, z3.ExprRef) else first
+    if isinstance(first, Table):
+        return Table(lambda index: z3.If(condition, first.word(index), second.word(index)), first.type)
+    return z3.If(condition, first, second)

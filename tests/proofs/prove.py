@@ -170,7 +170,7 @@ def any_result(name: str) -> Summary:
                 if isinstance(before, dict):
                     after |= {member: at for member, at in before.items() if isinstance(at, Place)}
                 machine.store(each, after)
-        return machine.unknown_of(machine.program.functions[name].decl.type.type, name)
+        return machine.unknown_of(machine.program.heads[name].type, name)
 
     return summary
 

@@ -64,6 +64,7 @@ class Program:
 
     Attributes:
         functions: Definitions by name.
+        heads: What functions take and return, by name, where they are only declared, too.
         types: What each typedef stands for, by name.
         constants: The values of enumerations, by name.
     """
@@ -76,6 +77,8 @@ class Program:
         self.variant = variant
         tree = c_parser.CParser().parse(re.sub(r"^# .*pragma.*$", "", text, flags=re.MULTILINE), str(path))
         self.functions = {each.decl.name: each for each in tree.ext if isinstance(each, c_ast.FuncDef)}
+        declared = [getattr(each, "decl", each) for each in tree.ext]
+        self.heads = {each.name: each.type for each in declared if isinstance(each.type, c_ast.FuncDecl)}
         self.constants = {each.name: each.value for each in nodes(tree, c_ast.Enumerator)}
         self.types = {each.name: each.type for each in tree.ext if isinstance(each, c_ast.Typedef)}
 
@@ -85,7 +88,7 @@ class Program:
 
     def parameters(self, name: str) -> list[Any]:
         """Declarations of a function's parameters."""
-        return list(self.functions[name].decl.type.args.params)
+        return list(self.heads[name].args.params)
 
     def callees(self, name: str) -> set[str]:
         """Functions of the program that this one calls."""

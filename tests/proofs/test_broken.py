@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from proofs import accuracy, arithmetic, calls, robust, sums
+from proofs import accuracy, arithmetic, calls, images, robust, sums
 from proofs.core import CORE
+from proofs.images import IMAGE
 from proofs.prove import UnprovenError, prove_all, prove_lemma
 from proofs.source import ARITHMETIC, HEADER, SOURCES, Program, Variant
 from support import slow
@@ -70,6 +71,11 @@ BROKEN = (
     ("filter", "1000", "++robot->counters.updates", "++robot->counters.tests"),
     ("test_rejects", "1000", "m <= q ? m", "m < q ? m"),
     ("test_rejects", "1000", "> upper_part", ">= upper_part"),
+    ("mcp_asdf_save", "1000", "(uint32_t)robot->updated << 16", "(uint32_t)robot->updated << 15"),
+    ("mcp_asdf_save", "1000", "pass(image, robot->t)", "pass(image, robot->n)"),
+    ("mcp_asdf_restore", "1000", "known && pass(&in, 0) == hash", "known || pass(&in, 0) == hash"),
+    ("mcp_asdf_restore", "1000", "    *robot = read;", "    *robot = fresh;"),
+    ("mcp_asdf_restore", "1000", "status != MCP_ASDF_OK", "status == MCP_ASDF_ERR_ID"),
 )
 """A function that loses its lemma, or none where the numbers change that the code forms; a variant; what is
 replaced, and by what."""
@@ -82,18 +88,19 @@ CASES = [*QUICK, *slow(each for each in BROKEN if each not in QUICK)]
 @pytest.mark.parametrize(("name", "digits", "right", "wrong"), CASES)
 def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str, tmp_path: Path) -> None:
     variant, found = Variant(digits), 0
-    for path in (*ARITHMETIC, CORE, SOURCES / "mcp_asdf_robust.h"):
+    for path in (*ARITHMETIC, CORE, IMAGE, SOURCES / "mcp_asdf_robust.h"):
         text = path.read_text(encoding="utf-8")
-        place = text.index(f" {name}(") if path == CORE and f" {name}(" in text else 0
-        found += right in text[place:]
+        place = max(text.find(f" {name}("), 0) if path in (CORE, IMAGE) else 0
+        place = place if right in text[place:] else 0
+        found += right in text
         text = text[:place] + text[place:].replace(right, wrong)
         (tmp_path / path.name).write_text(text, encoding="utf-8")
     assert found
-    is_arithmetic = name in arithmetic.contracts(variant)
-    code = Program(tmp_path / (HEADER if is_arithmetic else CORE).name, variant)
+    main = HEADER if name in arithmetic.contracts(variant) else IMAGE if name in images.CONTRACTS else CORE
+    code = Program(tmp_path / main.name, variant)
     with pytest.raises(UnprovenError):
         if name:
-            prove_lemma(code, name, calls.contracts(variant), set())
+            prove_lemma(code, name, {**calls.contracts(variant), **images.CONTRACTS}, set())
         of_the_code = (*robust.OF_THE_CODE, *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
         for claims in () if name else of_the_code:
             prove_all(claims(code))

@@ -11,7 +11,7 @@ import pytest
 import z3
 from pycparser import c_ast
 
-from proofs import calls, core, robust
+from proofs import calls, core, images, robust
 from proofs.core import CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
@@ -19,6 +19,7 @@ from proofs.prove import (
     Contract,
     always,
     prove,
+    prove_all,
     prove_contract,
     prove_lemma,
     prove_obligations,
@@ -29,17 +30,22 @@ from support import slow
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
-LEMMAS = [*core.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS]
-LONG = ("vote", "mcp_asdf_receive", "test_rejects")
+LEMMAS = [*core.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
+LONG = ("vote", "mcp_asdf_receive", "test_rejects", "mcp_asdf_save")
 
 
 @pytest.mark.parametrize("name", [*(each for each in LEMMAS if each not in LONG), *slow(LONG)])
 def test_lemma(name: str) -> None:
     done = set[Any]()
+    path = images.IMAGE if name in images.CONTRACTS else CORE
     for variant in VARIANTS:
-        prove_lemma(program(variant, CORE), name, calls.contracts(variant), done)
+        prove_lemma(program(variant, path), name, {**calls.contracts(variant), **images.CONTRACTS}, done)
     assert done
     assert done
+
+
+def test_a_restored_robot_is_the_saved_one() -> None:
+    prove_all(images.of_the_way_back(program(VARIANTS[0], images.IMAGE)))
 
 
 # --- Loops -------------------------------------------------------------------------------------------------
