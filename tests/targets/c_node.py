@@ -140,6 +140,14 @@ def content(frames: Iterable[can.Message]) -> list[str]:
     return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in frames]
 
 
+def greeted_once(frames: Iterable[can.Message]) -> list[can.Message]:
+    """What one node said, without the greetings that it repeats until it is commanded."""
+    said = list(frames)
+    while len(said) > 1 and content(said[:1]) == content(said[1:2]):
+        said.pop(0)
+    return said
+
+
 def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
     """The C node's summary has every number of the Python node."""
     robot = node.robot

@@ -264,7 +264,10 @@ static void wait_for_work(run_t *run)
 {
     const bool is_joined = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
     struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* one below 0 is not waited for */
-    int64_t until = !in_lockstep ? run->clock.next : run->node.ticks == 0 ? run->greeting.next : INT64_MAX;
+    int64_t until = in_lockstep ? INT64_MAX : run->clock.next;
+    if (in_lockstep && run->node.ticks == 0) {
+        until = run->greeting.next;
+    }
     if (!is_joined && run->reopening.next < until) {
         until = run->reopening.next;
     }
