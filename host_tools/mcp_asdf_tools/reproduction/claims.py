@@ -46,6 +46,8 @@ QUESTIONS: Mapping[str, str] = _FILE["questions"]
 _SUMMARIES = {"median": MEDIAN, "spread": SPREAD, "best of 30": BEST_OF_30}
 _TRENDS = {"rises": ("not below", "above"), "falls": ("not above", "below")}
 """Expectation from each P to the next, and from the first to the last."""
+_STRONG = ("much", "overwhelming")
+"""Sizes of which the interval is to be, not only the difference."""
 _ROBOTS = "differences between robots"
 _CORRELATION = "rank correlation"
 
@@ -68,6 +70,8 @@ class Question:
         size: From which a difference counts, in the measure's unit.
         cells: Those that answer it, in their normal form.
         estimate: The difference.
+        is_strong: True if the interval must be beyond the size.
+        measure: What two cells are compared in, or empty.
     """
 
     place: Place
@@ -75,10 +79,14 @@ class Question:
     size: float
     cells: tuple[Cell, ...]
     estimate: Estimating
+    is_strong: bool = False
+    measure: str = ""
 
     def answer(self, study: Study, confidence: float) -> Comparison:
         """The comparison, from the trials that all cells have."""
-        return Comparison(self.place, self.estimate(study, confidence), self.expectation, self.size)
+        share = study.share_of_better(self.cells, self.measure) if self.measure else None
+        estimate = self.estimate(study, confidence)
+        return Comparison(self.place, estimate, self.expectation, self.size, self.is_strong, share)
 
 
 @dataclass(frozen=True)
@@ -94,6 +102,7 @@ class Contrast:
     than_summary: str = ""
     size: str | float = "seen"
     part: str = ""
+    about: str = ""
     panels: Names = "everywhere"
     b_hats: Names = FLAWED_ACCURACIES
     percents: Names = (10, 30, 50)
@@ -106,6 +115,8 @@ class Contrast:
 
     def questions(self, part: Part) -> list[Question]:
         """The comparisons about a part of the study, each once."""
+        if self.about not in ("", part.value):
+            return []
         if self.fact:
             return list(self._facts(part))
         cells = self._cells(Part(self.part) if self.part else part)
@@ -140,7 +151,18 @@ class Contrast:
         self, place: Place, cells: Sequence[Cell], estimate: Estimating, expected: str = ""
     ) -> Question:
         size = SIZES[self.size] if isinstance(self.size, str) else self.size
-        return Question(place, Expectation(expected or self.expected), size, tuple(cells), estimate)
+        measure = (
+            self.measure if len(cells) == 2 and self.summary == "median" and not self.than_summary else ""
+        )
+        return Question(
+            place,
+            Expectation(expected or self.expected),
+            size,
+            tuple(cells),
+            estimate,
+            self.size in _STRONG,
+            measure,
+        )
 
     def _trend(self, cells: Sequence[Cell]) -> list[Question]:
         step, whole = _TRENDS[self.expected]

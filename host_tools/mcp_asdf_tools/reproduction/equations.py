@@ -69,12 +69,16 @@ def _growth(shares: Sequence[float]) -> Iterable[Fact]:
         yield f"n/t {share:g}", "least ratio of alpha to that of a b_hat 0.005 lower, less 1", least - 1
 
 
-def _ratios(pairs: Iterable[tuple[float, float]]) -> Iterable[Fact]:
+def _ratios(pairs: Iterable[tuple[float, float]], claimed: int = 100) -> Iterable[Fact]:
     """How many times the confidence of one b_hat is that of another, at each n/t of Table I."""
     for low, high in pairs:
         for share in _table_shares():
             ratio = _alpha(share, high) / _alpha(share, low)
-            yield f"n/t {share:g}", f"alpha of b_hat {high:g} over that of {low:g}, less 100", ratio - 100
+            yield (
+                f"n/t {share:g}",
+                f"alpha of b_hat {high:g} over that of {low:g}, less {claimed}",
+                ratio - claimed,
+            )
 
 
 def _slopes() -> Iterable[Fact]:
@@ -91,6 +95,7 @@ FACTS: Mapping[str, Callable[[], Iterable[Fact]]] = {
     "ratios of confidence, all pairs": lambda: _ratios([*combinations(FLAWED_ACCURACIES, 2), _WIDEST]),
     "ratios of confidence, 0.55 and 0.95": lambda: _ratios([(0.55, 0.95)]),
     "ratios of confidence, 0.505 and 0.995": lambda: _ratios([_WIDEST]),
+    "ratios of confidence, underconfident robots": lambda: _ratios([(0.55, 0.95), (0.75, 0.95)], 1),
     "change of x_hat": _slopes,
     "density of section V": lambda: [("", "D less 1.3", 8 * pi * 0.7**2 / (3.0353 * 3.0226) - 1.3)],
     "observations of section V": lambda: [("", "ratio less 20", 40_000 / (1000 * 2) - 20)],

@@ -108,8 +108,10 @@ def _context(runs: Sequence[Run], scale: Scale, drawn: Sequence[Picture]) -> dic
         "runs": [_run_row(part, runs, scale) for part in parts],
         "pictures": drawn,
         "numbers": numbers,
+        "heading": heading,
         "table_of": _table_of,
         "marks": _MARKS,
+        "strong": [SIZES["much"], SIZES["overwhelming"]],
         "rules": {"confidence": CONFIDENCE, "most": MOST, "few": FEW, "resamples": RESAMPLES},
         "sizes": SIZES,
         "levels": LEVELS,
@@ -144,6 +146,13 @@ def _run_row(part: Part, runs: Sequence[Run], scale: Scale) -> list[object]:
     return [PART_NAMES[part], len(cells), experiment.robots, experiment.steps, trials, seeds]
 
 
+def heading(name: str) -> str:
+    """A claim's name in words; symbols stay as they are."""
+    words = f"{name} ".replace("_", " ").replace("b hat", "b_hat").replace(" p ", " P ").strip()
+    words = re.sub(r"\bminus\b", "ASDF\N{MINUS SIGN}", re.sub(r"\bplus\b", "ASDF+", words))
+    return words[0].upper() + words[1:]
+
+
 def _table_of(finding: Finding) -> list[list[str]]:
     """Comparisons with a row for each f, b and b_hat and a column for each contrast; heads come first."""
     heads = list(dict.fromkeys(map(_head, finding.comparisons)))
@@ -165,7 +174,8 @@ def in_words(comparison: Comparison) -> str:
     estimate = comparison.estimate
     digits = ".1f" if comparison.size >= SIZES["seen"] else ".3g"
     value, low, high = (format(each, digits).replace("-", "\N{MINUS SIGN}") for each in estimate)
-    return value if estimate.low == estimate.high else f"{value} [{low}, {high}]"
+    share = "" if comparison.share is None else f", more in {100 * comparison.share:.0f} %"
+    return (value if estimate.low == estimate.high else f"{value} [{low}, {high}]") + share
 
 
 def numbers(finding: Finding) -> str:
@@ -194,7 +204,7 @@ def comparisons(runs: Sequence[Run], scale: Scale) -> str:
     """A line for every comparison with every seed, as CSV."""
     content = io.StringIO()
     writer = csv.writer(content, lineterminator="\n")
-    writer.writerow([*_COLUMNS, "holds"])
+    writer.writerow([*_COLUMNS, "holds", "share"])
     for run in runs:
         for decision in run.decided:
             claim, finding = decision.claim, decision.finding
@@ -204,7 +214,8 @@ def comparisons(runs: Sequence[Run], scale: Scale) -> str:
                 holds = {True: "yes", False: "no", None: "open"}[each.holds]
                 values = (f"{value:.6g}" for value in (each.size, *each.estimate))
                 head = (run.seed, claim.name, claim.where, about, verdict, each.label, each.expectation.value)
-                writer.writerow([*head, *values, holds])
+                share = "" if each.share is None else f"{each.share:.4g}"
+                writer.writerow([*head, *values, holds, share])
     return content.getvalue()
 
 

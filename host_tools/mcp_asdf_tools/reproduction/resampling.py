@@ -28,6 +28,8 @@ RESAMPLES = 20_000
 """Enough for the corrected interval of the claim with most comparisons, whose tail is one in 8000."""
 
 _SEED = 1
+_SEEN = 2.0
+"""Points of a score below which a standard deviation hides no groups that matter."""
 
 
 class Estimate(NamedTuple):
@@ -72,6 +74,16 @@ def summarized(sample: Sample, summary: Summary) -> Summarized:
     drawn = np.sort(ranks[_drawn(len(sample), RESAMPLES)], axis=1)
     (value,) = _quantiles(sample[order], own[np.newaxis], summary)
     return Summarized(float(value), _quantiles(sample[order], drawn, summary).astype(np.float32))
+
+
+def falls_apart(sample: Sample) -> bool:
+    """True if a sample seems to have two groups: its coefficient of bimodality is over 5/9."""
+    deviations = sample - sample.mean()
+    variance = float((deviations**2).mean())
+    if variance < _SEEN**2:
+        return False
+    skewness = float((deviations**3).mean()) / variance**1.5
+    return bool((skewness**2 + 1) * variance**2 / (deviations**4).mean() > 5 / 9)
 
 
 def averaged(sample: Sample) -> Summarized:

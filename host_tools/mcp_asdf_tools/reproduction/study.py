@@ -18,7 +18,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Scores
-from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, summarized
+from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, falls_apart, summarized
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 PERIODS = (1000, 2000, 4000)
@@ -220,6 +220,14 @@ class Study:
         if key not in self._summarized:
             self._summarized[key] = summarized(self.sample(cell, measure)[:trials], summary)
         return self._summarized[key]
+
+    def share_of_better(self, pair: Sequence[Cell], measure: str) -> float | None:
+        """Share of trials in which the first cell has more; None if neither cell's fall into two groups."""
+        count = self.count(pair)
+        ours, others = (self.sample(cell, measure)[:count] for cell in pair)
+        if not (falls_apart(ours) or falls_apart(others)):
+            return None
+        return float((ours > others).mean())
 
     def of(self, part: Part) -> list[Trials]:
         """All results of a part."""

@@ -13,8 +13,7 @@ CONFIDENCE = 0.95
 """That none of a claim's comparisons is decided wrongly."""
 
 MOST = 0.75
-"""Share of decided comparisons that must hold for what the paper says "in general"; as large a share of all
-must be decided before anything is said of a claim."""
+"""Share of comparisons that must hold for what the paper says "in general"."""
 
 FEW = 0.1
 """Share of holding comparisons up to which a claim without exceptions is not mixed but wrong."""
@@ -48,7 +47,7 @@ class Verdict(Enum):
     MIXED = "mixed"
     DISAGREE = "disagree"
     UNDECIDED = "undecided"
-    """More than a quarter of the comparisons are open, or the one that would do may be among the open."""
+    """Another verdict would follow if comparisons that are open held, or if they failed."""
 
 
 class Place(NamedTuple):
@@ -67,12 +66,16 @@ class Comparison:
         estimate: The difference.
         expectation: What the claim says of it.
         size: From which it counts, in the same unit.
+        is_strong: True if the interval, not only the difference, must be beyond the size.
+        share: Of trials in which the first cell is better, where those of a cell fall into two groups.
     """
 
     place: Place
     estimate: Estimate
     expectation: Expectation
     size: float
+    is_strong: bool = False
+    share: float | None = None
 
     @property
     def label(self) -> str:
@@ -86,7 +89,8 @@ class Comparison:
         is_turned = expectation in (Expectation.BELOW, Expectation.NOT_ABOVE)
         ours = -self.estimate if is_turned else self.estimate
         if expectation in (Expectation.ABOVE, Expectation.BELOW):
-            return _decided(_is_above(ours, size), ours.high < size)
+            is_right = ours.low >= size if self.is_strong else _is_above(ours, size)
+            return _decided(is_right, ours.high < size)
         if expectation is Expectation.SAME:
             is_off = _is_above(ours, size) or _is_above(-ours, size)
             return _decided(-size < ours.low and ours.high < size, is_off)
@@ -120,16 +124,17 @@ class Finding:
 
     @property
     def verdict(self) -> Verdict:
-        """By the comparisons that are decided, if those are enough."""
-        right, wrong = self.count(True), self.count(False)
-        decided = right + wrong
+        """The one that follows however the open comparisons turn out."""
+        right = self.count(True)
+        outcomes = {self._verdict(right + more) for more in range(self.count(None) + 1)}
+        return outcomes.pop() if len(outcomes) == 1 else Verdict.UNDECIDED
+
+    def _verdict(self, right: int) -> Verdict:
+        """If so many comparisons hold and all others fail."""
+        total = len(self.comparisons)
         if self.scope is Scope.SOME:
-            if right or wrong == len(self.comparisons):
-                return Verdict.AGREE if right else Verdict.DISAGREE
-            return Verdict.UNDECIDED
-        if decided < MOST * len(self.comparisons):
-            return Verdict.UNDECIDED
+            return Verdict.AGREE if right else Verdict.DISAGREE
         least, most = (1.0, FEW) if self.scope is Scope.ALL else (MOST, 1 - MOST)
-        if right >= least * decided:
+        if right >= least * total:
             return Verdict.AGREE
-        return Verdict.DISAGREE if right <= most * decided else Verdict.MIXED
+        return Verdict.DISAGREE if right <= most * total else Verdict.MIXED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Collection
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf_tools.reproduction import resampling
+from mcp_asdf_tools.reproduction import report, resampling
 from mcp_asdf_tools.reproduction.claims import CLAIMS, LEVELS, QUESTIONS, SIZES, Claim, Contrast, Question
 from mcp_asdf_tools.reproduction.decisions import Decision, decide, needs
 from mcp_asdf_tools.reproduction.resampling import Sample, interval
@@ -23,6 +24,7 @@ NONE = "none"
 MINUS = "asdf-minus"
 PLUS = "asdf-plus"
 TRIALS = 30
+PLACE = r"(abstract|[IV]+(-[A-E])?|)(, )?(figure \d[ab]?|table I|)"
 CELLS = {cell for part in Part for cell in cells_of(part)}
 
 
@@ -92,11 +94,13 @@ def test_a_claim_agrees_and_disagrees(claim: Claim, part: Part) -> None:
 def test_the_file_is_whole() -> None:
     """Each claim asks for cells that the study has, once; its part among them, and every name is known."""
     assert set(QUESTIONS) <= {claim.name for claim in CLAIMS} == {*PLANTED, *FACTS}
-    assert sum(len(claim.parts) for claim in CLAIMS) == 95
+    assert sum(len(claim.parts) for claim in CLAIMS) == 113
     assert list(SIZES.values()) == [2, 5, 10, 20, 0.2, 0.05]
     assert LEVELS == {"almost perfect": 95, "excellent": 90, "quite high": 80, "poor": 50}
     for claim, part in ((each, part) for each in CLAIMS for part in each.parts):
-        assert claim.words.strip() == claim.words != "" < claim.where
+        assert claim.words.strip() == claim.words != ""
+        assert not re.search(r"[.?!] [A-Z]", claim.words.replace("[...]", "")), "of one sentence"
+        assert re.fullmatch(PLACE, claim.where), "one section, and one figure or table"
         for reading in (claim.reading, *claim.readings):
             questions = reading.questions(part)
             assert all(cell in CELLS for question in questions for cell in question.cells), claim.name
@@ -179,6 +183,33 @@ def test_intervals_allow_for_comparisons_and_looks(monkeypatch: pytest.MonkeyPat
         )
         wanted = interval(after.value - before.value, after.again - before.again, 1 - 0.05 / (24 * looks))
         assert tuple(found.estimate) == pytest.approx(tuple(wanted))
+
+
+def test_two_groups_of_trials_have_a_share_beside_the_median() -> None:
+    """Where half of them are good and half bad; what is spread evenly and what cannot be seen has none."""
+    half = np.repeat([0.0, 1.0], TRIALS // 2)
+    assert [resampling.falls_apart(scale * half) for scale in (0, 3, 40)] == [False, False, True]
+    assert not resampling.falls_apart(np.random.default_rng(1).normal(50, 10, 300))
+    study = MadeUp("70")
+    study.sample = lambda cell, measure: 40 * half + (cell.filter == PLUS)  # type: ignore[method-assign]
+    (found,) = (
+        each.answer(study, 0.9) for each in asked(b_hats=0.75, percents=30, filters=PLUS, than="no filter")
+    )
+    assert found.share == 1 and report.in_words(found).endswith(", more in 100 %")
+    assert [
+        each.answer(MadeUp("70"), 0.9).share for each in asked(b_hats=0.75, percents=30, than="flawless")
+    ] == [None]
+
+
+def test_strong_words_bound_the_interval() -> None:
+    strong = asked(size="much", than="flawless", percents=30, b_hats=0.75)
+    weak = asked(size=10, than="flawless", percents=30, b_hats=0.75)
+    study = MadeUp("(90, 5) if P else (79, 5)")
+    assert [each.answer(study, 0.99).holds for each in (*strong, *weak)] == [None, True]
+
+
+def test_a_row_may_be_about_one_part() -> None:
+    assert [len(asked(about=part, than="flawless")) for part in ("dynamic", "physical")] == [6, 0]
 
 
 def test_open_comparisons_name_their_cells() -> None:

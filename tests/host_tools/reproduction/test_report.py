@@ -64,6 +64,8 @@ def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert marks == [each.finding.count(holds) for holds in (True, False, None)]
         assert f'"{each.claim.words}" ({each.claim.where})' in section
         assert report.numbers(each.finding) in section
+        assert f"- [{report.heading(each.claim.name)}](#{each.anchor}): {title[1]}\n" in content
+        assert f"\nCompared: {each.claim.compared}; " in section
         verdicts = [
             own.finding.verdict.value for run in runs for own in run.decided if own.anchor == each.anchor
         ]
@@ -84,6 +86,22 @@ def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     report.write_report(tmp_path, runs, QUICK)
     assert "Too short for verdicts" in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {each["verdict"] for each in report.as_values(runs[0], QUICK)} == {None}
+
+
+def test_headings_are_words_and_symbols_stay() -> None:
+    names = (
+        "low_b_hat_is_slow",
+        "minus_holds_the_level",
+        "short_runs_do_not_depend_on_p",
+        "plus_and_surplus",
+    )
+    found = [report.heading(name).replace("\N{MINUS SIGN}", "-") for name in names]
+    assert found == [
+        "Low b_hat is slow",
+        "ASDF- holds the level",
+        "Short runs do not depend on P",
+        "ASDF+ and surplus",
+    ]
 
 
 def test_numbers_are_the_best_and_the_worst() -> None:

@@ -49,13 +49,16 @@ def finding(right: int, wrong: int, undecided: int, scope: Scope) -> Finding:
     [
         # holding, failing, open; then the verdicts if all, most and some must hold
         ((4, 0, 0), "agree agree agree"),
-        ((3, 0, 1), "agree agree agree"),
+        ((3, 0, 1), "undecided agree agree"),
+        ((19, 1, 1), "mixed agree agree"),
+        ((2, 1, 1), "mixed undecided agree"),
         ((3, 1, 0), "mixed agree agree"),
         ((2, 0, 2), "undecided undecided agree"),
         ((1, 3, 0), "mixed disagree agree"),
         ((3, 9, 0), "mixed disagree agree"),
         ((1, 9, 0), "disagree disagree agree"),
-        ((0, 3, 1), "disagree disagree undecided"),
+        ((0, 3, 1), "undecided disagree undecided"),
+        ((0, 30, 1), "disagree disagree undecided"),
         ((0, 4, 0), "disagree disagree disagree"),
         ((2, 2, 0), "mixed mixed agree"),
     ],
