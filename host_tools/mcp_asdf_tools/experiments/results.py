@@ -20,11 +20,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -344,12 +343,9 @@ class _Piece(NamedTuple):
 class Pieces:
     """Rows of many files as one sequence, of which only a few row groups are in memory."""
 
-    _KEPT = 4
-    """Row groups that are kept, as rows that are taken together stand close."""
-
     def __init__(self) -> None:
         self._pieces: list[_Piece] = []
-        self._read: OrderedDict[tuple[_Piece, tuple[str, ...] | None], pa.Table] = OrderedDict()
+        self._row_group = lru_cache(maxsize=4)(_row_group)  # rows that are taken together stand close
         self.column_names: list[str] = []
         self.rows = 0
 
@@ -382,27 +378,21 @@ class Pieces:
 
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Some rows in this order."""
+        wanted = None if columns is None else tuple(columns)
         firsts = [piece.first for piece in self._pieces]
         owners = np.searchsorted(firsts, rows, side="right") - 1
         tables, places = [], []
         for owner in np.unique(owners):
             places.append(np.flatnonzero(owners == owner))
-            piece = self._pieces[owner]
-            tables.append(self._table(piece, columns).take(rows[places[-1]] - piece.first))
+            path, group, first = self._pieces[owner]
+            tables.append(self._row_group(path, group, wanted).take(rows[places[-1]] - first))
         order = np.argsort(np.concatenate(places))
         return pa.concat_tables(tables).combine_chunks().take(order)
 
-    def _table(self, piece: _Piece, columns: Sequence[str] | None) -> pa.Table:
-        key = (piece, None if columns is None else tuple(columns))
-        if key not in self._read:
-            with _reading(piece.path):
-                self._read[key] = (
-                    _open(piece.path).read_row_group(piece.group, columns=columns).combine_chunks()
-                )
-            if len(self._read) > self._KEPT:
-                self._read.popitem(last=False)
-        self._read.move_to_end(key)
-        return self._read[key]
+
+def _row_group(path: Path, group: int, columns: tuple[str, ...] | None) -> pa.Table:
+    with _reading(path):
+        return _open(path).read_row_group(group, columns=columns).combine_chunks()
 
 
 def metadata_of(table: pa.Table) -> dict[str, Any]:
