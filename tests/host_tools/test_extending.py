@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf_tools.common import extensions
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -44,6 +46,18 @@ def package(tmp_path: Path) -> Path:
     (information / "entry_points.txt").write_text("\n".join(lines))
     (tmp_path / "grid.toml").write_text(grid)
     return tmp_path
+
+
+def test_a_name_that_two_packages_offer_is_refused(package: Path, installed: None) -> None:
+    """Which of the two came first would be chance."""
+    (ours,) = package.glob("*.dist-info")
+    shutil.copytree(ours, package / "their_swarm-1.0.dist-info")
+    (package / "their_swarm-1.0.dist-info/METADATA").write_text("Name: their-swarm\nVersion: 1.0\n")
+    (name, *_) = extensions.names(extensions.FIRMWARES)
+    with pytest.raises(
+        UsageError, match=f"'{name}' is offered by .*swarm .* and .*swarm .*; uninstall all but"
+    ):
+        extensions.load(extensions.FIRMWARES, name)
 
 
 @pytest.fixture

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -28,32 +30,89 @@ def test_write_atomically_replaces_the_whole_file(tmp_path: Path, data: str | by
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
-@pytest.mark.parametrize("function", ["fsync", "replace"])
-@pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("after", [0, 1])
-def test_a_set_that_the_disk_does_not_take_leaves_the_old_one(
-    function: str, failure: BaseException, after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The disk is full when the first or the second file is written or renamed."""
-    paths, calls = [tmp_path / "a", tmp_path / "b"], list[object]()
-    usual = getattr(os, function)
+class Faulty:
+    """System calls of this process, of which the ``at``-th fails.
 
-    def fail(*arguments: object) -> object:
-        calls.append(arguments)
-        if len(calls) > after:
-            raise failure
-        return usual(*arguments)
+    Attributes:
+        calls: Names of the calls with the file that they are about, in order.
+    """
 
+    def __init__(self, patch: pytest.MonkeyPatch, at: int, failure: BaseException) -> None:
+        self.calls, self._at, self._failure = list[tuple[str, str]](), at, failure
+        fsync, replace, unlink, hit = os.fsync, os.replace, Path.unlink, self.hit
+
+        class Writer(io.BufferedWriter):
+            def write(self, data: Any) -> int:
+                hit("write", self.raw.name)
+                return super().write(data)
+
+            def flush(self) -> None:
+                hit("flush", self.raw.name)
+                super().flush()
+
+        def opened(path: Path, *_: object, **__: object) -> Writer:
+            hit("open", path)
+            return Writer(io.FileIO(path, "w"))
+
+        patch.setattr(Path, "open", opened)
+        patch.setattr(os, "fsync", lambda fd: (hit("fsync", os.readlink(f"/dev/fd/{fd}")), fsync(fd)))
+        patch.setattr(os, "replace", lambda a, b: (hit("replace", a), replace(a, b)))
+        patch.setattr(Path, "unlink", lambda path, **_: (hit("unlink", path), unlink(path, **_)))
+
+    def hit(self, name: str, path: object) -> None:
+        self.calls.append((name, Path(str(path)).name))
+        if len(self.calls) == self._at:
+            raise self._failure
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+def written_with_fault(folder: Path, at: int, failure: BaseException) -> list[tuple[str, str]]:
+    """Replace two old files while the ``at``-th system call fails: both are whole. Returns the calls."""
+    paths = [folder / "a", folder / "b"]
+    told: BaseException | None = None
     for path in paths:
         path.write_text("old")
-    monkeypatch.setattr(os, function, fail)
-    with pytest.raises(UsageError if isinstance(failure, OSError) else KeyboardInterrupt) as caught:
-        files.write_files(tmp_path, {"a": "new", "b": "new"})
-    if isinstance(failure, OSError):
-        assert str(caught.value).startswith(f"cannot write {paths[after]}: No space left on device; choose a")
-    assert sorted(tmp_path.iterdir()) == paths, "a draft is left"
-    is_renamed = function == "replace" and after == 1  # what stands at its name already stays
-    assert [path.read_text() for path in paths] == ["new" if is_renamed else "old", "old"]
+    with pytest.MonkeyPatch.context() as patch:
+        faulty = Faulty(patch, at, failure)
+        try:
+            files.write_files(folder, {"a": "new", "b": "new"})
+        except (UsageError, KeyboardInterrupt) as error:
+            told = error
+    name = faulty.calls[at - 1][0] if len(faulty.calls) >= at else None
+    left = [path for path in folder.iterdir() if path not in paths]
+    assert len(left) == (name == "unlink"), "a draft is left"
+    for path in left:
+        path.unlink()
+    found = [path.read_text() for path in paths]
+    renamed = sum(name == "replace" for name, _ in faulty.calls[: at - 1])
+    assert found == ["new"] * renamed + ["old"] * (2 - renamed), "what stands at its name stays"
+    if isinstance(told, UsageError):
+        assert str(told).startswith(f"cannot write {folder}/") and "No space left on device; choose a" in str(
+            told
+        )
+    assert (told is None) == (found == ["new"] * 2)
+    return faulty.calls
+
+
+@pytest.mark.parametrize("failure", [FULL, KeyboardInterrupt()])
+def test_a_set_that_the_disk_does_not_take_leaves_the_old_one(failure: BaseException, tmp_path: Path) -> None:
+    """Each system call fails once; those of the cleaning up after another failure are not tried."""
+    calls = written_with_fault(tmp_path, 1000, failure)
+    names = [name for name, _ in calls]
+    assert names.count("open") == names.count("write") == names.count("replace") == 2 < names.count("fsync")
+    until = names.index("unlink") - 1  # the folder's sync, which may fail
+    for at in range(1, until):
+        written_with_fault(tmp_path, at, failure)
+
+
+def test_names_are_given_when_the_disk_has_the_contents_and_then_kept(tmp_path: Path) -> None:
+    """Whenever the power fails, each name has the old contents or the new, and in the end the new."""
+    calls = [call for call in written_with_fault(tmp_path, 1000, FULL) if call[0] in ("fsync", "replace")]
+    (first, second), folder = {name: None for _, name in calls[:2]}, tmp_path.name
+    drafts = [(kind, name) for kind in ("fsync", "replace") for name in (first, second)]
+    assert calls == [*drafts, ("fsync", folder)]
 
 
 def test_places_that_cannot_be_written_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import gzip
+import json
+import re
+import resource
 import subprocess
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from decimal import Decimal
-from functools import partial
+from functools import cache, partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import can
+import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
@@ -23,8 +29,18 @@ from intelhex import IntelHex  # type: ignore[import-untyped]
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
+from mcp_asdf_tools.experiments import experiment_files
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.experiments.results import experiments_in, read_table
+from mcp_asdf_tools.experiments.results import (
+    SCORES,
+    experiments_at,
+    experiments_in,
+    metadata_of,
+    read_table,
+    table_of,
+)
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -32,7 +48,7 @@ from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import c_text, check_file, json_text
 from mcp_asdf_tools.tables.thresholds import generate
 from mcp_asdf_tools.world.topology import graph_of
-from support import ROOT, draws
+from support import PATIENCE, ROOT, draws
 from wire import record
 
 TABLE = (Decimal("0.05"), 4)
@@ -74,9 +90,25 @@ def log(suffix: str) -> bytes:
 
 
 def results() -> bytes:
+    """A file of two experiments in the present format, one recorded value in ten."""
     held = BytesIO()
-    pq.write_table(pa.table({"seed": [1]}).replace_schema_metadata({b"mcp-asdf": b'{"format": 1}'}), held)
+    pq.write_table(sound_results(), held)
     return held.getvalue()
+
+
+@cache
+def sound_results() -> pa.Table:
+    short = Experiment(robots=4, flawed=1, steps=30, filter_period=10, trials=2)
+    both = (short, replace(short, filter="robust"))
+    return pa.concat_tables([table_of(run_trials(each, 0, 2, sampling_interval=10), 10) for each in both])
+
+
+def read_results(path: Path) -> object:
+    """All that commands take from results."""
+    table = read_table(path)
+    at_once = [trials.scores().values for trials in experiments_in(table)]
+    assert np.array_equal(at_once, [trials.scores().values for trials in experiments_at(path)])
+    return metadata_of(table)["versions"]
 
 
 def firmware() -> bytes:
@@ -114,7 +146,7 @@ PARSERS = {
     "log .log.gz": Parser(".log.gz", read_logged, lambda: gzip.compress(log(".log"), mtime=0)),
     "input_log": Parser(".events", read_input_log, input_log),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
-    "results": Parser(".parquet", lambda path: experiments_in(read_table(path)), results),
+    "results": Parser(".parquet", read_results, results),
     "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),
     "fault": Parser(".txt", reader_of_text(parse_fault), lambda: b"delay=0.5,ticks=3,from=9,robots=0+3-5"),
     "scenario": Parser(".txt", reader_of_text(parse_scenario), lambda: SCENARIO),
@@ -158,8 +190,7 @@ def try_to_read(parser: Parser, path: Path, data: bytes) -> str:
 def test_what_is_sound_is_read_and_what_is_not_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
     parser = PARSERS[name]
     path, sound = tmp_path / f"file{parser.suffix}", parser.sound()
-    said = try_to_read(parser, path, sound)
-    assert said == "" or name == "results"
+    assert try_to_read(parser, path, sound) == ""
 
     @settings(max_examples=draws(120), deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.one_of(damaged(sound), st.binary(max_size=40)))
@@ -174,3 +205,94 @@ def test_a_refusal_is_one_line_that_can_be_printed() -> None:
     assert said.startswith("cannot read a file: \\x1b[2J\\ud800999") and said.endswith("999; fix it")
     assert said.isprintable() and len(said) < 1000
     assert len(str(UsageError("9" * 800))) == 800
+
+
+# ---- Results that look like ours ----
+
+
+def with_column(name: str, values: object) -> pa.Table:
+    table = sound_results()
+    return table.set_column(table.column_names.index(name), name, values)
+
+
+def each_damage() -> Iterator[tuple[pa.Table, str]]:
+    """Tables with one thing wrong, and what the refusal has to name."""
+    table = sound_results()
+    for name in table.column_names:
+        yield table.drop_columns([name]), f"has no {name}"
+        yield with_column(name, pa.array([b"?"] * len(table))), f"column {name} "
+        if name not in ("omega", *SCORES):  # what may be left out, and what is found anew
+            gaps = pa.array([None] * len(table), table[name].type)
+            yield with_column(name, gaps), ""
+        if pa.types.is_list(table[name].type):
+            lists = table[name].to_pylist()
+            for wrong in (
+                [*lists[1:], lists[0][:-1]],
+                [[None] * len(each) for each in lists],
+                [[]] * len(lists),
+            ):
+                told = f"column {'record_' if name == 'record_t' else name}"
+                yield with_column(name, pa.array(wrong, table[name].type)), told
+        elif table[name].type == pa.uint64():
+            yield with_column(name, pa.array([2**64 - 1] * len(table), pa.uint64())), ""
+            yield with_column(name, pa.array([0] * len(table), pa.uint64())), ""
+    yield table.append_column("k", table["k"]), "k"
+    known = metadata_of(table)
+    for text in (b"[" * 100_000, b'{"a":' * 100_000, b"[]", b"\xff", b"{", json.dumps(None).encode()):
+        yield table.replace_schema_metadata({b"mcp-asdf": text}), "no results"
+    for key, value in (("sampling_interval", -1), ("sampling_interval", "1"), ("versions", 3)):
+        changed = json.dumps(known | {key: value})
+        yield table.replace_schema_metadata({b"mcp-asdf": changed}), "metadata"
+
+
+@pytest.mark.random
+def test_results_of_the_present_format_with_one_thing_wrong_are_refused(tmp_path: Path) -> None:
+    path, parser = tmp_path / "run.parquet", PARSERS["results"]
+    damages = list(each_damage())
+    assert len(damages) > 100
+    for table, told in damages[:: len(damages) // draws(len(damages))]:
+        held = BytesIO()
+        pq.write_table(table, held)
+        said = try_to_read(parser, path, held.getvalue())
+        assert told in said and (said or not told), (told, said)
+
+
+# ---- What has no end, or too much of everything ----
+
+
+@pytest.mark.parametrize("stamp", ["nan", "inf", "1e308", "-1e300"])
+def test_a_frame_has_a_time(stamp: str, tmp_path: Path) -> None:
+    said = try_to_read(PARSERS["log .log"], tmp_path / "run.log", f"({stamp}) vcan0 186BB92A#00\n".encode())
+    assert "malformed after frame 1" in said and "its time is" in said
+
+
+def limited() -> None:
+    """Memory of this test's child process."""
+    resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
+
+
+@pytest.mark.parametrize("case", ["device as graph", "device as image", "200,000 grids"])
+def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
+    """By the command, in bounded memory."""
+    grid, endless = tmp_path / "grid.toml", "/dev/zero"
+    words = ["sweep", str(grid), "--output", str(tmp_path / "run.parquet")]
+    if case == "device as graph":
+        grid.write_text(f'topology = "graph"\ngraph = "{endless}"\n')
+    elif case == "device as image":
+        words = ["table", "--verify", endless]
+    else:
+        grid.write_text("[[grid]]\n" * 200_000)
+    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words]
+    done = subprocess.run(
+        command, capture_output=True, text=True, preexec_fn=limited, timeout=PATIENCE, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert re.search("than 16777216 bytes|than 268435456 bytes|than 100000 experiments", done.stderr)
+    assert done.stderr.count("\n") == 1
+
+
+def test_all_grids_of_a_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiment_files, "MAX_EXPERIMENTS", 5)
+    (tmp_path / "grid.toml").write_text("seed = [1, 2, 3]\n[[grid]]\n[[grid]]\nrobots = 5\n")
+    with pytest.raises(UsageError, match=r"grid.toml makes more than 5 experiments; give fewer"):
+        read_experiments(tmp_path / "grid.toml")

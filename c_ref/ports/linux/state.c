@@ -46,6 +46,24 @@ static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE]
     return close(fd) == 0 || error != 0 ? error : errno;
 }
 
+/* Put the names in the folder of `path`, which is cut, on the disk. What cannot be synced has nothing to
+ * sync. */
+static int sync_folder(char *path)
+{
+    char *slash = strrchr(path, '/');
+    const char *folder = slash == NULL ? "." : slash == path ? "/" : path;
+    if (slash != NULL) {
+        *slash = 0;
+    }
+    const int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (fd < 0) {
+        return errno;
+    }
+    const int error = fsync(fd) == 0 || errno == EINVAL ? 0 : errno;
+    (void)close(fd);
+    return error;
+}
+
 int state_save(const char *path, const mcp_asdf_t *robot)
 {
     char temporary[PATH_MAX];
@@ -61,6 +79,7 @@ int state_save(const char *path, const mcp_asdf_t *robot)
     }
     if (error != 0) {
         (void)unlink(temporary);
+        return error;
     }
-    return error;
+    return sync_folder(temporary);
 }

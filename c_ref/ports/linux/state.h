@@ -9,8 +9,8 @@
  * *robot is unchanged. */
 const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config);
 
-/* Write the file anew: a reader finds the old image or the new, even after a loss of power. Returns
- * 0, or what went wrong as an errno. */
+/* Write the file anew: a reader finds the old image or the new, even after a loss of power, and once this has
+ * returned 0 the new. Returns 0, or what went wrong as an errno. */
 int state_save(const char *path, const mcp_asdf_t *robot);
 
 #endif

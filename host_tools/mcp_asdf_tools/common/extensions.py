@@ -46,10 +46,18 @@ def names(group: str) -> list[str]:
 
 
 def load(group: str, name: str) -> Any:
-    """The object of that name. Raises UsageError if none is installed or it cannot be imported."""
+    """The object of that name. Raises UsageError unless one is installed and can be imported."""
     point = _points(group).get(name)
     if point is None:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
+    offers = [
+        f"{each.dist.name if each.dist else '?'} ({each.value})"
+        for each in metadata.entry_points(group=group, name=name)
+    ]
+    if len(offers) > 1:
+        raise UsageError(
+            f"the extension {name!r} is offered by {' and '.join(offers)}; uninstall all but one"
+        )
     try:
         return point.load()
     except Exception as error:  # an import may raise anything

@@ -1,14 +1,26 @@
-"""Writing output files so that a reader never meets half of one, nor one of a pair without the other."""
+"""Output that no reader meets half of, nor one of a pair without the other; input that is bounded."""
 
 from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mcp_asdf_tools.common.errors import UsageError
+
+LONGEST_TEXT = 2**24
+"""Bytes of a text that people write; a device has more, without an end."""
+
+
+def read_at_most(path: Path | str, most: int = LONGEST_TEXT) -> bytes:
+    """All bytes of a file. Raises OSError if it cannot be read, ValueError if it has more than ``most``."""
+    with Path(path).open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"it has more than {most} bytes")
+    return data
 
 
 def write_together(contents: Mapping[Path, bytes | str]) -> None:
@@ -29,6 +41,7 @@ def write_together(contents: Mapping[Path, bytes | str]) -> None:
         for path, target in [(path, check_target(path)) for path in drafts]:
             with explaining(path):
                 os.replace(drafts[path], target)
+        sync_folders(drafts)
     finally:
         for draft in drafts.values():
             with suppress(OSError):
@@ -48,8 +61,20 @@ def draft_of(path: Path) -> Iterator[Path]:
             with draft.open("rb+") as file:
                 os.fsync(file.fileno())
             os.replace(draft, check_target(path))
+            sync_folders([path])
     finally:
         draft.unlink(missing_ok=True)
+
+
+def sync_folders(paths: Iterable[Path]) -> None:
+    """Put the names of files on the disk, where their folders can be read and synced."""
+    for folder in {path.resolve().parent for path in paths}:
+        with suppress(OSError):
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
 
 
 def write_atomically(path: Path | str, data: bytes | str) -> None:

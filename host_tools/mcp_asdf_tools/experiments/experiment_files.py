@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import read_at_most
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.experiments.experiment import Experiment, combinations
+from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations
 
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
@@ -33,7 +34,7 @@ def read_experiments(path: Path) -> list[Experiment]:
     if path.suffix != ".toml":
         raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_at_most(path).decode()
         content = tomllib.loads(text)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
@@ -48,6 +49,8 @@ def read_experiments(path: Path) -> list[Experiment]:
         try:
             for choice in combinations({**content, **grid}):
                 experiments.append(Experiment.from_parameters(_from_folder(choice, path.parent)))
+                if max(len(grids), len(experiments)) > MAX_EXPERIMENTS:
+                    raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:
             raise lines.error(number, error.key, str(error)) from error
     return experiments

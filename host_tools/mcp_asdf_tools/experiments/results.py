@@ -164,8 +164,12 @@ def _kind(name: str) -> Any:
 
 def _rows(array: NDArray[Any], kind: Any) -> Any:
     """One list per trial with all of its values."""
-    named = pa.field("element", kind)  # as in a file that was read, so that equal rows give equal files
-    return pa.array([trial.ravel() for trial in array], pa.list_(named))
+    return pa.array([trial.ravel() for trial in array], _list(kind))
+
+
+def _list(kind: Any) -> Any:
+    """The type of a column of lists, named as in a file that was read: equal rows give equal files."""
+    return pa.list_(pa.field("element", kind))
 
 
 class Stretch(NamedTuple):
@@ -226,6 +230,7 @@ def experiments_at(path: Path) -> Iterator[Trials]:
 def _trials(parameters: str, table: pa.Table) -> Trials:
     """The trials of rows that belong to one experiment, whose lists in a column are all of one length."""
     experiment = Experiment.from_parameters(json.loads(parameters))
+    _check_values(experiment, table)
     table = table.sort_by("trial")
 
     def values(name: str, *shape: int) -> NDArray[Any]:
@@ -294,7 +299,8 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
     path = Path(path)
     with _reading(path):
         table = pa.parquet.read_table(path, partitioning=None, columns=columns)
-    _check(path, table.schema, len(table))
+        table.validate(full=True)
+    _check(path, table.schema, len(table), columns)
     return table
 
 
@@ -303,10 +309,6 @@ def _open(path: Path) -> Any:
     with _reading(path):
         file = pa.parquet.ParquetFile(path)
     _check(path, file.schema_arrow, file.metadata.num_rows)
-    if absent := set(_PARAMETERS) - set(file.schema_arrow.names):
-        raise UsageError(
-            f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again"
-        )
     return file
 
 
@@ -322,14 +324,54 @@ def _reading(path: Path) -> Iterator[None]:
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
 
-def _check(path: Path, schema: Any, rows: int) -> None:
-    """Raise UsageError if a file with this schema is not one of results."""
-    known = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
+def _check(path: Path, schema: Any, rows: int, columns: Iterable[str] | None = None) -> None:
+    """Raise UsageError if a file with this schema is not one of results, with these columns or all."""
+    try:
+        known = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
+    except (ValueError, RecursionError):  # it may be another program's
+        known = {}
+    known = known if isinstance(known, dict) else {}
     if known.get("format") != FORMAT:
         holds = "no results" if "format" not in known else f"results in format {known['format']}"
         raise UsageError(f"{path} holds {holds}; format {FORMAT} is needed: run mcp-asdf sweep again")
     if not rows:
         raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
+    interval = known.get("sampling_interval")
+    if not (isinstance(interval, int) and interval >= 0 and isinstance(known.get("versions"), dict)):
+        raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
+    kinds = _column_types()
+    if absent := set(columns or kinds) - set(schema.names):
+        raise UsageError(
+            f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again"
+        )
+    for name in columns or kinds:
+        if schema.names.count(name) > 1 or schema.field(name).type != kinds[name]:
+            raise UsageError(
+                f"{path} is damaged: column {name} is not {kinds[name]}; run mcp-asdf sweep again"
+            )
+
+
+def _column_types() -> dict[str, Any]:
+    """The type of each column."""
+    kinds = {name: _kind(name) for name in _PARAMETERS}
+    kinds |= {"trial": pa.int64(), **dict.fromkeys(SCORES, pa.float64())}
+    kinds |= {name: _list(getattr(pa, kind)()) for name, (_, kind) in _LISTS.items()}
+    return kinds | {f"record_{name}": _list(pa.float64()) for name in QUANTITIES}
+
+
+def _check_values(experiment: Experiment, table: pa.Table) -> None:
+    """Raise UsageError if rows are none that ``table_of`` makes of the experiment. O(values)."""
+    robots = experiment.robots
+    samples = pa.compute.list_value_length(table["record_t"])[0].as_py() or 0
+    lengths = dict.fromkeys(_LISTS, robots)
+    lengths["b_hat"] *= experiment.steps // experiment.filter_period
+    lengths |= {f"record_{name}": samples - samples % robots for name in QUANTITIES}
+    for name, length in lengths.items():
+        found = pa.compute.list_value_length(table[name])
+        gaps = found.null_count + pa.compute.list_flatten(table[name]).null_count + table["trial"].null_count
+        if gaps or set(found.unique().to_pylist()) != {length}:
+            wrong = f"column {name} has gaps, or lists that have not {length} values"
+            raise UsageError(f"the results are damaged: {wrong}; run mcp-asdf sweep again")
 
 
 class _Piece(NamedTuple):
@@ -359,6 +401,7 @@ class Pieces:
         for group in range(file.num_row_groups):
             with _reading(path):
                 table = file.read_row_group(group, columns=list(columns))
+                table.validate(full=True)
             self._pieces.append(_Piece(path, group, self.rows))
             self.rows += len(table)
             yield self._pieces[-1].first, table
@@ -392,7 +435,9 @@ class Pieces:
 
 def _row_group(path: Path, group: int, columns: tuple[str, ...] | None) -> pa.Table:
     with _reading(path):
-        return _open(path).read_row_group(group, columns=columns).combine_chunks()
+        table = _open(path).read_row_group(group, columns=columns)
+        table.validate(full=True)
+        return table.combine_chunks()
 
 
 def metadata_of(table: pa.Table) -> dict[str, Any]:

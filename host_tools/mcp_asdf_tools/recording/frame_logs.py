@@ -12,6 +12,9 @@ import can
 
 from mcp_asdf_tools.common.errors import UsageError
 
+_LATEST = 1e11
+"""Seconds; the times of frames are below. No number is no time, either."""
+
 PART = ".part"
 """Suffix, behind all others, of a file that is not complete."""
 
@@ -48,6 +51,8 @@ def read_log(path: Path | str) -> Iterator[can.Message]:
         with _opened(Path(path)) as reader:
             for frame in reader:
                 number += 1
+                if not abs(frame.timestamp) < _LATEST:
+                    raise ValueError(f"its time is {frame.timestamp:g} s")
                 yield frame
     except OSError as error:
         raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error

@@ -12,7 +12,7 @@ from pathlib import Path
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, explaining
+from mcp_asdf_tools.common.files import check_target, explaining, sync_folders
 from mcp_asdf_tools.recording.frame_logs import PART
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 
@@ -133,6 +133,7 @@ class Recording:
                 old.unlink(missing_ok=True)
             for part, target in reversed(list(zip(self._parts, self._targets, strict=True))):
                 os.replace(part, target)
+            sync_folders(self._targets)
 
     def _write_frame(self, frame: can.Message) -> None:
         self._flush_if_due()

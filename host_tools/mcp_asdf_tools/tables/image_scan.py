@@ -18,6 +18,7 @@ from intelhex import IntelHex, IntelHexError  # type: ignore[import-untyped]
 
 from mcp_asdf.table import EXTRA_WORDS, FRACTION_BITS, MAGIC, MAX_Q, MIN_Q, checksum
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import read_at_most
 from mcp_asdf_tools.tables.table_files import TableCheck
 from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
 
@@ -28,7 +29,8 @@ _FIRST_WORDS = {
     ">": re.compile(b"(?=" + _MAGIC_BYTES + b".)", re.DOTALL),
 }
 """Places where the magic stands beside a byte for q, in each byte order; two such places may overlap."""
-_DAMAGE = (ELFError, IntelHexError, UnicodeDecodeError, OverflowError, zlib.error)
+_DAMAGE = (ELFError, IntelHexError, ValueError, OverflowError, zlib.error)
+_LARGEST_IMAGE = 2**28
 """Exceptions of the two libraries when a file is damaged."""
 _HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
 _NOT_FOUND = "no t-table found; is one linked in and used, and is this ELF, Intel HEX or plain binary?"
@@ -59,7 +61,7 @@ def verify_image(path: Path) -> list[TableCheck]:
 
 def _chunks(path: Path) -> list[_Chunk]:
     try:
-        data = path.read_bytes()
+        data = read_at_most(path, _LARGEST_IMAGE)
         if data.startswith(b"\x7fELF"):
             return _elf_chunks(data)
         if _HEX_RECORD.match(data):

@@ -17,7 +17,7 @@ from typing import Any
 
 from mcp_asdf.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_files
+from mcp_asdf_tools.common.files import read_at_most, write_files
 from mcp_asdf_tools.tables.thresholds import (
     GENERATOR_VERSION,
     MAX_MESSAGES,
@@ -171,10 +171,10 @@ def check_file(path: Path) -> TableCheck:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_at_most(path).decode().replace("\r\n", "\n")
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
-    except UnicodeDecodeError:
+    except ValueError:  # it is too long, or no UTF-8
         raise UsageError(f"{path} is not a text file; for a built image use --verify") from None
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import read_at_most
 
 _EDGES = re.compile(r"[0-9>;\s]*")
 _EDGE = re.compile(r"\s*([0-9]{1,3})(?:\s*(>)\s*|\s+)([0-9]{1,3})\s*")
@@ -109,7 +110,7 @@ def graph_of(given: Path | str) -> Graph:
     if isinstance(given, str) and _EDGES.fullmatch(given):
         return _graph(given.split(";"), "edge", "graph")
     try:
-        lines = Path(given).read_text(encoding="utf-8").splitlines()
+        lines = read_at_most(given).decode().splitlines()
     except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
     return _graph(lines, "line", str(given))
