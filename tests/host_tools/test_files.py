@@ -43,11 +43,11 @@ class Faulty:
 
         class Writer(io.BufferedWriter):
             def write(self, data: Any) -> int:
-                hit("write", self.raw.name)
+                hit("write", self.name)
                 return super().write(data)
 
             def flush(self) -> None:
-                hit("flush", self.raw.name)
+                hit("flush", self.name)
                 super().flush()
 
         def opened(path: Path, *_: object, **__: object) -> Writer:

@@ -15,7 +15,7 @@ from functools import cache, partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -226,6 +226,7 @@ def each_damage() -> Iterator[tuple[pa.Table, str]]:
             yield with_column(name, gaps), ""
         if pa.types.is_list(table[name].type):
             lists = table[name].to_pylist()
+            wrong: list[Any]
             for wrong in (
                 [*lists[1:], lists[0][:-1]],
                 [[None] * len(each) for each in lists],
