@@ -205,25 +205,32 @@ def test_nothing_is_allocated_after_the_start(
 
 
 LOSING = """\
-ip link set lo up
+ip link add wlan0 type veth peer name air
+ip link set wlan0 addrgenmode none
+come() { ip link set $1 up; ip addr add 10.0.0.$2/24 dev $1; ip addr add fe80::$2/64 dev $1 nodad; }
+come air 1; come wlan0 7
 "$@" --id 1 & "$@" --id 2 &
-sleep 1; ip link set lo down; sleep 0.5; ip link set lo up; sleep 3
+sleep 1; ip link set wlan0 down; sleep 0.5; ip addr flush dev wlan0; come wlan0 8; sleep 3
 kill %1 %2; wait
 """
 
 
 @pytest.mark.slow
-def test_a_network_may_go_and_come_back(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Two nodes in a network of their own lose each other, tick on, and hear each other again."""
+@pytest.mark.parametrize("address", [IPV4, IPV6])
+def test_a_network_may_go_and_come_back(
+    address: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Two nodes lose each other, tick on, and hear each other, never themselves, from another address."""
     if subprocess.run(["unshare", "-rn", "ip", "link"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces: unshare -rn fails here")
     sensor = tmp_path / "sensor"
     sensor.write_text("1", encoding="ascii")
-    node = [*built(PLAIN, tmp_path_factory), "--network", "lo", "--steps-per-second", "100"]
-    node += ["--interface", interface(IPV4), "--sensor", str(sensor)]
-    for line in run("unshare", "-rn", "bash", "-m", "-c", LOSING, "robots", *node).splitlines():
-        figures = json.loads(line)
-        assert figures["downs"] == 1
+    node = [*built(PLAIN, tmp_path_factory), "--network", "wlan0", "--steps-per-second", "100"]
+    node += ["--interface", interface(address), "--sensor", str(sensor)]
+    lines = run("unshare", "-rn", "bash", "-m", "-c", LOSING, "robots", *node).splitlines()
+    assert len(lines) == 2
+    for figures in map(json.loads, lines):
+        assert (figures["downs"], figures["collisions"]) == (1, 0)
         assert 20 <= figures["unsent"] < figures["ticks"] - 150
         assert figures["heard"] > 150, "more than before"
 

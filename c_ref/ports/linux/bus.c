@@ -6,6 +6,8 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
+#include <netinet/in.h>
+#include <stddef.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -14,6 +16,7 @@
 
 #define UNIX_PREFIX "unix:"
 #define MULTICAST_PREFIX "udp:"
+#define ADDRESS_SIZE offsetof(struct sockaddr_in6, sin6_scope_id) /* and all of an IPv4 one */
 #define ERRORS_HEARD                                                                                         \
     (CAN_ERR_TX_TIMEOUT | CAN_ERR_CRTL | CAN_ERR_BUSOFF | CAN_ERR_BUSERROR | CAN_ERR_RESTARTED)
 #define PASSIVE (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)
@@ -226,7 +229,7 @@ bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
     if (size < 0 || (size == 0 && !bus->is_multicast)) { /* a datagram may be empty */
         return size == 0 ? BUS_CLOSED : note_failure(bus);
     }
-    if (bus->is_multicast && memcmp(&from, &bus->group.own, sizeof from) == 0) {
+    if (bus->is_multicast && memcmp(&from, &bus->group.own, ADDRESS_SIZE) == 0) {
         return BUS_OTHER;
     }
     ++bus->counts.received;
