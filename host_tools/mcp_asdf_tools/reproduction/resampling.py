@@ -77,13 +77,13 @@ def summarized(sample: Sample, summary: Summary) -> Summarized:
 
 
 def falls_apart(sample: Sample) -> bool:
-    """True if a sample seems to have two groups: its coefficient of bimodality is over 5/9."""
+    """True if a sample seems to have two groups: its coefficient of bimodality is over 2/3."""
     deviations = sample - sample.mean()
     variance = float((deviations**2).mean())
     if variance < _SEEN**2:
         return False
     skewness = float((deviations**3).mean()) / variance**1.5
-    return bool((skewness**2 + 1) * variance**2 / (deviations**4).mean() > 5 / 9)
+    return bool((skewness**2 + 1) * variance**2 / (deviations**4).mean() > 2 / 3)
 
 
 def averaged(sample: Sample) -> Summarized:

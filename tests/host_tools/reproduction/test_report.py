@@ -69,9 +69,9 @@ def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         verdicts = [
             own.finding.verdict.value for run in runs for own in run.decided if own.anchor == each.anchor
         ]
-        others = re.findall(r"^Other seeds: (.*)\.$", section, re.M)
+        others = re.findall(r"^- Other seeds: (.*)\.$", section, re.M)
         assert others == (verdicts[1:] if each.part else [])
-        readings = dict(re.findall(r'^Read as "(.*)": (\w+)\.$', section, re.M))
+        readings = dict(re.findall(r'^- Read as "(.*)": (\w+)\.$', section, re.M))
         assert readings == {words: found.value for words, found in each.readings.items()}
         assert values[each.claim.name, each.part and each.part.value] == verdicts[0]
     with (tmp_path / "comparisons.csv").open(encoding="utf-8", newline="") as file:
