@@ -2,7 +2,7 @@
 
 A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``.
 Each room of the tools has a page.
-The picture of the first page becomes the run itself, exported by ``mcp-asdf view``.
+The picture of the first page becomes the playground, which is compiled for WebAssembly.
 Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
 """
 
@@ -15,7 +15,6 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import griffe
@@ -34,8 +33,7 @@ _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
-_FRAME = r'<iframe src="run.html" title="\1" style="width: 100%; height: 46rem; border: 0"></iframe>'
-_QUIET: Any = {"stdout": subprocess.DEVNULL}
+_FRAME = r'<iframe id="playground" title="\1" style="width: 100%; height: 46rem; border: 0"></iframe>'
 
 
 def on_config(config: Any, **_: Any) -> Any:
@@ -66,7 +64,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both
     if page.is_homepage:
         markdown = _PICTURE.sub(_FRAME, markdown, count=1)
-        page.meta["hide"] = ["toc"]  # room for it
+        page.meta["hide"] = ["navigation", "toc"]  # room for it
     page.formulas = []
     parts = _CODE.split(markdown)
     parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]
@@ -74,15 +72,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def on_post_build(config: Any, **_: Any) -> None:
-    """Export the run that the first page shows: a film of the first trial, in one file."""
-    with TemporaryDirectory() as folder:
-        results = str(Path(folder) / "run.parquet")
-        moving = ["--topology", "dynamic", "--filter", "asdf-minus", "--flawed", "50%"]
-        for words in (
-            ["simulate", *moving, "--trials", "1", "--steps", "10000", "--output", results],
-            ["view", results, "--export", str(Path(config.site_dir) / "run.html")],
-        ):
-            subprocess.run([sys.executable, "-m", "mcp_asdf_tools.cli.main", *words], check=True, **_QUIET)
+    """Make the playground that the first page shows. Raises SystemExit where it cannot be compiled."""
+    command = [sys.executable, str(ROOT / ".ci/playground.py"), str(Path(config.site_dir) / "play.html")]
+    if (status := subprocess.run(command, check=False).returncode) != 0:
+        raise SystemExit(status)
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:

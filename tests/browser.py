@@ -13,7 +13,7 @@ import pytest
 from support import PATIENCE
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Frame, Page
 
 CHROMIUM = ("chromium", "chromium-headless-shell")
 
@@ -43,7 +43,7 @@ def browser_page(width: int = 1280, height: int = 800) -> Iterator[Page]:
             browser.close()
 
 
-def until(page: Page, condition: str) -> Any:
+def until(page: Page | Frame, condition: str) -> Any:
     """Wait until a JavaScript expression is true; returns its value.
 
     Asked from here: the page's own rules forbid scripts that another one makes.

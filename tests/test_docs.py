@@ -192,7 +192,7 @@ def test_the_documentation_is_built(tmp_path: Path) -> None:
     assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
     assert "$" not in method, "formulas are MathML"
-    assert (tmp_path / "run.html").stat().st_size > 100_000
+    assert (tmp_path / "play.html").stat().st_size > 100_000
     assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
     advice = texts["advice"]
     assert f"mcp-asdf {version_of_header()}</title>" in advice

@@ -101,7 +101,7 @@ ROOMS = (
     ),
     Room(
         "wasm",
-        ("c_ref/ports/wasm/*.c",),
+        ("c_ref/ports/wasm/*.c", "host_tools/mcp_asdf_tools/view/playground/*.c"),
         gcc=("clang", *WASM),
         packages="clang",
         clang=WASM,

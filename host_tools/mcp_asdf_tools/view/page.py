@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.view.film import QUANTITIES, Film, Stage, State
 
 _FOLDER = Path(__file__).parent / "page"
-_MODULES = ("arena", "charts", "colours", "film", "main", "panels", "player")
+_MODULES = ("arena", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
 """Of ``page/``; they import each other as ``view/NAME``."""
 
 
@@ -30,7 +30,14 @@ def page(film: Film | None = None) -> str:
         _, stage, states = film.since()
         content = {"stage": stage_as_plain(stage), "block": states_as_plain(states, stage)}
         data = json.dumps(content).replace("<", "\\u003c")  # no text in it can end the script
-    return _empty_page().replace("__FILM__", data)
+    return _empty_page().replace("__POLICY__", "").replace("__FILM__", data)
+
+
+def playground(module: bytes) -> str:
+    """The page that computes its films itself, with firmware, engine and arena as a WebAssembly module."""
+    data = json.dumps({"module": base64.b64encode(module).decode("ascii")})
+    policy = " 'wasm-unsafe-eval'; worker-src data:"
+    return _empty_page().replace("__POLICY__", policy).replace("__FILM__", data)
 
 
 @cache

@@ -308,7 +308,8 @@ static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
     bool is_valid = experiment->robots >= 1 && experiment->robots <= MCP_ASDF_ENGINE_MAX_ROBOTS &&
                     experiment->steps >= 1 && experiment->steps < INT32_MAX &&
                     experiment->comms_period >= 1 && experiment->observation_period >= 1 &&
-                    (experiment->latency == 0 || experiment->arenas != NULL);
+                    (experiment->latency == 0 || experiment->arenas != NULL) &&
+                    experiment->liars <= experiment->robots;
     for (uint32_t j = 1; j < experiment->robots && is_valid; ++j) {
         const mcp_asdf_config_t *const config = experiment->configs[j];
         is_valid = config->filter_period == first->filter_period && config->memory == first->memory;
@@ -318,7 +319,8 @@ static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
 
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
-    bool has_lanes = experiment->comms_period == 1 && experiment->sampling_interval == 0;
+    bool has_lanes =
+        experiment->comms_period == 1 && experiment->sampling_interval == 0 && experiment->liars == 0;
     for (uint32_t j = 1; j < experiment->robots && has_lanes; ++j) {
         has_lanes = mcp_asdf_is_robust(experiment->configs[j]) == mcp_asdf_is_robust(experiment->configs[0]);
     }

@@ -37,7 +37,9 @@
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
  *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Without
- *                 arenas 0 */
+ *                 arenas 0
+ *   liars         number of robots that broadcast a lie in place of their estimates, 0 .. N: the last ones
+ *   lie           x_hat and alpha that they broadcast, as mcp_asdf_receive() takes them */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;
@@ -55,6 +57,8 @@ typedef struct {
     uint32_t observation_period;
     const mcp_asdf_arena_config_t *arenas;
     uint32_t latency;
+    uint32_t liars;
+    uint32_t lie[2];
 } mcp_asdf_experiment_t;
 
 /* A robot's values after a step, in the firmware's units. */
@@ -83,11 +87,11 @@ typedef struct {
 } mcp_asdf_outcome_t;
 
 /* Series of x in a trial: 1 where all robots have the same x to the bit, in a fully connected swarm without
- * robust filters if comms_period is 1; otherwise N. */
+ * robust filters and liars if comms_period is 1; otherwise N. */
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment);
 
-/* Whether trials can be run in lanes: comms_period 1, nothing recorded, and the robust filter in all robots
- * or in none. */
+/* Whether trials can be run in lanes: comms_period 1, nothing recorded, no liars, and the robust filter in
+ * all robots or in none. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
 /* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same

@@ -9,7 +9,7 @@ static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
 
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
-    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1;
+    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1 && experiment->liars == 0;
     for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
         is_same = !mcp_asdf_is_robust(experiment->configs[j]);
     }
@@ -50,40 +50,44 @@ static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
     return all;
 }
 
-/* The sums of a robot's message alone: the round of a neighbour that hears nothing else. */
-static mcp_asdf_open_t message_of(const mcp_asdf_t *robot)
+/* A robot takes what another one broadcasts: its estimate, or, from one of the last robots, a lie. */
+static void receive(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robot, const mcp_asdf_t *sender)
 {
-    const uint8_t id = mcp_asdf_id(robot);
-    const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
-    mcp_asdf_t neighbour = {.id = id ^ 1, .config = &sums};
-    (void)mcp_asdf_receive(&neighbour, id, mcp_asdf_x_hat(robot), mcp_asdf_alpha(robot));
-    return neighbour.open;
-}
-
-/* A robot hears all others, one by one, in ascending order of ids. */
-static void receive_all(mcp_asdf_t *robots, uint32_t count, uint32_t receiver)
-{
-    for (uint32_t i = 0; i < count; ++i) {
-        if (i != receiver) {
-            (void)mcp_asdf_receive(&robots[receiver], (uint8_t)i, mcp_asdf_x_hat(&robots[i]),
-                                   mcp_asdf_alpha(&robots[i]));
-        }
+    const uint8_t id = mcp_asdf_id(sender);
+    if (id >= experiment->robots - experiment->liars) {
+        (void)mcp_asdf_receive(robot, id, experiment->lie[0], experiment->lie[1]);
+    } else {
+        (void)mcp_asdf_receive(robot, id, mcp_asdf_x_hat(sender), mcp_asdf_alpha(sender));
     }
 }
 
-/* Every robot hears every other: the open rounds, still empty, become what receiving message by message makes
- * of them. The senders are not marked, since the rounds close at once. */
+/* The sums of a robot's message alone: the round of a neighbour that hears nothing else. */
+static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robot)
+{
+    const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    mcp_asdf_t neighbour = {.id = mcp_asdf_id(robot) ^ 1, .config = &sums};
+    receive(experiment, &neighbour, robot);
+    return neighbour.open;
+}
+
+/* Every robot hears every other: with the robust filter one by one, in ascending order of ids; for the rest
+ * the open rounds, still empty, become what receiving message by message makes of them, without marks of the
+ * senders, since the rounds close at once. */
 static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
     const uint32_t count = experiment->robots;
     mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_ROBOTS], all = {0};
     for (uint32_t j = 0; j < count; ++j) {
-        own[j] = message_of(&robots[j]);
+        own[j] = message_of(experiment, &robots[j]);
         add(&all, &own[j]);
     }
     for (uint32_t j = 0; j < count; ++j) {
         if (mcp_asdf_is_robust(experiment->configs[j])) {
-            receive_all(robots, count, j);
+            for (uint32_t i = 0; i < count; ++i) {
+                if (i != j) {
+                    receive(experiment, &robots[j], &robots[i]);
+                }
+            }
             continue;
         }
         robots[j].open = without(all, &own[j]);
@@ -93,12 +97,13 @@ static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots
 
 /* The last message of each robot reaches the robots that are linked to it now: in ascending order of ids,
  * which is that of the links, as votes of the robust filter do not commute. */
-static void deliver(mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
+static void deliver(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
+                    const mcp_asdf_arena_t *arena)
 {
     for (uint32_t p = 0; p < arena->link_count; ++p) {
-        const uint8_t a = arena->links[p].a, b = arena->links[p].b;
-        (void)mcp_asdf_receive(&robots[a], b, mcp_asdf_x_hat(&robots[b]), mcp_asdf_alpha(&robots[b]));
-        (void)mcp_asdf_receive(&robots[b], a, mcp_asdf_x_hat(&robots[a]), mcp_asdf_alpha(&robots[a]));
+        mcp_asdf_t *const a = &robots[arena->links[p].a], *const b = &robots[arena->links[p].b];
+        receive(experiment, a, b);
+        receive(experiment, b, a);
     }
 }
 
@@ -107,7 +112,7 @@ static void hear(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots, co
     if (arena == NULL) {
         exchange(experiment, robots);
     } else {
-        deliver(robots, arena);
+        deliver(experiment, robots, arena);
     }
 }
 

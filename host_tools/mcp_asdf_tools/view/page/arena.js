@@ -21,6 +21,11 @@ export class Arena {
     this.flawed = new Set(film.stage.flawed);
   }
 
+  /** Paints the floor again, in new colours. */
+  recolour() {
+    this.floor = null;
+  }
+
   #resize() {
     const ratio = window.devicePixelRatio || 1;
     const { width, height } = this.canvas.getBoundingClientRect();

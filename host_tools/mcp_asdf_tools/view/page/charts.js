@@ -3,6 +3,7 @@
 import { colour } from "view/colours";
 
 const COLUMNS = 480;
+const ERROR = { name: "error", label: "mean error of x: median and middle half of runs" };
 const PANELS = [
   { name: "b_hat", label: "b_hat: how far each robot trusts its sensor", symbol: "b" },
   { name: "x_hat", label: "x_hat: what each sees by itself", symbol: "f" },
@@ -73,9 +74,18 @@ export class Charts {
   show(film) {
     this.film = film;
     this.drawn = -1;
+    const panels = film.comparison ? [ERROR, PANELS[0]] : PANELS;
+    const isSame = film.robots === this.plots[0]?.robots && panels.length === this.plots.length;
+    if (!isSame) this.rebuild(panels);
+    this.update();
+  }
+
+  /** Makes all charts anew, for another number of robots or in other colours. */
+  rebuild(panels = this.plots.map(({ panel }) => panel)) {
     for (const { plot } of this.plots) plot.destroy();
     this.parent.replaceChildren();
-    this.plots = PANELS.map((panel, index) => this.#panel(panel, index === PANELS.length - 1));
+    this.plots = panels.map((panel, index) => this.#panel(panel, index === panels.length - 1));
+    this.drawn = -1;
     this.#fit();
     this.update();
   }
@@ -89,22 +99,20 @@ export class Charts {
     label.append(truth);
     box.append(label);
     this.parent.append(box);
-    const nothing = [[0], ...this.film.stage.robots.map(() => [null]), [null]];
-    const plot = new uPlot(this.#options(panel, isLast), nothing, box);
+    const options = this.#options(panel, isLast);
+    const plot = new uPlot(options, [[0], ...options.series.slice(1).map(() => [null])], box);
     const now = document.createElement("div");
     now.className = "now";
     plot.over.append(now);
-    return { plot, panel, now, truth };
+    return { plot, panel, now, truth, robots: this.film.robots };
   }
 
   #options(panel, isLast) {
-    const { film } = this;
     const axis = {
       stroke: colour("soft"),
       grid: { stroke: colour("line"), width: 1 },
       ticks: { show: false },
     };
-    const flawed = new Set(film.stage.flawed);
     const isStepped = panel.name === "b_hat";
     return {
       width: 300,
@@ -117,16 +125,48 @@ export class Charts {
         { ...axis, size: isLast ? 26 : 6, values: isLast ? undefined : () => [] },
         { ...axis, size: 46, space: 24 },
       ],
+      ...(panel === ERROR ? this.#comparison() : { series: this.#seriesOfRobots(isStepped) }),
+    };
+  }
+
+  #seriesOfRobots(isStepped) {
+    return [
+      {},
+      ...this.film.stage.robots.map((_, robot) => ({
+        stroke: () => this.#stroke(robot, this.film.stage.flawed.includes(robot)),
+        width: 1.2,
+        points: { show: false },
+        paths: isStepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      })),
+      { stroke: colour("truth"), width: 1.5, dash: [6, 4], points: { show: false } },
+    ];
+  }
+
+  /** For each filter the median error; for the chosen one a band around it, and, thin, that of this run. */
+  #comparison() {
+    const { filters } = this.film.comparison;
+    const isChosen = (each) => each.name === this.film.comparison.chosen;
+    const nothing = "transparent";
+    const line = (each, width, isShown) => ({
+      stroke: () => (isShown(each) ? colour(each.colour) : nothing),
+      width,
+      points: { show: false },
+    });
+    const never = () => false;
+    return {
       series: [
         {},
-        ...film.stage.robots.map((_, robot) => ({
-          stroke: () => this.#stroke(robot, flawed.has(robot)),
-          width: 1.2,
-          points: { show: false },
-          paths: isStepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
-        })),
-        { stroke: colour("truth"), width: 1.5, dash: [6, 4], points: { show: false } },
+        ...filters.flatMap((each) => [
+          line(each, 2.2, () => true),
+          line(each, 1, never),
+          line(each, 1, never),
+          line(each, 0.7, isChosen),
+        ]),
       ],
+      bands: filters.map((each, at) => ({
+        series: [4 * at + 3, 4 * at + 2],
+        fill: () => (isChosen(each) ? `${colour(each.colour)}30` : nothing),
+      })),
     };
   }
 
@@ -140,10 +180,15 @@ export class Charts {
     const height = this.parent.clientHeight - 6;
     const width = this.parent.clientWidth - 12;
     if (height <= 0 || width <= 0) return;
-    const inner = Math.floor((height - 20) / PANELS.length);
-    this.parent.style.gridTemplateRows = `${inner}px ${inner}px ${inner + 20}px`;
+    const parts = this.plots.map(({ panel }) => (panel === ERROR ? 1.6 : 1));
+    const whole = parts.reduce((sum, each) => sum + each, 0);
+    const isLast = (index) => index === this.plots.length - 1;
+    const heights = parts.map(
+      (part, index) => Math.floor(((height - 20) * part) / whole) + 20 * isLast(index),
+    );
+    this.parent.style.gridTemplateRows = heights.map((each) => `${each}px`).join(" ");
     this.plots.forEach(({ plot }, index) => {
-      plot.setSize({ width, height: inner + (index === PANELS.length - 1 ? 20 : 0) });
+      plot.setSize({ width, height: heights[index] });
     });
   }
 
@@ -153,11 +198,16 @@ export class Charts {
     for (const { plot } of this.plots) plot.redraw(false);
   }
 
-  /** Takes samples that have come since. O(samples). */
+  /** Takes samples that have come since, and errors of other runs. O(samples). */
   update() {
+    if (this.film?.comparison?.isNew) this.drawn = -1;
     if (!this.film || this.film.length === this.drawn || this.film.length === 0) return;
     this.drawn = this.film.length;
     for (const { plot, panel, truth } of this.plots) {
+      if (panel === ERROR) {
+        plot.setData(this.film.comparison.data());
+        continue;
+      }
       plot.setData(thinned(this.film, panel));
       const value = truthOf(this.film, panel.symbol, this.film.length - 1);
       truth.textContent = value === null ? "" : `${panel.symbol} = ${+value.toFixed(3)}`;

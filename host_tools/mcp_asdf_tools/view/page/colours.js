@@ -2,14 +2,21 @@
 
 const cache = new Map();
 
-/** A colour of the style by its name. */
+/** A colour of the style by its name, as #rrggbb. */
 export function colour(name) {
   let value = cache.get(name);
   if (value === undefined) {
-    value = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+    document.body.style.outlineColor = `var(--${name})`; // of no outline: it is there to be computed
+    const found = getComputedStyle(document.body).outlineColor.match(/\d+/g);
+    value = `#${found.map((each) => Number(each).toString(16).padStart(2, "0")).join("")}`;
     cache.set(name, value);
   }
   return value;
+}
+
+/** Reads all colours again, after a change between light and dark. */
+export function forgetColours() {
+  cache.clear();
 }
 
 function channels(hex) {

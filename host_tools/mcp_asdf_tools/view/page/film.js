@@ -42,6 +42,16 @@ export class Film {
     return new Film({ ...stage, floor: { ...floor, bits } });
   }
 
+  /** A whole film of samples at equal distances, from columns of 16-bit numbers and links as they are kept. */
+  static of(stage, interval, columns, links) {
+    const film = new Film(stage);
+    film.length = links.length / film.linkBytes;
+    film.ticks = Uint32Array.from({ length: film.length }, (_, sample) => sample * interval);
+    Object.assign(film, { columns, links });
+    for (let sample = 1; sample < film.length; sample++) film.#findEvents(sample);
+    return film;
+  }
+
   /** Takes a block of samples, laid out as view/page.py writes it. */
   async append({ count, data }) {
     const buffer = await inflated(data);

@@ -2,9 +2,11 @@
 
 import { Arena } from "view/arena";
 import { Charts } from "view/charts";
+import { forgetColours } from "view/colours";
 import { Film } from "view/film";
 import { find, showEvents, showFigures, showRobot } from "view/panels";
 import { Player } from "view/player";
+import { Playground } from "view/playground";
 
 const MILLISECONDS_BETWEEN_CHARTS = 250;
 
@@ -48,6 +50,13 @@ class View {
   chooseSpeed(steps) {
     this.player.speed = Player.speedFor(steps);
     find("speed").value = String(this.player.speed);
+  }
+
+  /** Takes the colours of a light or a dark page. */
+  recolour() {
+    forgetColours();
+    this.arena.recolour();
+    this.charts.rebuild();
   }
 
   follow(robot) {
@@ -112,7 +121,10 @@ class View {
   }
 
   press(event) {
-    const isTyped = event.target instanceof HTMLSelectElement || event.target instanceof HTMLButtonElement;
+    const isTyped =
+      event.target instanceof HTMLSelectElement ||
+      event.target instanceof HTMLButtonElement ||
+      event.target instanceof HTMLInputElement;
     if (event.key === "Escape") this.follow(null);
     else if (event.key === " " && !isTyped) this.player.toggle();
     else return;
@@ -168,12 +180,13 @@ function connect(view) {
 }
 
 async function main() {
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
   const view = new View();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view.recolour());
   window.view = view; // for the console, and for tests
   requestAnimationFrame((now) => view.frame(now));
   const content = JSON.parse(find("film").textContent);
   if (content === null) connect(view);
+  else if (content.module) view.playground = new Playground(view, content.module);
   else await open(view, content);
 }
 

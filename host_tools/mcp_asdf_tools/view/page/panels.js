@@ -6,7 +6,7 @@ const WRONG = 0.1;
 export const find = (id) => document.getElementById(id);
 
 /** A new element with text and class, if any. */
-function element(name, text = "", className = "") {
+export function element(name, text = "", className = "") {
   const made = document.createElement(name);
   made.textContent = text;
   if (className) made.className = className;

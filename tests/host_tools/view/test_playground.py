@@ -1,0 +1,158 @@
+"""The playground in a real browser: it computes the native engine's bits, and its controls say what is computed."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from browser import browser_page, until
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.cli import swarm_options
+from mcp_asdf_tools.cli.experiment_options import experiments_of
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.view.page import page, playground
+from mcp_asdf_tools.world.arena import Arena
+from support import ROOT, require, run
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+FILTERS = ("none", "asdf-minus", "asdf-plus", "robust")
+IS_DONE = "window.view?.playground?.comparison.filters.every(({ trials }) => trials.length >= 2 && trials[0])"
+COMMAND = "document.querySelector('#command code').textContent"
+WORDS = "Array.from(view.playground.words)"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    for tool in ("clang", "wasm-ld"):
+        require(tool, "clang lld")
+    file = tmp_path_factory.mktemp("playground") / "play.html"
+    run("python", ".ci/playground.py", file)
+    return file
+
+
+def open_at(browser: Page, path: Path, address: str) -> list[str]:
+    """Open the page with these settings; returns the words of its command."""
+    browser.goto("about:blank")
+    browser.goto(f"{path.as_uri()}#{address}")
+    until(browser, IS_DONE)
+    return shlex.split(str(browser.evaluate(COMMAND)))
+
+
+def arguments(words: list[str]) -> Any:
+    """The options of a command as its parser reads them."""
+    return cli._parser_for(words[1], cli._load(words[1])).parse_args(words[2:])
+
+
+def test_only_the_playground_may_compile() -> None:
+    """The page of recordings keeps its stricter rules."""
+    assert "wasm" not in page().partition("<style>")[0]
+    text = playground(b"\0asm")
+    assert "script-src 'unsafe-inline' data: 'wasm-unsafe-eval'; worker-src data:;" in text
+    assert '{"module": "AGFzbQ=="}' in text and "__" not in text.partition("<style>")[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "address",
+    [
+        "seed=7&steps=1000",
+        "filter=asdf-plus&robots=31&flawed=35&density=4&fill=0.3&steps=1000",
+        "filter=robust&robots=127&density=9.8&wrong=0.05&accuracy=0.9&steps=200",
+        "everybody=1&steps=1000&accuracy=1",
+        "everybody=1&filter=robust&robots=40&steps=1000&fill=1&wrong=0.99",
+        "everybody=1&filter=none&robots=2&steps=50",
+    ],
+)
+def test_a_browser_computes_the_bits_of_the_command(path: Path, address: str) -> None:
+    """Every record of the first trial, its motion, and the errors of all filters in the first two."""
+    with browser_page() as browser:
+        words = open_at(browser, path, address)
+        experiment = experiments_of(arguments(words))[0]
+        found = np.array(browser.evaluate(WORDS), np.uint32)
+        expected = native.run(experiment, 0, 1, 1).records
+        assert found.tobytes() == expected.tobytes()
+        if experiment.is_dynamic:
+            motion = Arena(experiment, 0).record(experiment.steps)
+            places = browser.evaluate(
+                f"[...Array({experiment.robots}).keys()].map((i) => view.film.position(i, {experiment.steps}))"
+            )
+            assert np.abs(places - motion.position[-1]).max() <= max(experiment.sides) / 65534
+        for number, name in enumerate(FILTERS):
+            other = type(experiment).from_parameters(experiment.parameters() | {"filter": name})
+            x = native.run(other, 0, 2).x / 2.0**23
+            errors = np.broadcast_to(abs(x - experiment.fill_ratio).mean(axis=1), (2, experiment.steps + 1))
+            for trial in range(2):
+                series = browser.evaluate(
+                    f"Array.from(view.playground.comparison.filters[{number}].trials[{trial}])"
+                )
+                blocks = errors[trial][: 8 * len(series)].reshape(len(series), 8).mean(axis=1)
+                assert np.abs(series - blocks).max() < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("topology", ["everybody=1", "density=4"])
+@pytest.mark.parametrize("name", ["asdf-plus", "robust"])
+def test_liars_lie_as_on_an_emulated_bus(path: Path, topology: str, name: str) -> None:
+    with browser_page() as browser:
+        words = open_at(browser, path, f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={name}")
+        found = np.array(browser.evaluate(WORDS), np.uint32).reshape(60, 9, 10)[-1]
+    args = arguments(words)
+    with Swarm(swarm_options.settings_of(args), swarm_options.wiring_of(args)) as swarm:
+        run_swarm(swarm, [])
+        robots = [node.robot for node in swarm.nodes]
+    assert [robot.x_hat for robot in robots] == (found[:, 4] / 2**23).tolist()
+    assert [robot.x for robot in robots] == (found[:, 7] / 2**23).tolist()
+
+
+@pytest.mark.slow
+def test_controls_presets_and_the_address_agree(path: Path) -> None:
+    with browser_page(390, 844) as browser:
+        open_at(browser, path, "flawed=20&filter=robust&steps=100&density=nonsense&robots=500")
+        settings = "view.playground.settings"
+        assert browser.evaluate(f"[{settings}.flawed, {settings}.filter, {settings}.robots]") == [
+            20,
+            "robust",
+            20,
+        ]
+        assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+        browser.locator("[name=liars]").focus()
+        browser.keyboard.press("ArrowRight")
+        until(browser, "location.hash.includes('liars=1')")
+        assert "--fault liar,robots=19-19,x=0,alpha=1e6" in browser.evaluate(COMMAND)
+        browser.keyboard.press("Space")  # on a slider it does not play
+        for index in range(browser.locator("#presets button").count()):
+            button = browser.locator("#presets button").nth(index)
+            button.press("Enter")
+            until(browser, f"document.querySelectorAll('#presets button')[{index}].ariaPressed === 'true'")
+            assert browser.locator("#story").inner_text().endswith(".")
+        browser.evaluate("location.hash = '#steps=40&robots=4'")
+        until(browser, f"view.film.robots === 4 && {IS_DONE}")
+        browser.locator("[name=filter][value=none]").check()
+        until(browser, "location.hash.includes('filter=none') && view.film.stage.title.endsWith('no filter')")
+
+
+@pytest.mark.slow
+def test_the_first_page_of_the_documentation_has_the_address_and_the_colours(path: Path) -> None:
+    site = path.parent
+    script = (ROOT / "docs/javascripts/playground.js").read_text(encoding="utf-8")
+    html = f'<body data-md-color-scheme="slate"><iframe id="playground"></iframe><script>{script}</script></body>'
+    (site / "index.html").write_text(html, encoding="utf-8")
+    with browser_page() as browser:
+        browser.goto(f"{(site / 'index.html').as_uri()}#robots=5&steps=40")
+        frame = browser.frames[-1]
+        until(frame, IS_DONE)
+        assert frame.evaluate("view.film.robots") == 5
+        background = "getComputedStyle(document.body).backgroundColor"
+        until(frame, f"{background} === 'rgb(16, 20, 26)'")
+        browser.evaluate("document.body.dataset.mdColorScheme = 'default'")
+        until(frame, f"{background} === 'rgb(246, 247, 249)'")
+        frame.locator("[name=everybody]").check()
+        until(browser, "location.hash === '#robots=5&everybody=1&steps=40'")
+        assert browser.evaluate("document.getElementById('playground').offsetHeight") > 300
