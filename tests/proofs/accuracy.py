@@ -17,7 +17,7 @@ from typing import Any
 
 import z3
 
-from proofs.arithmetic import are_leading_zeros
+from proofs.arithmetic import are_leading_zeros, divide_24, divide_31, is_ratio, multiply_high
 from proofs.core import C_MOST, ONE
 from proofs.formulas import Claim, call, formed, same
 from proofs.source import Program
@@ -177,14 +177,14 @@ DIVISOR_LOSES = Fraction(1, 2**30)
 def of_x_hat() -> Iterator[Claim]:
     """x lies between the exact quotient N / D and what is (1 - 2 N / D) r 2^-31 nearer to 1/2."""
     p, total, least, c = z3.Ints("P T L c")
-    rounded = (2**32 * least <= c * total, c * total < 2**32 * (least + 1))
-    yield "p > c is decided exactly", (p > least) == (2**32 * p > c * total), [*rounded]
+    is_exact = (p > least) == (2**32 * p > c * total)
+    yield "p > c is decided exactly", is_exact, [multiply_high(least, c, total)]
     t, power, half = z3.Ints("t power half")
     is_even = z3.Or(total == 2**31, z3.And(total == t * power, power == 2 * half))
     yield "g t is even", total % 2 == 0, [is_even]
     yield "the rarer colour is at most half", 2 * p * power <= t * power, [2 * p <= t, power >= 1]
     x, above, scale = z3.Ints("X above scale")
-    floor = (x * scale <= 2**24 * above, 2**24 * above < (x + 1) * scale, above >= 0, scale > 0, x >= 0)
+    floor = (divide_24(x, above, scale), above >= 0, scale > 0)
     exact = z3.And(x / 4 * scale <= 2**22 * above, 2**22 * above < (x / 4 + 1) * scale)
     yield "x is a floor to 2^-23", exact, [*floor, x == 4 * (x / 4) + x % 4]
     n, d, e, of_t, g = z3.Reals("N D e T g")
@@ -219,7 +219,7 @@ def of_alpha() -> Iterator[Claim]:
 
 def _loses(name: str, share: Fraction, exact: Any, floor: Any, known: list[Any]) -> Iterator[Claim]:
     """The upper word of a product, and the share of itself that it loses at most."""
-    is_floor = [2**32 * floor <= exact, exact < 2**32 * (floor + 1)]
+    is_floor = [multiply_high(floor, exact, 1)]
     claim = 2**32 * floor * share.denominator >= exact * (share.denominator - share.numerator)
     yield name, claim, [*known, *is_floor]
 
@@ -282,13 +282,16 @@ def of_quotient() -> Iterator[Claim]:
     known = [rest >= 1, rest * upper <= whole, whole < rest * (upper + 1)]
     yield "the upper bits are those of a + 1, rounded down", whole + 1 <= rest * (upper + 1), known
     x, d, e, above, q = z3.Reals("x D E above q")
-    known = [x >= 0, x <= 1, d >= 2**31, e >= d, e <= d + 2]
-    known += [above >= 0, above <= x * d, above >= x * d - 1]
+    lengths, parts = [d >= 2**31, e >= d, e <= d + 2], [above <= x * d, above >= x * d - 1]
+    floor = [q * e <= 2**32 * above, 2**32 * above < (q + 1) * e]
+    lemma = is_ratio(above, e / 2, 2**32 * (x * d), 2**32 * d)
+    yield "what ratio() gives", z3.And(*lengths, *parts), [lemma]
+    yield "what divide_31() gives", z3.And(floor), [divide_31(q, above, e / 2)]
+    known = [x >= 0, x <= 1, above >= 0, *lengths, *parts]
     yield "the ratio is not too large", above <= x * e, known
     lost = x * e - above
     yield "and loses 2 x + 1", lost <= 2 * x + 1, known
     share = [*(x >= 0, x <= 1, e >= 2**31), lost >= 0, lost <= 2 * x + 1]
-    floor = [q * e <= 2**32 * above, 2**32 * above < (q + 1) * e]
     yield "the quotient is not too large", q <= 2**32 * x, [*share, *floor]
     yield "and less than 4 x + 3 too small", 2**32 * x < q + 4 * x + 3, [*share, *floor]
 
@@ -353,7 +356,7 @@ def of_lengths() -> Iterator[Claim]:
     """
     p, total, least, c, g, root, square = z3.Ints("P T L c G root square")
     common = [*(c >= 2**12, c <= C_MOST, g == 2**32 - 2 * c, total >= 2**31, total < 2**32)]
-    common += [2**32 * least <= c * total, c * total < 2**32 * (least + 1)]
+    common.append(multiply_high(least, c, total))
     for shift in range(12):
         scale, power = (total - 2 * least) * 2**shift, g * 2**shift
         known = [*common, power >= 2**31, power < 2**32]
@@ -367,13 +370,12 @@ def of_lengths() -> Iterator[Claim]:
     yield "nothing is above c t without information", p <= least, [*known, 2 * p <= total, total >= 2**31]
     yield "a colour that is not at an end is not rare", p >= 2**11, [*common, p > least]
     yield "spread", p * (total - p) >= 2**41, [p >= 2**11, 2 * p <= total, total >= 2**31]
-    floors = [2**32 * root <= scale * scale, scale * scale < 2**32 * (root + 1), scale >= 2**30]
+    floors = [multiply_high(root, scale, scale), scale >= 2**30]
     yield "(g t)^2", root >= 2**28, floors
-    floors = [2**32 * square <= root * total, root * total < 2**32 * (square + 1), root >= 2**28]
+    floors = [multiply_high(square, root, total), root >= 2**28]
     yield "(g t)^2 t", square >= 2**27, [*floors, total >= 2**31]
     a, d, found = z3.Ints("a d found")
-    similar = [*(a >= 2**30, a < 2**31, d >= 2**30, d < 2**31), found * d <= 2**24 * a]
-    similar += [2**24 * a < (found + 1) * d]
+    similar = [*(a >= 2**30, a < 2**31, d >= 2**30, d < 2**31), divide_24(found, a, d)]
     yield "a quotient of equally long numbers", z3.And(found >= 2**23, found < 2**25), similar
     yield "the square of one", 2**14 * found * found >= 2**60, [found >= 2**23]
     yield from _of_exponents()

@@ -105,9 +105,13 @@ def _product(ensures: Callable[..., Any]) -> Contract:
     return Contract(ensures, Integers, steps=(_halves_fit, _multiplied_out))
 
 
+def multiply_high(found: Any, a: Any, b: Any) -> Any:
+    return _is_floor(found, a * b, 2**32)
+
+
 PRODUCTS = {
     "multiply": _product(lambda found, a, b: found == a * b),
-    "multiply_high": _product(lambda found, a, b: _is_floor(found, a * b, 2**32)),
+    "multiply_high": _product(multiply_high),
 }
 
 # --- Quotients: in whole numbers ------------------------------------------------------------------------
@@ -215,13 +219,18 @@ def _by_digits(divide: int) -> dict[str, Contract]:
 def _quotients(*uses: str) -> dict[str, Contract]:
     """The callers of digits or bits."""
 
-    def quotient_of(bits: int) -> Callable[..., Any]:
-        return lambda found, a, d: _is_floor(found, 2**bits * a, d)
-
     return {
-        "divide_24": Contract(quotient_of(24), Integers, _divisible(2**29), uses=uses),
-        "divide_31": Contract(quotient_of(31), Integers, _divisible(2**30), uses=uses),
+        "divide_24": Contract(divide_24, Integers, _divisible(2**29), uses=uses),
+        "divide_31": Contract(divide_31, Integers, _divisible(2**30), uses=uses),
     }
+
+
+def divide_24(found: Any, a: Any, d: Any) -> Any:
+    return _is_floor(found, 2**24 * a, d)
+
+
+def divide_31(found: Any, a: Any, d: Any) -> Any:
+    return _is_floor(found, 2**31 * a, d)
 
 
 def _by_bits() -> dict[str, Contract]:

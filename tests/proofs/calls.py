@@ -113,13 +113,13 @@ def _heard(robot: Any) -> Any:
     return z3.Concat(*reversed(robot["heard"]["of"].values()))
 
 
-def _is_robust(robot: Any) -> Any:
-    return robot["config"]["filter"] == ROBUST
+def is_robust(config: Any) -> Any:
+    return config["filter"] == ROBUST
 
 
 def _may_receive(robot: Any, *_: Any) -> Any:
     """I24, as far as a vote needs it."""
-    return z3.Implies(_is_robust(robot), VOTE.requires(robot, None, z3.BitVecVal(0, 32)))
+    return z3.Implies(is_robust(robot["config"]), VOTE.requires(robot, None, z3.BitVecVal(0, 32)))
 
 
 def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
@@ -144,16 +144,16 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
     }
     says_something = z3.And(is_accepted, units(alpha) != 0)
     voted = computed("vote crowd", robot["crowd"], robot["crowd"], sender, x_hat)
-    is_robust = _is_robust(robot)
+    has_crowd = is_robust(robot["config"])
     expected = {
         **{name: each for name, each in robot.items() if name != "heard"},
         "counters": counters,
         "open": chosen(
-            z3.And(says_something, z3.Not(is_robust)),
+            z3.And(says_something, z3.Not(has_crowd)),
             _added(robot["open"], x_hat, units(alpha)),
             robot["open"],
         ),
-        "crowd": chosen(z3.And(says_something, is_robust), voted, robot["crowd"]),
+        "crowd": chosen(z3.And(says_something, has_crowd), voted, robot["crowd"]),
     }
     return z3.And(
         returns(

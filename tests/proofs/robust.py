@@ -13,7 +13,7 @@ from typing import Any, cast
 import z3
 
 from mcp_asdf_tools.crosscheck import exact
-from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros
+from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
 from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, same
 from proofs.machine import Machine
@@ -202,7 +202,7 @@ def of_integers() -> Iterator[Claim]:
 
 
 def _floor(found: Any, product: Any) -> Any:
-    return z3.And(2**32 * found <= product, product < 2**32 * (found + 1))
+    return multiply_high(found, product, 1)
 
 
 def of_errors() -> Iterator[Claim]:

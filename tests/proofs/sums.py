@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import z3
 
-from proofs.arithmetic import EXACT
+from proofs.arithmetic import EXACT, QUOTIENT
 from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, units
 from proofs.source import Program
@@ -35,7 +35,8 @@ def of_mean(program: Program) -> Iterator[Claim]:
     }
     for name, (dividend, divisor, possible) in cases.items():
         fits = z3.And(z3.Extract(95, 64, dividend) == 0, z3.Extract(95, 64, divisor) == 0)
-        yield f"{name}: what quotient() requires", z3.And(fits, z3.ULE(dividend, divisor)), possible
+        whole = QUOTIENT.requires(*(z3.ZeroExt(32, each) for each in (dividend, divisor)))
+        yield f"{name}: what quotient() requires", z3.And(fits, whole), possible
         arguments = (z3.Extract(63, 0, each) for each in (dividend, divisor))
         yield f"{name}: quotient", found == call("quotient", *arguments), possible
 
@@ -57,15 +58,14 @@ def of_informed_estimate(program: Program) -> Iterator[Claim]:
 
 
 def of_the_mean() -> Iterator[Claim]:
-    """By the lemma of quotient(): at most 7 units too small, never too large."""
+    """By the lemma of quotient()."""
     total, alpha, dividend, q = z3.Ints("S alpha dividend q")
     known = [total >= 0, alpha > 0, total <= ONE * alpha, q >= 0]
     is_mean = z3.And(q * ONE * alpha <= 2**32 * total, 2**32 * total < (q + 8) * ONE * alpha)
     long = [*known, alpha >= 2**32, total >= ONE * dividend, total < ONE * (dividend + 1)]
-    long += [q * alpha <= 2**32 * dividend, 2**32 * dividend <= (q + 7) * alpha]
-    yield "long", is_mean, long
-    short = [*known, dividend == 2**9 * total, q * 2**32 * alpha <= 2**32 * dividend]
-    yield "short", is_mean, [*short, 2**32 * dividend <= (q + 7) * 2**32 * alpha]
+    yield "long", is_mean, [*long, QUOTIENT.ensures(q, dividend, alpha)]
+    short = [*known, dividend == 2**9 * total, QUOTIENT.ensures(q, dividend, 2**32 * alpha)]
+    yield "short", is_mean, short
 
 
 def of_the_rest() -> Iterator[Claim]:

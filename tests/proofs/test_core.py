@@ -31,7 +31,7 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
 LEMMAS = [*core.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
-LONG = ("vote", "mcp_asdf_receive", "test_rejects", "mcp_asdf_save")
+LONG = ("vote", "mcp_asdf_receive", "test_rejects")
 
 
 @pytest.mark.parametrize("name", [*(each for each in LEMMAS if each not in LONG), *slow(LONG)])

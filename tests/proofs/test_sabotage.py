@@ -11,7 +11,9 @@ from typing import Any
 import pytest
 import z3
 
+from proofs import arithmetic
 from proofs import prove as prover
+from proofs.arithmetic import RATIO
 from proofs.formulas import Claim
 from proofs.machine import Machine
 from proofs.prove import Contract, UnprovenError, always
@@ -98,6 +100,18 @@ FALSEHOODS: dict[str, Callable[[], None]] = {
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prover, "EFFORTS", (10**5,))
+
+
+@pytest.mark.slow
+def test_a_wrong_premise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of quotient() about ratio() stands in one place, where ratio() is proved to keep it."""
+    right, code = arithmetic.is_ratio, program(HERE[0])
+    monkeypatch.setattr(prover, "EFFORTS", (8 * 10**6,))
+    monkeypatch.setattr(arithmetic, "is_ratio", lambda *of: z3.And(right(*of), 2**32 * of[0] == of[2]))
+    of_variant = arithmetic.contracts(HERE[0])
+    prover.prove_lemma(code, "quotient", of_variant, set())
+    with pytest.raises(UnprovenError, match="broken by"):
+        prover.prove_lemma(code, "ratio", {**of_variant, "ratio": replace(RATIO, steps=())}, set())
 
 
 def test_side_effects_are_of_the_path() -> None:
