@@ -1,11 +1,12 @@
 """Write a software bill of materials of the wheel, in CycloneDX's JSON: build/sbom.json or a path given.
 
 Run as ``python -m release.sbom [PATH]`` with ``tests`` on PYTHONPATH. The bill has what the wheel needs, its
-extras included, in the versions installed here, and uPlot, which it ships.
+extras included, in the versions installed here, and uPlot, which it ships; each with its licences and a hash.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import sys
@@ -21,6 +22,7 @@ from support import ROOT, version_of_header
 
 UPLOT = ROOT / "host_tools/mcp_asdf_tools/view/page/uplot/uPlot.iife.min.js"
 NAME = "mcp-asdf"
+OF_THE_INSTALLER = {"INSTALLER", "REQUESTED", "RECORD", "direct_url.json", "uv_cache.json"}
 
 
 def dependencies() -> dict[str, set[str]]:
@@ -48,6 +50,22 @@ def component(name: str, version: str, kind: str = "pypi", **more: Any) -> dict[
     return {**about, "purl": f"pkg:{kind}/{name}@{version}", **more}
 
 
+def licences(about: metadata.PackageMetadata) -> list[dict[str, Any]]:
+    """As the package states them: an expression, classifiers, or the first line of a text."""
+    if expression := about.get("License-Expression"):
+        return [{"expression": expression}]
+    stated = [each for each in about.get_all("Classifier") or () if each.startswith("License ::")]
+    names = [each.rpartition(" :: ")[2] for each in stated] or (about.get("License") or "").splitlines()[:1]
+    return [{"license": {"name": name}} for name in names]
+
+
+def digest(name: str) -> str:
+    """SHA-256 over the paths and SHA-256 of the files that the package's wheel has, whatever installed it."""
+    files = metadata.files(name) or ()
+    rows = [f"{path} {path.hash.value}" for path in files if path.hash and path.name not in OF_THE_INSTALLER]
+    return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
+
+
 def bill() -> dict[str, Any]:
     """Bill of all that is needed, and of uPlot by the version it states."""
     needs = dependencies()
@@ -56,9 +74,10 @@ def bill() -> dict[str, Any]:
     needed = []
     for name in sorted(needs.keys() - {NAME}):
         about = metadata.metadata(name)
-        licenses = [{"expression": each} for each in about.get_all("License-Expression") or ()]
-        needed.append(component(name, about["Version"], licenses=licenses))
-    uplot = component("uplot", stated[1], "npm", licenses=[{"license": {"id": "MIT"}}])
+        files = [{"name": "mcp-asdf:sha-256-of-files", "value": digest(name)}]
+        needed.append(component(name, about["Version"], licenses=licences(about), properties=files))
+    hashes = [{"alg": "SHA-256", "content": hashlib.sha256(UPLOT.read_bytes()).hexdigest()}]
+    uplot = component("uplot", stated[1], "npm", licenses=[{"license": {"id": "MIT"}}], hashes=hashes)
     return {
         **{"bomFormat": "CycloneDX", "specVersion": "1.6", "version": 1},
         "metadata": {"component": component(NAME, version_of_header())},

@@ -63,6 +63,16 @@ def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
     assert first == second
 
 
+def test_reference_data_are_those_that_the_page_names() -> None:
+    """An oracle that changes in silence is none."""
+    folder = ROOT / "tests/data"
+    own = {"README.md", "study_verdicts.csv"}
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in own]
+    found = {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    assert dict(re.findall(r"^\| `([^`]+)` \| `([0-9a-f]{64})` \|$", page, re.MULTILINE)) == found
+
+
 def test_the_bill_names_each_dependency() -> None:
     found = bill()
     validator = pytest.importorskip("cyclonedx.validation.json", reason="cyclonedx-bom is not installed")
@@ -73,4 +83,10 @@ def test_the_bill_names_each_dependency() -> None:
     stated = {match[1].lower() for each in requirements() if (match := BOUNDED.fullmatch(each))}
     assert {*stated - builders, "uplot"} <= names
     assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"}), "tests' own tools"
+    assert [each["name"] for each in found["components"] if not each["licenses"]] == []
+    hashes = [
+        each.get("properties", [{}])[0].get("value") or each["hashes"][0]["content"]
+        for each in found["components"]
+    ]
+    assert len(set(hashes)) == len(hashes) and all(re.fullmatch("[0-9a-f]{64}", each) for each in hashes)
     assert found["metadata"]["component"]["version"] == version_of_header()

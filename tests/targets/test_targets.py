@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from mcp_asdf import mirror
+from mcp_asdf.robot import Status
 from support import slow
 from targets import matrix
 from targets.golden_vectors import FILES, HERE, Player, content, played, scenarios, verdict
@@ -47,3 +49,24 @@ def test_a_target_that_differs_prints_every_call(tmp_path: Path) -> None:
     printed = matrix.play(quick_cell(HOST), tmp_path, tmp_path / "wrong.bin").splitlines()
     assert re.match(rf"scenario {number} expected \d+ found \d+$", printed[-len(known[number][0].calls) - 5])
     assert printed[-len(known[number][0].calls) - 4 : -1] == [*Player(known[number][0]).lines, "FAIL"]
+
+
+@pytest.mark.slow
+def test_files_made_by_a_wrong_mirror_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Writing the files again hides no mistake of the mirror: the C does not play them."""
+    usual = mirror.MirrorRobot.settle
+
+    def settle(robot: mirror.MirrorRobot) -> Status:
+        updated = usual(robot)
+        robot.s.t += robot.s.t == 1  # it counts the first tick twice
+        return updated
+
+    name = next(iter(FILES))
+    monkeypatch.setattr(mirror.MirrorRobot, "settle", settle)
+    played.cache_clear()
+    try:
+        (tmp_path / name).write_bytes(content(name))
+    finally:
+        played.cache_clear()
+    assert (tmp_path / name).read_bytes() != (HERE / name).read_bytes()
+    assert "FAIL" in matrix.play(quick_cell(HOST), tmp_path, tmp_path / name)
