@@ -52,10 +52,12 @@ def component(name: str, version: str, kind: str = "pypi", **more: Any) -> dict[
 
 def licences(about: metadata.PackageMetadata) -> list[dict[str, Any]]:
     """As the package states them: an expression, classifiers, or the first line of a text."""
-    if expression := about.get("License-Expression"):
-        return [{"expression": expression}]
+    if expressions := about.get_all("License-Expression"):
+        return [{"expression": each} for each in expressions]
     stated = [each for each in about.get_all("Classifier") or () if each.startswith("License ::")]
-    names = [each.rpartition(" :: ")[2] for each in stated] or (about.get("License") or "").splitlines()[:1]
+    names = [each.rpartition(" :: ")[2] for each in stated] or "".join(
+        about.get_all("License") or ()
+    ).splitlines()[:1]
     return [{"license": {"name": name}} for name in names]
 
 
