@@ -53,9 +53,8 @@ def test_every_divisor_is_prepared(divide: int, tmp_path: Path) -> None:
 
 def test_each_definition_has_a_lemma_in_some_variant() -> None:
     """As many as the text has, and as docs/trust.md says."""
-    lines = {
-        (path, at): line for path in ARITHMETIC for at, line in enumerate(path.open(encoding="utf-8"), 1)
-    }
+    texts = {path: path.read_text(encoding="utf-8").splitlines() for path in ARITHMETIC}
+    lines = {(path, at): line for path, text in texts.items() for at, line in enumerate(text, 1)}
     found = {place: DEFINITION.match(line) for place, line in lines.items()}
     written = {(*place, match[1]) for place, match in found.items() if match}
     parsed = {
