@@ -147,17 +147,22 @@ def small_svg(figure: Figure) -> bytes:
     return re.sub(r"\n +", "\n", short).encode()
 
 
+def put_tables(page: Path, tables: Mapping[str, str]) -> None:
+    """Write tables between their marks."""
+    text = page.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        start, _, rest = text.partition(f"<!-- {name} -->\n")
+        text = f"{start}<!-- {name} -->\n{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
+    page.write_text(text, encoding="utf-8")
+
+
 def main() -> int:
     """Write the tables between their marks, and the picture."""
     folder = Path(sys.argv[1])
     sys.path.insert(0, str(ROOT / "tests/peers"))
     names = (robust.GRID, robust.BEYOND, "peers")
     found = {name: experiments_in(read_table(folder / f"{name}.parquet")) for name in names}
-    text = PAGE.read_text(encoding="utf-8")
-    for name, table in tables_of(found).items():
-        start, _, rest = text.partition(f"<!-- {name} -->\n")
-        text = f"{start}<!-- {name} -->\n{table}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
-    PAGE.write_text(text, encoding="utf-8")
+    put_tables(PAGE, tables_of(found))
     PICTURE.write_bytes(small_svg(picture_of(found)))
     return 0
 

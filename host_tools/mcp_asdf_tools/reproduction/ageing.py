@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common.files import write_together
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.reproduction.robust import csv_of, late, table_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FILES = ("ageing",)
 LONGEST = 2**31
@@ -27,28 +31,33 @@ def kind_of(experiment: Experiment) -> str:
 
 def row_of(experiment: Experiment) -> str:
     """How sensors age, and what robots remember."""
-    memory = "longest" if experiment.memory == LONGEST else f"{experiment.memory}"
+    memory = "longest" if experiment.memory == LONGEST else "short"
     return f"{kind_of(experiment)}, {memory} memory"
 
 
+def picture_of(results: Sequence[Trials]) -> Figure:
+    """The error over time of robots with the longest memory: a panel for each way to age."""
+    from mcp_asdf_tools.experiments.plots import errors_over_time  # noqa: PLC0415 (matplotlib loads slowly)
+
+    panels: dict[str, list[Trials]] = {}
+    for each in results:
+        if each.experiment.memory == LONGEST:
+            panels.setdefault(kind_of(each.experiment), []).append(each)
+    return errors_over_time(panels)
+
+
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
-    """Write ``ageing.md`` and ``ageing.csv``, the late error, and ``ageing.svg``, the error over time of
-    robots with the longest memory."""
+    """Write ``ageing.md`` and ``ageing.csv``, the late error, and ``ageing.svg``, the picture."""
     from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415 (matplotlib loads slowly)
-    from mcp_asdf_tools.experiments.plots import errors_over_time  # noqa: PLC0415
 
     (own,) = (results[name] for name in FILES)
     table = table_of("Sensors that age", own, row_of)
-    panels: dict[str, list[Trials]] = {}
-    for each in own:
-        if each.experiment.memory == LONGEST:
-            panels.setdefault(kind_of(each.experiment), []).append(each)
     picture = folder / "ageing.svg"
     lines = table.lines(late, "error of the last quarter (95 % interval)")
     write_together(
         {
             folder / "ageing.md": f"# {table.title}\n\n{lines}\n\n![{table.title}]({picture.name})\n",
             folder / "ageing.csv": csv_of([table]),
-            picture: image_of(errors_over_time(panels), picture),
+            picture: image_of(picture_of(own), picture),
         }
     )

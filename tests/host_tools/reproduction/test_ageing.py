@@ -27,9 +27,8 @@ def test_the_command_writes_table_and_picture(tmp_path: Path, monkeypatch: pytes
     options = ["--part", "ageing", "--trials", "2", "--workers", "1", "--seed", "9"]
     assert main(["reproduce", *options, "--output", str(tmp_path / "out")]) == 0
     rows = list(csv.DictReader((tmp_path / "out/ageing.csv").read_text().splitlines()))
-    kinds = [
-        f"{kind}, {memory} memory" for kind in ("none ages", "all age alike") for memory in ("longest", 4096)
-    ]
+    ways, memories = ("none ages", "all age alike"), ("longest", "short")
+    kinds = [f"{way}, {memory} memory" for way in ways for memory in memories]
     assert list(dict.fromkeys(row["row"] for row in rows)) == kinds
     table = (tmp_path / "out/ageing.md").read_text()
     assert all(f"| {kind} | 0." in table for kind in kinds) and "![Sensors that age](ageing.svg)" in table
