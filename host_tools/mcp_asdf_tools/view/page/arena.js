@@ -5,6 +5,7 @@ import { colour, colourOfError } from "view/colours";
 const BODY_RADIUS = 0.0704;
 const TURN = 2 * Math.PI;
 const MANY_LINKS = 240;
+const MOST_LINKS = 4000; // more would be one grey disc
 
 export class Arena {
   constructor(canvas) {
@@ -19,11 +20,13 @@ export class Arena {
     this.film = film;
     this.floor = null;
     this.flawed = new Set(film.stage.flawed);
+    this.liars = new Set(film.stage.liars);
   }
 
   /** Paints the floor again, in new colours. */
   recolour() {
     this.floor = null;
+    this.isBlank = true;
   }
 
   #resize() {
@@ -32,6 +35,7 @@ export class Arena {
     this.canvas.width = Math.max(1, Math.round(width * ratio));
     this.canvas.height = Math.max(1, Math.round(height * ratio));
     this.ratio = ratio;
+    this.isBlank = true;
   }
 
   /** Maps metres to pixels; robots that do not move stand on a circle of radius 1. */
@@ -71,6 +75,7 @@ export class Arena {
   /** Draws the state at a tick; `chosen` is the robot followed, or null. */
   draw(tick, chosen) {
     const { context, film } = this;
+    this.isBlank = false;
     this.#fit();
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.#drawFloor();
@@ -135,7 +140,7 @@ export class Arena {
     const { context } = this;
     const isOfChosen = (pair) => pair.includes(chosen);
     this.#drawLines(
-      links.filter((pair) => !isOfChosen(pair)),
+      links.length > MOST_LINKS ? [] : links.filter((pair) => !isOfChosen(pair)),
       colour("link"),
       links.length > MANY_LINKS ? 0.16 : 0.75,
     );
@@ -161,7 +166,9 @@ export class Arena {
     const [x, y] = this.places[robot];
     context.beginPath();
     context.arc(x, y, radius, 0, TURN);
-    context.fillStyle = colourOfError(this.film.wrongness(robot, sample));
+    context.fillStyle = this.liars.has(robot)
+      ? colour("liar")
+      : colourOfError(this.film.wrongness(robot, sample));
     context.fill();
     context.lineWidth = (this.flawed.has(robot) ? 2.6 : 1) * this.ratio;
     context.strokeStyle = colour(this.flawed.has(robot) ? "ink" : "card");

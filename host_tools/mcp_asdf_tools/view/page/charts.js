@@ -5,7 +5,7 @@ import { colour } from "view/colours";
 const COLUMNS = 480;
 const ERROR = { name: "error", label: "mean error of x: median and middle half of runs" };
 const PANELS = [
-  { name: "b_hat", label: "b_hat: how far each robot trusts its sensor", symbol: "b" },
+  { name: "b_hat", label: "b_hat: trust in the own sensor", symbol: "b" },
   { name: "x_hat", label: "x_hat: what each sees by itself", symbol: "f" },
   { name: "x", label: "x: what each believes after hearing its neighbours", symbol: "f" },
 ];

@@ -83,6 +83,9 @@ class View {
   draw() {
     const { film, player } = this;
     const { tick } = player;
+    const state = [film, film.length, tick, this.chosen, this.total, player.isPlaying, player.isFollowing];
+    if (!this.arena.isBlank && state.every((each, index) => each === this.drawn?.[index])) return;
+    this.drawn = state;
     const sample = film.sampleAt(tick);
     this.arena.draw(tick, this.chosen);
     this.charts.mark(tick);

@@ -29,7 +29,7 @@ const PRESETS = [
   [
     "a liar",
     "flawed=20&liars=1&filter=robust",
-    "One robot claims, with the greatest confidence, that no tile is black: whoever weighs messages by confidence believes it, the robust filter counts it as one vote.",
+    "One robot claims, with great confidence, that no tile is black: whoever weighs messages by confidence believes it, the robust filter counts it as one vote.",
   ],
   [
     "everybody hears everybody",
@@ -191,9 +191,7 @@ export class Playground {
     this.#makeSettings();
     this.#makePresets();
     this.#makeFilters();
-    find("command").lastElementChild.addEventListener("click", () =>
-      navigator.clipboard?.writeText(find("command").children[1].textContent),
-    );
+    find("command").lastElementChild.addEventListener("click", () => this.#copy());
     for (const name of ["playground", "settings", "filters", "command"]) find(name).hidden = false;
     document.body.classList.add("playing");
     addEventListener("hashchange", () => this.#change(settingsOf(location.hash)));
@@ -202,6 +200,17 @@ export class Playground {
     this.worker.postMessage({ module: Uint8Array.from(atob(module), (letter) => letter.charCodeAt(0)) });
     this.#listenToSite();
     this.#ask(true);
+  }
+
+  /** Copies the command; where a browser does not let a page in a frame do that, it is selected. */
+  async #copy() {
+    const [, code, button] = find("command").children;
+    try {
+      await navigator.clipboard.writeText(code.textContent);
+      button.textContent = "copied";
+    } catch {
+      getSelection().selectAllChildren(code);
+    }
   }
 
   #makeSettings() {
@@ -279,6 +288,8 @@ export class Playground {
       choice.checked = choice.value === job.filter;
     find("command").children[1].textContent = commandOf(this.settings);
     const address = addressOf(this.settings);
+    find("command").lastElementChild.textContent = "copy";
+    find("liars").hidden = job.liars === 0;
     find("story").textContent = "";
     for (const button of find("presets").children) {
       const isChosen = button.dataset.address === address;
@@ -311,6 +322,7 @@ export class Playground {
       title: `${job.robots} robots, ${job.flawedCount} flawed, ${FILTERS[job.filter]}`,
       robots: Array.from({ length: job.robots }, (_, robot) => robot),
       flawed: Array.from({ length: job.flawedCount }, (_, robot) => robot),
+      liars: Array.from({ length: job.liars }, (_, liar) => job.robots - 1 - liar),
       quantities: ["x", "x_hat", "b_hat", "b"],
       fill_ratio: job.fill,
       steps: job.steps,
