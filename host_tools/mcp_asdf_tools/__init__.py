@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.results import experiments_in, read_table
     from mcp_asdf_tools.library import emulate, plot, score, simulate, start_swarm
     from mcp_asdf_tools.swarm.settings import SwarmSettings
+    from mcp_asdf_tools.view.inline import show
 
 _HOMES = {
     "common.errors": ["UsageError"],
@@ -22,6 +23,7 @@ _HOMES = {
     "experiments.results": ["experiments_in", "read_table"],
     "library": ["emulate", "plot", "score", "simulate", "start_swarm"],
     "swarm.settings": ["SwarmSettings"],
+    "view.inline": ["show"],
 }
 __all__ = [
     "Experiment",
@@ -34,6 +36,7 @@ __all__ = [
     "read_experiments",
     "read_table",
     "score",
+    "show",
     "simulate",
     "start_swarm",
 ]

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import can
 
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.pictures import PLOTS
 from mcp_asdf_tools.experiments.pictures import draw as draw_results
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, rescored
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, matching, rescored
 from mcp_asdf_tools.experiments.scores import LimitsOf, chosen_limits, paper_limits
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_sweep
@@ -24,7 +25,10 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from mcp_asdf_tools.experiments.plots import Measure
 
 
 @naming_extras()
@@ -63,6 +67,13 @@ def simulate(
     are processes that import it. Raises UsageError for what cannot be run or written.
     """
     given = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+    for each in given:
+        if not isinstance(each, Experiment):
+            raise UsageError(f"{each!r} is no experiment; give what Experiment or grid makes")
+        if not 0 <= record <= each.steps:
+            raise UsageError(f"record is {record}; choose 1 to {each.steps} steps, or 0 for none")
+    if workers < 1:
+        raise UsageError(f"workers is {workers}; give 1 or more")
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(output or Path(folder, "results.parquet")), given, record)
         with progress("trials", store.left, quiet) as report:
@@ -86,15 +97,21 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     trial: int = 0,
     x: str = "",
     hue: str = "",
-    y: str = "H",
+    y: str | Measure = "H",
+    facet: str = "",
+    where: Mapping[str, Any] | None = None,
+    ax: Axes | None = None,
     limits: LimitsOf = paper_limits,
 ) -> Figure:
     """A picture of results; its method ``savefig`` writes a file.
 
-    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure
-    ``y`` (H, h_K, h_e, K or e) over a parameter ``x``, with a curve for each value of a parameter ``hue``;
-    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``. Raises
-    UsageError if the results do not have what it shows.
+    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure ``y`` (H, h_K,
+    h_e, K, e, or a function of ``Trials`` with a number for each trial) over a parameter ``x``, with a curve
+    for each value of a parameter ``hue`` and a panel for each of ``facet``, or into the axes ``ax``;
+    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``.
+    ``where`` chooses experiments by their parameters. Raises UsageError if the results do not have what it
+    shows.
     """
     experiments = results if isinstance(results, list) else experiments_in(results)
-    return draw_results(experiments, kind, trial=trial, x=x, hue=hue, y=y, limits=limits)
+    shown = matching(experiments, where or {})
+    return draw_results(shown, kind, trial=trial, x=x, hue=hue, y=y, facet=facet, ax=ax, limits=limits)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import html
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import can
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
+from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -63,3 +70,124 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
         assert len(images(alone)) == 4
         whole = m.emulate(SETTINGS)
         assert [each["x"] for each in whole.results["robots"]] == [node.robot.x for node in alone.nodes]
+
+
+# --- Objects in place of names ---
+
+
+class Undirected:
+    """What networkx calls a graph, as far as it is asked."""
+
+    def __init__(self, edges: list[Any], directed: bool = False) -> None:
+        self.edges, self.is_directed = lambda: edges, lambda: directed
+
+
+def test_a_graph_may_be_any_of_its_usual_objects() -> None:
+    hears = np.zeros((4, 4), np.bool_)
+    hears[1, 0] = hears[0, 1] = hears[2, 1] = True  # 2 hears 1, who does not hear 2
+    pairs = [(0, 1), (np.int64(1), 2)]
+    for given, edges in (
+        (pairs, "0 1; 1 2"),
+        (np.array(pairs), "0 1; 1 2"),
+        (Undirected(pairs), "0 1; 1 2"),
+        (Undirected(pairs, directed=True), "0 > 1; 1 > 2"),
+        (hears, "0 1; 1 > 2"),
+    ):
+        assert str(replace(SHORT, topology="graph", graph=given).graph) == edges
+    for wrong in (5, [(0, 1, 2)], [("a", "b")], np.ones((2, 3), np.bool_), [(0, 1), (1, 0)], [(0, 200)]):
+        with pytest.raises(m.UsageError):
+            replace(SHORT, topology="graph", graph=wrong)
+
+
+def always(accuracy: float) -> Any:
+    class Always(ReferenceRobot):
+        def reestimated(self) -> float | None:
+            return accuracy
+
+    return Always
+
+
+def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two that are called alike are told apart, and one has one name."""
+    monkeypatch.setattr("mcp_asdf_tools.common.extensions._HERE", {})
+    low, high = always(0.7), always(0.9)
+    common = replace(SHORT, trials=1, filter="asdf-plus", activation="always")
+    experiments = [replace(common, firmware=each) for each in (low, high, low)]
+    assert experiments[0] == experiments[2] != experiments[1]
+    for experiment, accuracy in zip(experiments, (0.7, 0.9, 0.7), strict=True):
+        (trials,) = m.experiments_in(m.simulate(experiment))
+        assert trials.experiment == experiment and np.all(trials.b_hat[0, -1] == accuracy)
+
+    def dazzled(settings: object, trial: int) -> object:
+        return SimpleNamespace(advance=lambda steps: (np.ones((1, 1)), np.zeros((1, 1))))
+
+    sensor: Any = dazzled
+    blind = replace(SHORT, sensor=sensor)
+    (trials,) = m.experiments_in(m.simulate(blind))
+    assert blind.sensor.endswith("dazzled") and trials.errors.shape == (3, 4)
+
+
+LIBRARY: Any = m
+"""Without types, as in a notebook."""
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda table: LIBRARY.Experiment(robot=3),
+        lambda table: LIBRARY.Experiment(7),
+        lambda table: LIBRARY.Experiment(firmware=7),
+        lambda table: LIBRARY.SwarmSettings(toplogy="dynamic"),
+        lambda table: LIBRARY.grid(robots=[]),
+        lambda table: LIBRARY.simulate([7]),
+        lambda table: LIBRARY.simulate(SHORT, workers=0),
+        lambda table: LIBRARY.simulate(SHORT, record=10**6),
+        lambda table: LIBRARY.score(table, e_max=-1),
+        lambda table: LIBRARY.plot(table, "boxs"),
+        lambda table: LIBRARY.plot([]),
+        lambda table: LIBRARY.plot(table, "curve", x="robot"),
+        lambda table: LIBRARY.plot(table, "curve", x="flawed", y=lambda trials: [1.0]),
+        lambda table: LIBRARY.plot(table, "boxes", facet="robots"),
+        lambda table: LIBRARY.plot(table, where={"filtr": "none"}),
+        lambda table: LIBRARY.show(table, trial=99),
+        lambda table: LIBRARY.show(SHORT, where={"robots": 99}, trial=-1),
+        lambda table: LIBRARY.read_experiments("none.toml"),
+        lambda table: LIBRARY.read_table("none.parquet"),
+    ],
+)
+def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[object], object]) -> None:
+    with pytest.raises(m.UsageError):
+        wrong(m.simulate(SHORT))
+
+
+# --- Pictures ---
+
+
+def test_a_curve_goes_into_axes_of_ones_own_or_has_panels() -> None:
+    """A function of the trials is as good as a measure, and a range is not called an interval."""
+    table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=[4, 5], steps=60, trials=2))
+    figure = Figure()
+    axes = figure.subplots()
+    where = {"robots": 4, "filter": "none"}
+    assert (
+        m.plot(table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=axes) is figure
+    )
+    chosen = [each for each in m.experiments_in(table) if each.experiment.robots == 4][:1]
+    assert axes.lines[0].get_ydata()[0] == np.median(chosen[0].errors[:, 0])  # type: ignore[index]
+    both = m.plot(table, "curve", x="flawed", hue="filter", facet="robots")
+    assert [each.get_title() for each in both.axes] == ["robots 4", "robots 5"]
+    caption = both._supxlabel.get_text().replace("\n", " ")  # type: ignore[attr-defined]
+    assert "bands all trials where there are fewer than 6" in caption
+    graphs = [[(0, 1)], [(a, b) for a in range(4) for b in range(a)]]
+    wired = m.simulate(m.grid(topology="graph", graph=graphs, robots=4, steps=30, trials=1, filter="none"))
+    labels = [each.get_text() for each in m.plot(wired, "curve", x="graph").axes[0].get_xticklabels()]
+    assert labels == ["0 1", "0 1; 0 2; 0 3; 1 2;  ..."]
+
+
+def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:
+    moving = m.Experiment(topology="dynamic", robots=4, steps=50, filter_period=20, trials=2, density=0.5)
+    shown = m.show(moving, trial=1)
+    shown.save(str(tmp_path / "run.html"))
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert shown._repr_html_().startswith("<iframe srcdoc=") and html.escape(page) in shown._repr_html_()
+    assert m.show(m.simulate(moving), trial=1, where={"robots": "4"}).page == page != m.show(moving).page

@@ -29,7 +29,7 @@ def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
     Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets, and if
     there are several where ``only_one`` can be shown.
     """
-    from mcp_asdf_tools.experiments.results import experiments_in, read_table  # noqa: PLC0415
+    from mcp_asdf_tools.experiments.results import experiments_in, is_value, read_table  # noqa: PLC0415
 
     found = experiments_in(read_table(args.file))
     for condition in args.where:
@@ -41,23 +41,13 @@ def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
                 f"in {args.file} differ {_differing(found) or 'no parameters'}"
             )
         values = {str(each.experiment.parameters()[name]) for each in found}
-        found = [each for each in found if _is(each.experiment.parameters()[name], value)]
+        found = [each for each in found if is_value(each.experiment.parameters()[name], value)]
         if not found:
             there = " or ".join(sorted(values))
             raise UsageError(f"--where {condition}: no experiment of {args.file} has it; {name} is {there}")
     if only_one and len(found) > 1:
         raise UsageError(f"{len(found)} experiments match; choose one with --where {_differing(found)}")
     return found
-
-
-def _is(held: object, value: str) -> bool:
-    """True if a parameter has the value that was typed, a number in any of its spellings."""
-    if str(held) == value:
-        return True
-    try:
-        return isinstance(held, int | float) and float(value) == held
-    except ValueError:
-        return False
 
 
 def _differing(found: Sequence[Trials]) -> str:

@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis")
     group.add_argument("--hue", metavar="NAME", default="", help="parameter with a curve for each value")
     group.add_argument("--y", metavar="NAME", default="H", help="H, h_K, h_e, K or e (default %(default)s)")
+    group.add_argument("--facet", metavar="NAME", default="", help="parameter with a panel for each value")
     options.add_limits(parser)
 
 
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_plot_path(args.picture)
     found = chosen(args, only_one=args.kind == "series")
-    given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y")}
+    given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y", "facet")}
     save_figure(draw(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
     if args.json:
         print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(found)}))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import metadata
+from itertools import count
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -34,6 +35,24 @@ class Names:
         return iter(self._own + names(self._group))
 
 
+_HERE: dict[tuple[str, str], Any] = {}
+"""Objects that this process uses under names, by group and name."""
+
+
+def name_of(group: str, given: Any) -> Any:
+    """The name under which an object serves as an extension of this process; what cannot be one stays.
+
+    Another process does not know it: where there are workers an extension has to be installed.
+    """
+    if isinstance(given, str) or not callable(given):
+        return given
+    plain = f"{given.__module__}.{getattr(given, '__qualname__', type(given).__qualname__)}"
+    tries = (plain if number == 1 else f"{plain}#{number}" for number in count(1))
+    name = next(each for each in tries if _HERE.get((group, each), given) is given)
+    _HERE[group, name] = given
+    return name
+
+
 @cache
 def _points(group: str) -> dict[str, metadata.EntryPoint]:
     """Entry points of a group by name. Reading all that is installed takes a tenth of a second."""
@@ -41,12 +60,14 @@ def _points(group: str) -> dict[str, metadata.EntryPoint]:
 
 
 def names(group: str) -> list[str]:
-    """Names of the installed extensions of a group, sorted."""
-    return sorted(_points(group))
+    """Names of the extensions of a group, sorted: installed ones and those of this process."""
+    return sorted({*_points(group), *(name for own, name in _HERE if own == group)})
 
 
 def load(group: str, name: str) -> Any:
     """The object of that name. Raises UsageError unless one is installed and can be imported."""
+    if (group, name) in _HERE:
+        return _HERE[group, name]
     point = _points(group).get(name)
     if point is None:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")

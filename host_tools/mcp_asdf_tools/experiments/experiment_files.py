@@ -27,8 +27,9 @@ _HEADER = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 _KEY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
-def read_experiments(path: Path) -> list[Experiment]:
+def read_experiments(path: Path | str) -> list[Experiment]:
     """The experiments of a file, in its order. Raises UsageError, naming the line, for anything invalid."""
+    path = Path(path)
     if not path.suffix and not path.exists():
         path = _shipped(path)
     if path.suffix != ".toml":

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.figures import (
     COLOURS,
     FLAWED,
@@ -45,7 +46,8 @@ _SCATTER = (
     "a point is a trial: blue where flawed robots are overconfident, red where they are underconfident, "
     "darker the farther off"
 )
-_CURVES = "points are medians over the trials, bands their 95 % intervals"
+FEWEST = 6
+"""Trials from which on a median has a 95 % interval."""
 _MOST_SERIES, _MOST_PANELS = 8, 32
 _FILTER_PARAMETERS = ("filter_period", "omega", "activation")
 
@@ -288,36 +290,109 @@ MEASURES: dict[str, Callable[[Trials, LimitsOf], NDArray[np.float64]]] = {
 """A value for each trial; K and e are means over the robots."""
 
 
-def curve(
-    experiments: Sequence[Trials], x: str, hue: str = "", y: str = "H", limits: LimitsOf = paper_limits
+Measure = Callable[[Trials], NDArray[np.float64]]
+"""A value for each trial of an experiment."""
+
+
+def curve(  # noqa: PLR0913 (each is given by name)
+    experiments: Sequence[Trials],
+    x: str,
+    hue: str = "",
+    y: str | Measure = "H",
+    limits: LimitsOf = paper_limits,
+    *,
+    facet: str = "",
+    ax: Axes | None = None,
 ) -> Figure:
-    """The median of ``y`` over the parameter ``x`` with its 95 % interval: a curve for each value of the
-    parameter ``hue``.
+    """The median of ``y``, one of MEASURES or a function, over the parameter ``x`` with its 95 % interval: a
+    curve for each value of the parameter ``hue``, a panel for each of ``facet``; or drawn into ``ax``.
 
     Flawed robots are a share. Raises UsageError for unknown parameters, and if the experiments differ in any
     other.
     """
-    _check_axes(experiments, x, hue, y)
+    _check_axes(experiments, x, hue, y, facet)
     hues: list[Any] = _values_in_order(experiments, hue) if hue else [None]
-    figure, ((axes,),) = _panels(1, 1, 3.8, len(hues))
     colours = filter_colours(hues) if hue == "filter" else ordered_colours(len(hues))
-    for colour, chosen in zip(colours, hues, strict=True):
-        points = {
-            _value(each.experiment, x): MEASURES[y](each, limits)
-            for each in experiments
-            if not hue or _value(each.experiment, hue) == chosen
-        }
-        places = [place for place in _values_in_order(experiments, x) if place in points]
-        middle, low, high = np.array([median_interval(points[place]) for place in places]).T
-        axes.fill_between(places, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(places, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
+    looks = dict(zip(hues, colours, strict=True))
+    handles = [_handle(_said(hue, each), colour, line="-") for each, colour in looks.items() if hue]
+    labels = (_word(x), y if isinstance(y, str) else getattr(y, "__name__", "y"))
+
+    def draw(axes: Axes, own: Sequence[Trials]) -> None:
+        for chosen, colour in looks.items():
+            measured = {
+                _value(each.experiment, x): _measured(each, y, limits)
+                for each in own
+                if not hue or _value(each.experiment, hue) == chosen
+            }
+            _draw_curve(axes, measured, _values_in_order(experiments, x), colour)
+
+    if ax is not None:
+        if facet:
+            raise UsageError("facet makes panels and ax is one; give one of them")
+        draw(ax, experiments)
+        ax.set(xlabel=labels[0], ylabel=labels[1])
+        if hue:
+            ax.legend(handles=handles, frameon=False, fontsize=SMALL)
+        return cast(Figure, ax.get_figure(root=True))
+    facets: list[Any] = _values_in_order(experiments, facet) if facet else [None]
+    columns = min(len(facets), 3)
+    figure, grid = _panels(-(-len(facets) // 3), columns, 3.8 if columns == 1 else 2.6, len(hues))
+    for axes, value in zip(grid.flat, facets, strict=False):
+        draw(axes, [each for each in experiments if not facet or _value(each.experiment, facet) == value])
+        if facet:
+            axes.set_title(_said(facet, value), fontsize=MEDIUM)
+    for axes in grid.flat[len(facets) :]:
+        axes.set_axis_off()
+    words = f"points are medians over the trials, {_interval_words(experiments)}"
+    return _finish(figure, labels, _caption(experiments, words, limits), handles)
+
+
+def _draw_curve(
+    axes: Axes, measured: Mapping[Any, NDArray[np.float64]], places: Sequence[Any], colour: str
+) -> None:
+    """A curve through the medians of what was measured at some places; long texts stand in a row."""
+    is_long = any(isinstance(each, str) and len(each) > _LONGEST for each in places)
+    own = [place for place in places if place in measured]
+    if own:
+        middle, low, high = np.array([median_interval(measured[place]) for place in own]).T
+        at = [places.index(each) for each in own] if is_long else own
+        axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(at, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
+    if is_long:
+        axes.set_xticks(range(len(places)), [_shortened(each) for each in places])
     clean(axes)
-    handles = [
-        _handle(f"{_word(hue)} {number_in_words(chosen)}", colour, line="-")
-        for colour, chosen in zip(colours, hues, strict=True)
-        if hue
-    ]
-    return _finish(figure, (_word(x), y), _caption(experiments, _CURVES, limits), handles)
+
+
+def _measured(trials: Trials, y: str | Measure, limits: LimitsOf) -> NDArray[np.float64]:
+    """The values of ``y``. Raises UsageError unless a function gives one number for each trial."""
+    if isinstance(y, str):
+        return MEASURES[y](trials, limits)
+    values = np.asarray(y(trials), dtype=np.float64)
+    if values.shape != (len(trials.numbers),):
+        raise UsageError(
+            f"y gives shape {values.shape}; return a number for each of {len(trials.numbers)} trials"
+        )
+    return values
+
+
+def _said(name: str, value: Any) -> str:
+    """A parameter and its value."""
+    return f"{_word(name)} {_shortened(number_in_words(value))}"
+
+
+def _shortened(text: str) -> str:
+    """A text that fits a legend: the edges of a graph do not."""
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+
+
+_LONGEST = 20
+
+
+def _interval_words(experiments: Sequence[Trials]) -> str:
+    """What the band around a median covers."""
+    if min(len(trials.numbers) for trials in experiments) < FEWEST:
+        return f"bands all trials where there are fewer than {FEWEST}, else 95 % intervals of the medians"
+    return "bands their 95 % intervals"
 
 
 def _values_in_order(experiments: Sequence[Trials], name: str) -> list[Any]:
@@ -335,20 +410,21 @@ def _value(experiment: Experiment, name: str) -> Any:
     return _share(experiment) if name == "flawed" else experiment.parameters()[name]
 
 
-def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str) -> None:
+def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measure, facet: str) -> None:
     known = experiments[0].experiment.parameters()
-    for option, name in (("--x", x), ("--hue", hue)):
-        if name not in known and (option, name) != ("--hue", ""):
-            raise UsageError(f"{option} is {name!r}; choose a parameter: {', '.join(known)}")
-    if y not in MEASURES:
-        raise UsageError(f"--y is {y!r}; choose one of {', '.join(MEASURES)}")
-    others = _varying(experiments, x, hue, "trials", "flawed")
-    if "flawed" not in (x, hue) and len({_share(each.experiment) for each in experiments}) > 1:
+    for option, name in (("x", x), ("hue", hue), ("facet", facet)):
+        if name not in known and (name or option == "x"):
+            fix = offer(name, known) or f"; choose a parameter: {', '.join(known)}"
+            raise UsageError(f"{option} is {name!r}{fix}")
+    if not callable(y) and y not in MEASURES:
+        raise UsageError(f"y is {y!r}; choose one of {', '.join(MEASURES)}")
+    others = _varying(experiments, x, hue, facet, "trials", "flawed")
+    if "flawed" not in (x, hue, facet) and len({_share(each.experiment) for each in experiments}) > 1:
         others.append("flawed")
     if others:
         raise UsageError(
-            f"the results differ in {', '.join(others)} too; choose with --where NAME=VALUE, or name one "
-            "with --x or --hue"
+            f"the results differ in {', '.join(others)} too; choose with where NAME=VALUE, or name one "
+            "with x, hue or facet"
         )
 
 
@@ -363,8 +439,6 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 # --- Over time -------------------------------------------------------------------------------------------
-
-_ERRORS = "lines are medians over the trials of a swarm's mean error, bands their 95 % intervals"
 
 
 def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: LimitsOf = paper_limits) -> Figure:
@@ -391,7 +465,8 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: LimitsOf = 
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     handles = [_handle(TYPESET_FILTER_NAMES[each], colour, "", "-") for each, colour in looks]
-    return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, _ERRORS, limits), handles)
+    words = f"lines are medians over the trials of a swarm's mean error, {_interval_words(together)}"
+    return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, words, limits), handles)
 
 
 def _mean_errors(trials: Trials) -> NDArray[np.float64]:
@@ -413,11 +488,11 @@ def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Fig
     """
     if any(not trials.b_hat.shape[1] for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
-    figure, grid = _panels(-(-len(experiments) // 4), min(len(experiments), 4), 1.8, 1)
+    columns = 2 if len(experiments) == 4 else min(len(experiments), 3)
+    figure, grid = _panels(-(-len(experiments) // columns), columns, 2.1, 1)
     ordered = [trials for own in _by_series(experiments, filter_name).values() for trials in own]
-    has_one = len({trials.experiment.filter for trials in ordered}) == 1
-    for axes, trials in zip(grid.flat, ordered, strict=False):
-        _draw_bands(axes, trials, "" if has_one else f"{filter_name(trials.experiment)}\n")
+    for axes, trials, title in zip(grid.flat, ordered, _titles(ordered), strict=False):
+        _draw_bands(axes, trials, title)
     for axes in grid.flat[len(experiments) :]:
         axes.set_axis_off()
     handles = [_handle(*look, "", "-") for look in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))]
@@ -425,7 +500,28 @@ def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Fig
     return _finish(figure, labels, _caption(experiments, _BANDS, limits), handles)
 
 
-def _draw_bands(axes: Axes, trials: Trials, name: str) -> None:
+def _titles(experiments: Sequence[Trials]) -> list[str]:
+    """f, b, b_hat and P of each experiment, and every other parameter in which they differ."""
+    varying = _varying(
+        experiments, "fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "filter", "trials"
+    )
+    filters = {each.experiment.filter for each in experiments}
+    titles = []
+    for each in (trials.experiment for trials in experiments):
+        words = [_said(name, each.parameters()[name]) for name in varying if _has(each, name)]
+        words += [f"$f$ = {each.fill_ratio:g}", f"$b$ = {each.true_accuracy:g}"]
+        words += [rf"$\hat{{b}}$ = {each.flawed_accuracy:g}", f"$P$ = {_share(each):.0%}"]
+        whole = ", ".join(words).replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+        lines = textwrap.wrap(whole, _TITLE, break_long_words=False)
+        titles.append("\n".join([filter_name(each), *lines] if len(filters) > 1 else lines))
+    return titles
+
+
+_TITLE = 56
+"""Letters of a line, those of formulas, which are drawn shorter, included."""
+
+
+def _draw_bands(axes: Axes, trials: Trials, title: str) -> None:
     e, periods = trials.experiment, np.arange(1, trials.b_hat.shape[1] + 1)
     flawed, healthy = np.split(trials.b_hat, [e.flawed], axis=2)
     for colour, values in ((FLAWED, flawed), (OTHER, healthy)):
@@ -434,10 +530,9 @@ def _draw_bands(axes: Axes, trials: Trials, name: str) -> None:
             axes.fill_between(e.filter_period * periods, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(e.filter_period * periods, middle, color=colour)
     axes.axhline(e.true_accuracy, color=INK, linewidth=1, linestyle="--")
-    words = rf"{name}$f$ = {e.fill_ratio:g}, $b$ = {e.true_accuracy:g}, $\hat{{b}}$ = {e.flawed_accuracy:g}"
     right = e.unflawed_accuracy or e.true_accuracy
     off = f"{np.mean(abs(healthy[:, -1] - right) > _OFF):.0%} of healthy robots" if healthy.size else "-"
-    axes.set_title(f"{words}, $P$ = {_share(e):.0%}\nmore than {_OFF} off: {off}", fontsize=SMALL - 1.5)
+    axes.set_title(f"{title}\nmore than {_OFF} off: {off}", fontsize=SMALL)
     clean(axes)
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.files import draft_of, write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
@@ -263,6 +263,32 @@ def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
     for name, values in zip(SCORES, scores, strict=True):
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     return table
+
+
+def matching(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:
+    """The experiments with these parameters, a number in any of its spellings.
+
+    Raises UsageError for what is no parameter, and if no experiment is left.
+    """
+    found = list(experiments)
+    for name, value in where.items():
+        if name not in _PARAMETERS:
+            raise UsageError(f"where has {name!r}, which is no parameter{offer(name, _PARAMETERS)}")
+        held = {str(each.experiment.parameters()[name]) for each in found}
+        found = [each for each in found if is_value(each.experiment.parameters()[name], value)]
+        if not found:
+            raise UsageError(f"no experiment has {name}={value}; it is {' or '.join(sorted(held))}")
+    return found
+
+
+def is_value(held: object, value: Any) -> bool:
+    """True if a parameter has the value that was given, a number in any of its spellings."""
+    if str(held) == str(value):
+        return True
+    try:
+        return isinstance(held, int | float) and float(value) == held
+    except (TypeError, ValueError):
+        return False
 
 
 # --- Parquet ---------------------------------------------------------------------------------------------

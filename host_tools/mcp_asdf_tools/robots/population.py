@@ -16,7 +16,7 @@ from mcp_asdf.robot import (
     Config,
     Filter,
 )
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -165,11 +165,6 @@ class Population(WorldSettings):
 
         Raises ParameterError for an unknown name or a value out of range.
         """
-        known = parameters_of(cls)
-        for key in parameters:
-            if key not in known:
-                fix = offer(key, known) or f"; known are {', '.join(known)}"
-                raise ParameterError(key, f"unknown key {key!r}{fix}")
         return cls(**parameters)
 
 

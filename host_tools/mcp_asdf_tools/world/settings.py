@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import ParameterError, check_parameters, parameter, parameters_of
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.topology import Graph, graph_of
@@ -50,6 +49,14 @@ wiener: b + rate k + drift_diffusion W(k): a Wiener process with drift of its ow
 
 All robots have drift_rate in common; each has its own deviation from it, normal with drift_spread.
 """
+
+
+_OBJECTS = {
+    "firmware": extensions.FIRMWARES,
+    "sensor": extensions.SENSORS,
+    "topology": extensions.TOPOLOGIES,
+}
+"""Parameters that may be objects, and the groups of extensions that they stand for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +103,21 @@ class WorldSettings:
     steps: int = parameter("length of a run", 1, MAX_STEPS, default=10_000)
     seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
 
+    def __new__(cls, *args: Any, **given: Any) -> Self:
+        """Refuse names that are no parameters as values out of range are."""
+        known = cls.__dataclass_fields__
+        for name in given:
+            if name not in known:
+                fix = offer(name, known) or f"; known are {', '.join(known)}"
+                raise ParameterError(name, f"unknown key {name!r}{fix}")
+        if args:
+            raise UsageError(f"{args[0]!r} has no name; give parameters by name, such as robots=20")
+        return super().__new__(cls)
+
     def __post_init__(self) -> None:
+        for name, group in _OBJECTS.items():
+            if hasattr(self, name):
+                object.__setattr__(self, name, extensions.name_of(group, getattr(self, name)))
         check_parameters(self)
         object.__setattr__(self, "graph", _graph(self.graph))
         self._check_topology()
@@ -166,9 +187,7 @@ def default_of(settings: Any, name: str) -> Any:
 def _graph(value: Any) -> Graph | str:
     if isinstance(value, Graph):
         return value
-    if not isinstance(value, str | Path):
-        raise ParameterError("graph", f"graph is {value!r}; give a file or edges such as '3 5; 5 > 7'")
-    if value == "":
+    if isinstance(value, str) and value == "":
         return ""
     try:
         return graph_of(value)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from operator import index
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,13 +101,16 @@ class Graph:
             )
 
 
-def graph_of(given: Path | str) -> Graph:
-    """A graph from a file of edges, or from edges in one line, separated by semicolons.
+def graph_of(given: Any) -> Graph:
+    """A graph from a file of edges, or from edges in one line, separated by semicolons; or from an object: a
+    list of pairs (both hear each other), a boolean array [receiver, sender], or a graph of networkx.
 
     An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file it is a line;
     empty lines and everything after a ``#`` are ignored. Raises UsageError, naming the line, for anything
     else, for ids outside 0 .. 127 and for repeated links. O(lines).
     """
+    if not isinstance(given, str | Path):
+        return _graph(_edges_of(given), "edge", "graph")
     if isinstance(given, str) and _EDGES.fullmatch(given):
         return _graph(given.split(";"), "edge", "graph")
     try:
@@ -114,6 +118,24 @@ def graph_of(given: Path | str) -> Graph:
     except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
     return _graph(lines, "line", str(given))
+
+
+def _edges_of(given: Any) -> list[str]:
+    """An object's edges as lines. Raises UsageError if it has none that can be read."""
+    sign = ""
+    if isinstance(given, np.ndarray) and given.dtype == np.bool_:
+        if given.ndim != 2 or given.shape[0] != given.shape[1]:
+            raise UsageError(f"graph has shape {given.shape}; give a square array, [receiver, sender]")
+        pairs, sign = [(sender, receiver) for receiver, sender in np.argwhere(given)], "> "
+    elif hasattr(given, "is_directed") and hasattr(given, "edges"):
+        pairs, sign = list(given.edges()), "> " if given.is_directed() else ""
+    else:
+        pairs = given
+    try:
+        return [f"{index(first)} {sign}{index(second)}" for first, second in pairs]
+    except (TypeError, ValueError):
+        fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
+        raise UsageError(f"graph is {given!r}; {fix}") from None
 
 
 def _graph(lines: Iterable[str], unit: str, source: str) -> Graph:

@@ -133,7 +133,7 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({"graph": "0 1"}, "graph", "graph is '0 1': choose topology graph"),
         ({"topology": "graph", "graph": "0 9"}, "graph", "graph names robot 9, but the ids of 4 robots"),
         ({"topology": "graph", "graph": "0 0"}, "graph", "graph, edge 1: robot 0 cannot be its own"),
-        ({"topology": "graph", "graph": 5}, "graph", "graph is 5; give a file or edges"),
+        ({"topology": "graph", "graph": 5}, "graph", "graph is 5; give a file, edges such as"),
         ({"density": 2}, "density", "density is 2.0 but robots do not move; choose topology dynamic"),
         ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose an extension: none is installed"),
         ({"drift": "sideways"}, "drift", "choose one of none, linear, stepped, wiener"),
