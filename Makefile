@@ -12,7 +12,7 @@ C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets socketcan reproducible sbom lowest docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets socketcan reproducible sbom evidence lowest docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -58,6 +58,9 @@ reproducible: .venv/ready-to-test ## build library, tables and wheel twice, in t
 
 sbom: .venv/ready-to-test ## list what the wheel needs and ships, as CycloneDX, in build/sbom.json
 	@PYTHONPATH=tests $(BIN)/python -m release.sbom
+
+evidence: .venv/ready-to-test ## put reports of tests, versions of tools and hashes in build/evidence.tar.gz
+	@PYTHONPATH=tests $(BIN)/python -m release.evidence
 
 lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml allows, in build/lowest, and run the Python tests
 	@uv venv --quiet --clear --python 3.11 build/lowest

@@ -1,6 +1,7 @@
 """Build of the documentation: pages made from the program itself, formulas as MathML, docstrings as Markdown.
 
-A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``.
+A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``,
+``<!-- requirements -->``.
 Each room of the tools has a page.
 The picture of the first page becomes the playground, which is compiled for WebAssembly.
 Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
@@ -25,6 +26,8 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.versions import own_version
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "tests"))
+requirements = import_module("requirements")
 ROOMS = ROOT / "host_tools/mcp_asdf_tools"
 HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_image")
 
@@ -58,7 +61,8 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fill in what is generated; keep formulas out of Markdown's way."""
-    for comment, make in (("commands", commands), ("headers", headers), ("rooms", rooms)):
+    makers = {"commands": commands, "headers": headers, "rooms": rooms, "requirements": requirements.table}
+    for comment, make in makers.items():
         if f"<!-- {comment} -->" in markdown:
             markdown = markdown.replace(f"<!-- {comment} -->", make())
     markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both

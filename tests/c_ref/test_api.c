@@ -18,6 +18,7 @@ static void seal(uint32_t *table, uint32_t words)
 
 /* Three messages at distances 1, 2 and 3 from the own estimate have the ratio 6: with q = 3 the entry of 3
  * decides, not the last one, which is for more. */
+/* design: R27 */
 static void each_number_of_messages_has_its_entry(void)
 {
     for (uint32_t k_3 = 5; k_3 <= 7; k_3 += 2) {
@@ -41,6 +42,7 @@ static void each_number_of_messages_has_its_entry(void)
 }
 
 /* Tables of any q, sound but for their length where that is not 2 to 127. */
+/* design: R28 */
 static void a_table_has_entries_for_2_to_127(void)
 {
     for (uint32_t q = 0; q <= 255; ++q) {

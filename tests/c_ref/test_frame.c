@@ -184,6 +184,7 @@ static uint32_t plain_word(uint32_t word)
     return mantissa == 0 ? 0 : mantissa << 8 | shift;
 }
 
+/* design: R16 */
 static void confidences_are_converted(void)
 {
     for (size_t i = 0; i < COUNT(sent); ++i) {

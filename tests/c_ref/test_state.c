@@ -56,6 +56,7 @@ static void configurations_may_be_damaged(void)
 }
 
 /* Every member of the cache, and b_hat under it, bit by bit. */
+/* design: R17, R32 */
 static void cache_follows_from_b_hat(void)
 {
     for (uint32_t bit = 0; bit < 32; ++bit) {
@@ -72,6 +73,7 @@ static void cache_follows_from_b_hat(void)
 }
 
 /* After an update alpha is only a word that a robot forms, until the next observation. */
+/* design: R10, R29 */
 static void an_update_keeps_the_old_estimate(void)
 {
     IS_SOUND_UPDATED(robot.alpha = 0x7FFFFF00, true);
@@ -81,6 +83,7 @@ static void an_update_keeps_the_old_estimate(void)
 }
 
 /* The closed round's mean is at most 1.0, and its confidence what 127 messages can have. */
+/* design: R8 */
 static void closed_round_is_a_mean(void)
 {
     const uint64_t most = MOST * ((UINT64_C(1) << 55) - (UINT64_C(1) << 31)), one = MCP_ASDF_ONE;

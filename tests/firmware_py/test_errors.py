@@ -53,6 +53,7 @@ def view(robot: Robot) -> tuple[object, ...]:
 # --- Messages and observations ---------------------------------------------------------------------------
 
 
+# design: R5
 @of_every_kind
 @pytest.mark.parametrize(
     ("message", "told"),
@@ -108,6 +109,7 @@ def test_raw_messages_that_no_c_type_holds_are_refused(kind: FixedPointType) -> 
             robot.receive_raw(4, 0, alpha)
 
 
+# design: R1, R11
 @of_every_kind
 @pytest.mark.parametrize("z", [-1, 2, 2**32 + 1, 2**64])
 def test_an_invalid_observation_changes_nothing(kind: AnyType, z: Any) -> None:
@@ -153,6 +155,7 @@ NEW_CROWD = {
 """What a robot without the robust filter has, always."""
 
 
+# design: R29
 @of_fixed_point
 @pytest.mark.parametrize(("robust", "magic"), [(False, 0x4D435302), (True, 0x4D435382)])
 def test_an_image_holds_every_field(kind: FixedPointType, robust: bool, magic: int) -> None:
@@ -186,6 +189,7 @@ def relabelled(image: bytes, magic: int) -> bytes:
     return struct.pack("<31I", *words, checksum(words))
 
 
+# design: R30
 @of_fixed_point
 @pytest.mark.parametrize(("config", "other"), [(BUSY, 0x4D435382), (ROBUST, 0x4D435302)])
 def test_damaged_images_and_those_of_another_size_or_make_are_refused(
@@ -244,6 +248,7 @@ IMPOSSIBLE = {
 """Fields of the busy robot's image that no sequence of calls can have, by the invariant they break."""
 
 
+# design: R30
 @of_fixed_point
 @pytest.mark.parametrize("settings", (BUSY, ROBUST))
 @pytest.mark.parametrize("invariant", IMPOSSIBLE)
@@ -260,6 +265,7 @@ def test_impossible_states_are_refused(kind: FixedPointType, invariant: str, set
         kind.restore(config, 124)  # type: ignore[arg-type]
 
 
+# design: R31
 @of_fixed_point
 def test_an_image_must_fit_its_config(kind: FixedPointType) -> None:
     image = robot_at(kind, replace(PLAIN, filter_period=8), t=80, filter_left=8).save()
@@ -302,6 +308,7 @@ def made(kind: AnyType, **given: Any) -> Status:
     return Status.OK
 
 
+# design: R14
 @of_every_kind
 @pytest.mark.parametrize(
     ("name", "status", "wrong", "legal"),
@@ -322,6 +329,7 @@ def test_settings_are_legal_up_to_their_ends(
     assert [value for value in legal if made(kind, **{name: value}) != Status.OK] == []
 
 
+# design: R14
 @of_every_kind
 def test_the_first_error_is_told_and_a_table_is_needed_for_the_test_alone(kind: AnyType) -> None:
     """Config, table, id, b_hat, in this order."""
@@ -343,6 +351,7 @@ class Spoilt(Table):
         return self.given
 
 
+# design: R28
 @of_every_kind
 def test_a_damaged_table_or_one_of_another_make_is_refused(kind: AnyType) -> None:
     """The checksum sees each flipped bit; under a right one word 0 itself must be looked at: format and q."""

@@ -98,6 +98,7 @@ def test_a_float_is_rounded_down_to_the_unit(alpha: float) -> None:
 # --- Messages and sums -----------------------------------------------------------------------------------
 
 
+# design: R20
 @of_fixed_point
 @thorough
 @given(heard=messages, seed=st.integers(0, 2**32))
@@ -122,6 +123,7 @@ def at(kind: FixedPointType, t: int, n: int, b_hat: int, z: Observation) -> tupl
     return robot.x_hat_raw, robot.alpha_raw
 
 
+# design: R19
 @of_fixed_point
 @thorough
 @given(t=counts, share=st.integers(0, 2**32), b_hat=b_hats, z=colours)
@@ -226,6 +228,7 @@ def check_changes(call: Call, status: Status, before: dict[str, int], after: dic
             assert after[f"closed_{name}"] == before[f"open_{name}"]
 
 
+# design: R2, R4, R12, R32
 @thorough
 @given(
     config=configs,

@@ -348,6 +348,7 @@ def test_votes_and_decisions_against_fractions() -> None:
     assert [vote(Crowd(votes=2**14), 1, 0.5 + far).trend > 0.5 for far in (2**-18, 2**-19)] == [True, False]
 
 
+# design: R35, R36
 @pytest.mark.random
 def test_a_robust_robot_does_what_the_firmware_does() -> None:
     """Alone, among two voices, in a crowd that is wrong at first, so b_hat is rejected and returns, and while

@@ -22,6 +22,7 @@ def near(value: float) -> object:
     return pytest.approx(value, rel=2e-6, abs=2**-22)
 
 
+# design: R2, R18
 @of_every_kind
 def test_a_robot_begins_with_nothing_and_shows_its_state(kind: AnyType) -> None:
     robot = new(kind, b_hat=0.75)
@@ -34,6 +35,7 @@ def test_a_robot_begins_with_nothing_and_shows_its_state(kind: AnyType) -> None:
     assert repr(robot) == f"<{kind.__name__} {OWN_ID}: t=4 n=3 b_hat=0.75 x_hat=1 alpha=5.33333 x=1>"
 
 
+# design: R6, R8, R15
 @of_every_kind
 def test_a_round_is_the_receivers_own_and_a_sender_s_first_message_counts(kind: AnyType) -> None:
     robot = new(kind)
@@ -51,6 +53,7 @@ def test_a_round_is_the_receivers_own_and_a_sender_s_first_message_counts(kind: 
     assert (robot.x_bar, robot.beta, robot.x) == (0.5, 0.0, robot.x_hat)
 
 
+# design: R7
 @of_every_kind
 def test_message_without_confidence_says_nothing_but_is_heard(kind: AnyType) -> None:
     robot = new(kind, ADAPTIVE)
@@ -62,6 +65,7 @@ def test_message_without_confidence_says_nothing_but_is_heard(kind: AnyType) -> 
     assert robot.counters == Counters(accepted=2, repeated=1), "m = 1: no test"
 
 
+# design: R13
 @of_every_kind
 def test_counters_wrap(kind: AnyType) -> None:
     robot = new(kind)
@@ -70,6 +74,7 @@ def test_counters_wrap(kind: AnyType) -> None:
     assert robot.counters == Counters(rejected=3)
 
 
+# design: R3
 @of_every_kind
 @pytest.mark.parametrize(
     ("black", "halved"), [(0, 0), (1, 0), (25, 12), (26, 13), (27, 14), (29, 14), (63, 32), (64, 32)]
@@ -86,6 +91,7 @@ def test_memory_halves_to_even(kind: AnyType, black: int, halved: int) -> None:
     assert robot.t == 32
 
 
+# design: R10, R23, R26
 @of_every_kind
 @pytest.mark.parametrize(
     ("mode", "neighbours", "tests", "updates"),
@@ -117,6 +123,7 @@ def test_when_the_filter_updates(
     assert (blind.settle(), blind.counters) == (Status.OK, Counters(accepted=len(neighbours)))
 
 
+# design: R17, R18
 @of_every_kind
 @pytest.mark.parametrize("x_bar", [0.875, 0.9])
 def test_accuracy_one_half_follows_from_an_update_and_is_survived(kind: AnyType, x_bar: float) -> None:
@@ -135,6 +142,7 @@ def test_accuracy_one_half_follows_from_an_update_and_is_survived(kind: AnyType,
         assert robot.x == near(x_bar)
 
 
+# design: R9
 @of_every_kind
 @pytest.mark.parametrize(("period", "start"), [(1, 0), (2, 7), (3, 0), (20, 7)])
 def test_filter_period_counts_rounds(kind: AnyType, period: int, start: int) -> None:
@@ -150,6 +158,7 @@ def test_filter_period_counts_rounds(kind: AnyType, period: int, start: int) -> 
     assert (robot.t, robot.n) == (3, 2)
 
 
+# design: R22
 @of_every_kind
 def test_a_fully_connected_swarm_agrees_to_the_bit(kind: AnyType) -> None:
     """I14, whatever the order of messages; sums of float64 are correctly rounded."""
@@ -168,6 +177,7 @@ def test_a_fully_connected_swarm_agrees_to_the_bit(kind: AnyType) -> None:
         assert len({robot.x for robot in swarm}) == 1
 
 
+# design: R37
 def test_a_robust_robot_keeps_b_hat_where_the_test_is_equal() -> None:
     """Such a spread is rare, so it was searched for; with one unit less the test rejects."""
     config = Config(filter=Filter.ROBUST, filter_period=1)

@@ -7,14 +7,16 @@ import json
 import re
 import shutil
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from release import evidence
 from release.sbom import bill
-from support import ROOT, require, run, version_of_header
+from support import ROOT, TABLE, require, run, version_of_header
 
 BOUNDED = re.compile(r"([\w.-]+)(\[[\w,-]+\])?>=\d[\d.]*")
 
@@ -90,3 +92,24 @@ def test_the_bill_names_each_dependency() -> None:
     ]
     assert len(set(hashes)) == len(hashes) and all(re.fullmatch("[0-9a-f]{64}", each) for each in hashes)
     assert found["metadata"]["component"]["version"] == version_of_header()
+
+
+def test_the_evidence_is_one_archive(tmp_path: Path) -> None:
+    reports, archive = tmp_path / "reports", tmp_path / "evidence.tar.gz"
+    with pytest.raises(SystemExit, match=r"no reports of tests in .*; run make test and make verify first"):
+        evidence.main(reports, archive)
+    reports.mkdir()
+    (reports / "pytest.xml").write_text("<testsuites/>")
+    evidence.main(reports, archive)
+    with tarfile.open(archive) as opened:
+        members = [(entry.name, opened.extractfile(entry)) for entry in opened]
+        files = {name: file.read().decode() for name, file in members if file is not None}
+    assert files["evidence/reports/pytest.xml"] == "<testsuites/>"
+    assert (
+        f"{hashlib.sha256(TABLE.read_bytes()).hexdigest()}  {TABLE.relative_to(ROOT)}\n"
+        in files["evidence/SHA256SUMS"]
+    )
+    assert re.search(r"^gcc: gcc .*\d+\.\d+", files["evidence/versions.txt"], re.MULTILINE)
+    assert f"pytest=={pytest.__version__}" in files["evidence/versions.txt"]
+    assert re.match("[0-9a-f]{40} 20", files["evidence/commit.txt"])
+    assert json.loads(files["evidence/sbom.json"])["bomFormat"] == "CycloneDX"

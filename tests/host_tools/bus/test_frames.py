@@ -266,6 +266,7 @@ def test_many_frames_are_decoded_at_once_as_each_is() -> None:
 # Alpha: the firmware's word and binary32
 
 
+# design: R16
 @settings(fixed, max_examples=draws(1000))
 @given(st.one_of(st.integers(0, LARGEST_BITS), st.integers(bits_of(2.0**-26), bits_of(2.0**33))))
 @example(0)

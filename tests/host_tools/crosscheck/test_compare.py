@@ -22,6 +22,7 @@ from mcp_asdf_tools.crosscheck.compare import (
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 
 
+# design: R12, R21, R24, R33
 def test_native_and_mirror_agree_and_keep_every_limit() -> None:
     assert caught(judged(NativeRobot, MirrorRobot), calls=10_000) is None
 

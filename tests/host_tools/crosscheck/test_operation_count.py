@@ -42,6 +42,7 @@ def test_instructions_are_counted_inside_every_call_and_nothing_is_left_behind()
     assert endless == 4001
 
 
+# design: R34
 def test_calls_do_not_grow_over_the_whole_range() -> None:
     operations = count_operations()
     assert growing(operations) == []

@@ -87,6 +87,7 @@ def test_limits_of_estimates(n: int, b: Fraction, alpha: tuple[float, float], x_
     assert alpha_limits(n, 10**6, b) == (least, exact * (1 + above))
 
 
+# design: R26
 @pytest.mark.parametrize(
     ("x_bar", "units"), [(Fraction(11, 20), 59), (Fraction(9, 20), 45), (Fraction(0), 9), (Fraction(1), 14)]
 )
@@ -95,6 +96,7 @@ def test_limits_of_b_hat(x_bar: Fraction, units: int) -> None:
     assert round(b_hat_error(x_bar) * 2**32) == units
 
 
+# design: R25
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize(("errors", "answer"), [(-1.7, False), (2.01, True)])
 def test_a_re_estimate_is_judged_but_next_to_the_limit(side: int, errors: float, answer: bool) -> None:
@@ -123,6 +125,7 @@ def changed(look: Look, name: str, value: int) -> Look:
     return replace(look, state=look.state | {name: value})
 
 
+# design: R21
 @pytest.mark.parametrize(
     ("name", "excess", "told"),
     [
@@ -174,6 +177,7 @@ WHATEVER = {
 """What the robust filter must not change by more, nor by less, in what it does; a message may be no vote."""
 
 
+# design: R35, R37, R38
 def test_whatever_the_robust_filter_does_wrongly_is_told() -> None:
     """In either sense, and also that b_hat is re-estimated or is not."""
     audit, reached = Audit(), Counter[str]()

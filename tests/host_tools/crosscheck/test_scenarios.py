@@ -41,6 +41,7 @@ def test_scenarios_bring_about_every_status() -> None:
     }
 
 
+# design: R24
 @pytest.mark.parametrize("choice", [TableChoice(*table) for table in TABLES], ids=str)
 def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> None:
     source, table, sides = random.Random(5), choice.build(), Counter[bool]()
@@ -56,6 +57,7 @@ def test_rounds_come_near_the_threshold_on_both_sides(choice: TableChoice) -> No
     assert min(sides[False], sides[True]) > 20
 
 
+# design: R38
 def test_robust_scenarios_go_every_way_and_come_near_the_threshold_on_both_sides() -> None:
     """Within what rounding may decide, and so on both sides of the threshold by the same offsets."""
     audit, statuses = Audit(), set[str]()

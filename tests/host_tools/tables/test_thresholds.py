@@ -45,6 +45,7 @@ def wrong_entries(table: Table, omega: Decimal) -> list[int]:
 # --- The generator ------------------------------------------------------------------------------------
 
 
+# design: R27
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES])
 def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
     """The firmware takes the table, too; omega 0.9 needs all 32 bits of its first entry."""

@@ -1,0 +1,36 @@
+"""Every numbered statement of the design has a test, and every test names statements that are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from requirements import NUMBER, here, problems, statements, table, traced
+from support import ROOT
+
+
+def test_each_requirement_is_traced() -> None:
+    stated, shown = here()
+    assert problems(stated, shown) == []
+    numbers = NUMBER.findall((ROOT / "docs/design.md").read_text(encoding="utf-8"))
+    assert numbers == [f"R{number}" for number in range(1, len(numbers) + 1)] and len(numbers) > 30
+    assert all(f"| {number} |" in table() for number in numbers)
+
+
+def test_what_is_not_traced_is_told() -> None:
+    page = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
+    assert statements(page) == {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
+    path = ROOT / "tests/a.py"
+    text = "# design" + ": R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design" + ": R2\n"
+
+    class File(type(path)):  # type: ignore[misc]
+        def read_text(self, encoding: str | None = None, errors: str | None = None) -> str:
+            return text
+
+    shown = traced([File(path)])
+    assert shown == {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
+    assert problems(statements(page), shown) == [
+        "R3 has no test: It halves.",
+        "a.py: no test",
+        "a.py: test_it names R4, which is none",
+    ]
+    assert Path(path).name == "a.py"
