@@ -1,6 +1,6 @@
 """Put the evidence of a release into one archive: ``python -m release.evidence``, after the tests.
 
-The archive has the reports of ``make test`` and ``make verify``; the commit, and what differs from it; SHA-256
+The archive has the reports of ``make test`` and ``make verify``; the commit and what differs from it; SHA-256
 of each file of the project; the versions of tools and packages that tests used; and the bill of materials.
 """
 
