@@ -158,11 +158,12 @@ def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
 
 
 def filter_colours(filters: Sequence[str]) -> list[str]:
-    """Grey without a filter, green for the first robust one, otherwise one after the other."""
-    free, colours = iter(colour for colour in COLOURS if colour != ROBUST), list[str]()
+    """Grey for the first without a filter, green for the first robust one, otherwise one after the other."""
+    own = {"none": WITHOUT, "robust": ROBUST}
+    free, colours = iter([colour for colour in COLOURS if colour not in own.values()]), list[str]()
     for each in filters:
-        is_green = each == "robust" and ROBUST not in colours
-        colours.append(WITHOUT if each == "none" else ROBUST if is_green else next(free))
+        colour = own.pop(each, None)
+        colours.append(next(free) if colour is None else colour)
     return colours
 
 

@@ -66,6 +66,17 @@ def _of(study: Study, part: Part, *filters: str, shortest: bool = False) -> list
     ]
 
 
+def _ends_of_minus(study: Study, part: Part) -> list[Trials]:
+    """ASDF- where it is another swarm to the bit: without flawed robots nobody filters, and with flawed ones
+    alone all do."""
+    return [
+        replace(each, experiment=replace(each.experiment, filter="asdf-minus"))
+        for own, flawed in ((NONE, 0), (PLUS, 1))
+        for each in _of(study, part, own, shortest=True)
+        if each.experiment.flawed == flawed * each.experiment.robots
+    ]
+
+
 def _titled(words: str, paper: str) -> str:
     """A title with the number of the paper's figure, if there is one."""
     return f"{words} (the paper's figure {paper})" if paper else words
@@ -81,7 +92,7 @@ def _boxes(study: Study, part: Part, own: str, paper: str) -> Picture:
 
 
 def _scatter(study: Study, part: Part, paper: str) -> Picture:
-    shown = _of(study, part, NONE, MINUS, PLUS, shortest=True)
+    shown = _of(study, part, NONE, MINUS, PLUS, shortest=True) + _ends_of_minus(study, part)
     title = f"Accuracy against convergence of {PART_NAMES[part]} swarms, tau = {Cell.period}"
     return Picture(f"{part.value}_scatter", _titled(title, paper), plots.scatter(shown))
 
@@ -101,6 +112,8 @@ def _topologies(study: Study, own: str, paper: str) -> Picture:
 
     parts = (DYNAMIC, FULLY_CONNECTED)
     shown = [each for part in parts for each in _of(study, part, NONE, own, shortest=True)]
+    if own == MINUS:
+        shown += [each for part in parts for each in _ends_of_minus(study, part)]
     words = f"without filter and with {filter_name(shown[-1].experiment)}, tau = {Cell.period}"
     title = _titled(f"H in both topologies {words}", paper)
     return Picture(f"topologies_{own}", title, plots.boxes(shown, name=name))

@@ -21,6 +21,7 @@ from mcp_asdf_tools.experiments.plots import (
     bands,
     boxes,
     curve,
+    filter_colours,
     median_interval,
     scatter,
     series_beside,
@@ -183,6 +184,8 @@ def test_the_robust_filter_is_last_and_green() -> None:
     assert "omega" not in caption_of(boxes([often, by_filter["none"]]))
     (axes,) = curve([*by_filter.values()], "flawed", "filter").axes
     assert [line.get_color() for line in axes.lines] == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST]
+    alike = filter_colours(["none", "none", "asdf-plus", "robust", "robust"])
+    assert (alike[0], alike[3]) == (WITHOUT, ROBUST) and len({*alike}) == 5, "each can be told apart"
     strict = replace(by_filter["asdf-plus"].experiment, omega=0.1)
     mixed = [*(by_filter | {"asdf-plus": replace(by_filter["asdf-plus"], experiment=strict)}).values()]
     assert [axes.get_title().split("\n")[0] for axes in bands(mixed).axes] == names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -122,7 +123,11 @@ def test_the_page_has_the_figures_of_the_study() -> None:
 
 
 def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each is of the cells that the paper's figure has."""
+    """Each is of the cells that the paper's figure has; no panel is empty."""
+
+    @dataclass
+    class Results:
+        experiment: Experiment
 
     class Whole(Study):
         @property
@@ -130,13 +135,14 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
             return set(Part)
 
         def of(self, part: Part) -> list[Any]:
-            return [SimpleNamespace(experiment=experiment_of(cell, Scale())) for cell in cells_of(part)]
+            return [Results(experiment_of(cell, Scale())) for cell in cells_of(part)]
 
     def drawn(shown: list[Any], number: int = 0, name: Any = lambda each: "") -> list[set[Any]]:
         assert number == 0
         every = [trials.experiment for trials in shown]
         shares = {each.flawed / each.robots for each in every}
-        return [{e.filter for e in every}, {e.filter_period for e in every}, shares, set(map(name, every))]
+        names, cells = set(map(name, every)), {(e.filter, e.flawed / e.robots) for e in every}
+        return [{e.filter for e in every}, {e.filter_period for e in every}, shares, names, cells]
 
     for kind in ("boxes", "scatter", "bands", "series_beside"):
         monkeypatch.setattr(plots, kind, drawn)
@@ -160,6 +166,10 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
         assert found[name].figure[:3] == [filters, periods, flawed], name
     names = {f"{where}, {who}" for where in ("dynamic", "fully connected") for who in ("no filter", "ASDF+")}
     assert found["topologies_asdf-plus"].figure[3] == names
+    for name in ("dynamic_scatter", "topologies_asdf-minus"):
+        for share in (0, 1):
+            ends = {each for each in found[name].figure[4] if each[1] == share}
+            assert ("asdf-minus", share) in ends
     assert "with ASDF\N{MINUS SIGN}" in found["dynamic_asdf-minus"].title
 
 
