@@ -20,6 +20,10 @@ from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
@@ -278,3 +282,22 @@ def test_a_refusal_of_the_firmware_is_told(lanes: bool) -> None:
 
     with pytest.raises(FirmwareError, match="ERR_B_HAT"):
         native.run(Refused(steps=10), 0, 1, lanes=lanes)
+
+
+@pytest.mark.parametrize("experiment", [SHORT, ROBUST_MOVING], ids=["ASDF+", "robust, moving"])
+def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
+    """They have no lanes and, as each hears the truth about itself alone, an x of their own."""
+    experiment = replace(experiment, steps=120, trials=1)
+    engine, call = _engine.lib, native._Call(experiment, 0, 1, 0)
+    call.experiment.liars, call.experiment.lie = 2, [0, 16_000_000 << 8 | 20]  # alpha 10^6
+    assert not engine.mcp_asdf_engine_has_lanes(call.experiment)
+    outcome = native._allocate(experiment, 1, call, 0)
+    assert engine.mcp_asdf_engine_run(call.experiment, False, native._pointers(outcome)) == 0
+    fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
+    plain = experiment.parameters()
+    kept = {name: plain[name] for name in plain if name not in ("trials", "conventions")}
+    with Swarm(replace(SwarmSettings.from_parameters(kept), faults=(fault,)), Wiring()) as swarm:
+        run_swarm(swarm, [])
+        assert outcome.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
+    call.experiment.liars = experiment.robots + 1
+    assert engine.mcp_asdf_engine_run(call.experiment, False, native._pointers(outcome)) != 0
