@@ -60,7 +60,7 @@ sbom: .venv/ready-to-test ## list what the wheel needs and ships, as CycloneDX, 
 	@PYTHONPATH=tests $(BIN)/python -m release.sbom
 
 evidence: .venv/ready-to-test ## put reports of tests, versions of tools and hashes in build/evidence.tar.gz
-	@PYTHONPATH=tests $(BIN)/python -m release.evidence
+	@tests/release/evidence.sh
 
 lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml allows, in build/lowest, and run the Python tests
 	@uv venv --quiet --clear --python 3.11 build/lowest

@@ -27,7 +27,7 @@ def statements(page: str) -> dict[str, str]:
     return found
 
 
-def traced(files: Iterable[Path]) -> dict[str, list[str]]:
+def traced(files: Iterable[Path], folder: Path = ROOT / "tests") -> dict[str, list[str]]:
     """The tests that name each number, as ``path: function``."""
     found: dict[str, list[str]] = {}
     for path in files:
@@ -35,7 +35,7 @@ def traced(files: Iterable[Path]) -> dict[str, list[str]]:
         for tag in _TAG.finditer(text):
             test = _FUNCTION.search(text, tag.end())
             for number in tag[1].split(", "):
-                place = f"{path.relative_to(ROOT / 'tests')}: {test[1] if test else 'no test'}"
+                place = f"{path.relative_to(folder)}: {test[1] if test else 'no test'}"
                 found.setdefault(number, []).append(place)
     return found
 

@@ -9,28 +9,20 @@ from support import ROOT
 
 
 def test_each_requirement_is_traced() -> None:
-    stated, shown = here()
-    assert problems(stated, shown) == []
+    assert problems(*here()) == []
     numbers = NUMBER.findall((ROOT / "docs/design.md").read_text(encoding="utf-8"))
     assert numbers == [f"R{number}" for number in range(1, len(numbers) + 1)] and len(numbers) > 30
     assert all(f"| {number} |" in table() for number in numbers)
 
 
-def test_what_is_not_traced_is_told() -> None:
+def test_what_is_not_traced_is_told(tmp_path: Path) -> None:
     page = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
     assert statements(page) == {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
-    path = ROOT / "tests/a.py"
-    text = "# design" + ": R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design" + ": R2\n"
-
-    class File(type(path)):  # type: ignore[misc]
-        def read_text(self, encoding: str | None = None, errors: str | None = None) -> str:
-            return text
-
-    shown = traced([File(path)])
+    text = "# design@: R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design@: R2\n".replace(
+        "@:", ":"
+    )
+    (tmp_path / "a.py").write_text(text)
+    shown = traced([tmp_path / "a.py"], tmp_path)
     assert shown == {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
-    assert problems(statements(page), shown) == [
-        "R3 has no test: It halves.",
-        "a.py: no test",
-        "a.py: test_it names R4, which is none",
-    ]
-    assert Path(path).name == "a.py"
+    told = ["R3 has no test: It halves.", "a.py: no test", "a.py: test_it names R4, which is none"]
+    assert problems(statements(page), shown) == told

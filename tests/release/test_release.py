@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 
-from release import evidence
 from release.sbom import bill
 from support import ROOT, TABLE, require, run, version_of_header
 
@@ -95,21 +94,18 @@ def test_the_bill_names_each_dependency() -> None:
 
 
 def test_the_evidence_is_one_archive(tmp_path: Path) -> None:
-    reports, archive = tmp_path / "reports", tmp_path / "evidence.tar.gz"
-    with pytest.raises(SystemExit, match=r"no reports of tests in .*; run make test and make verify first"):
-        evidence.main(reports, archive)
-    reports.mkdir()
-    (reports / "pytest.xml").write_text("<testsuites/>")
-    evidence.main(reports, archive)
+    script, archive = ROOT / "tests/release/evidence.sh", tmp_path / "evidence.tar.gz"
+    with pytest.raises(AssertionError, match=r"no reports in .*; run make test and make verify first"):
+        run(script, tmp_path, archive)
+    (tmp_path / "pytest.xml").write_text("<testsuites/>")
+    digest = run(script, tmp_path, archive).split()[0]
+    assert digest == hashlib.sha256(archive.read_bytes()).hexdigest()
     with tarfile.open(archive) as opened:
-        members = [(entry.name, opened.extractfile(entry)) for entry in opened]
-        files = {name: file.read().decode() for name, file in members if file is not None}
-    assert files["evidence/reports/pytest.xml"] == "<testsuites/>"
-    assert (
-        f"{hashlib.sha256(TABLE.read_bytes()).hexdigest()}  {TABLE.relative_to(ROOT)}\n"
-        in files["evidence/SHA256SUMS"]
-    )
-    assert re.search(r"^gcc: gcc .*\d+\.\d+", files["evidence/versions.txt"], re.MULTILINE)
-    assert f"pytest=={pytest.__version__}" in files["evidence/versions.txt"]
-    assert re.match("[0-9a-f]{40} 20", files["evidence/commit.txt"])
-    assert json.loads(files["evidence/sbom.json"])["bomFormat"] == "CycloneDX"
+        opened.extractall(tmp_path, filter="data")
+    files = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir() if path != archive}
+    table = hashlib.sha256(TABLE.read_bytes()).hexdigest()
+    assert f"{table}  {TABLE.relative_to(ROOT)}\n" in files["SHA256SUMS"]
+    assert re.search(r"^gcc: gcc .*\d+\.\d+", files["tools.txt"], re.MULTILINE)
+    assert f"pytest=={pytest.__version__}" in files["packages.txt"]
+    assert re.match("[0-9a-f]{40} 20", files["commit.txt"])
+    assert json.loads(files["sbom.json"])["bomFormat"] == "CycloneDX"

@@ -434,30 +434,48 @@ def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, 
         assert held in (None, state.read_bytes())
 
 
-@pytest.mark.parametrize("fails", ["", "fsync:error=ENOSPC", "write:retval=50"])
-def test_a_state_is_on_the_disk_before_it_replaces_the_last_one(
+SAVING = ("openat", "write", "fsync", "close", "rename", "openat", "fsync", "close")
+"""System calls of a save, about the draft and then its folder: whenever the power fails, the name stands for
+all of the old state or all of the new, and in the end for the new."""
+FAILING = [
+    f"{call}:error=ENOSPC:when={number}"
+    for call in sorted(set(SAVING))
+    for number in range(1, 2 * SAVING.count(call) + 1)
+]
+"""Each system call of two saves."""
+
+
+@pytest.mark.parametrize("fails", ["", "write:retval=50", *slow(FAILING)])
+def test_the_state_s_file_holds_the_last_state_or_the_one_before(
     bus: UnixBus,
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,
     blacks: tuple[object, ...],
     fails: str,
 ) -> None:
-    """A full disk does not stop the robot: the state of before stays, and one line tells."""
-    trace, state = tmp_path / "trace", tmp_path / "state"
-    state.write_bytes(before := saved(twin(ID)))
-    strace = [require("strace", "strace"), "-o", str(trace), "-P", f"{state}.new"]
-    strace += ["-e", "trace=write,fsync,rename", *(["-e", f"inject={fails}"] if fails else [])]
+    """Whichever system call fails does not stop the robot, and one line tells."""
+    trace, state, expected = tmp_path / "trace", tmp_path / "state", twin(ID)
+    images = [saved(expected)]
+    for ticks in (300, 100):
+        for _ in range(ticks):
+            expected.robot.step(Observation.BLACK)
+        images.append(saved(expected))
+    state.write_bytes(images[0])
+    strace = [require("strace", "strace"), "-o", str(trace), "-P", f"{state}.new", "-P", str(tmp_path)]
+    strace += ["-e", "trace=openat,write,fsync,close,rename", *(["-e", f"inject={fails}"] if fails else [])]
     command = [*strace, *built(PLAIN, tmp_path_factory)]
+    is_told = fails != "" and not (fails.startswith("close") and fails[-1] in "24")  # those are the folder's
     with CNode(command, bus.channel_info, ID, *FAST, *blacks, "--state", state, "--save-period", 300) as node:
         bus.accept()
         bus.hear_out()
-        figures = node.summary(status=int(fails != ""))
-    calls = [line for line in trace.read_text(encoding="utf-8").splitlines() if not line.startswith("+++")]
-    assert figures["t"] == 400
-    if fails:
-        told = f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
-        assert node.complaints == [told]
-        assert state.read_bytes() == before
-        assert not state.with_name("state.new").exists()
-    else:
-        assert [call.partition("(")[0] for call in calls] == ["write", "fsync", "rename"] * 2
+        figures = node.summary(status=int(is_told))
+    calls = [line.partition("(")[0] for line in trace.read_text(encoding="utf-8").splitlines()]
+    told = f"mcp_asdf_node: cannot save the state {state}: No space left on device; going on"
+    assert figures["t"] == 400 and node.complaints == [told] * is_told
+    assert not state.with_name("state.new").exists()
+    name, number = fails.partition(":")[0], int(fails.rpartition("=")[2] or 0)
+    is_in_last, is_of_draft = number > SAVING.count(name), number % 2 == 1 or SAVING.count(name) == 1
+    newest = 0 if number == 50 else 1 if is_in_last and is_of_draft else 2
+    assert state.read_bytes() == images[newest]
+    if not fails:
+        assert calls[:-1] == [*SAVING] * 2
