@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from benchmarks.robust_page import ROOT, put_tables, small_svg
+from benchmarks.robust_page import ROOT, put_tables, small_picture
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.reproduction import ageing, robust
@@ -37,7 +37,7 @@ def main() -> int:
     put_tables(
         ROOT / "docs/ageing.md", {name: each.lines(robust.late, head) for name, each in tables.items()}
     )
-    (ROOT / "docs/images/ageing.svg").write_bytes(small_svg(ageing.picture_of(own)))
+    (ROOT / "docs/images/ageing.webp").write_bytes(small_picture(ageing.picture_of(own)))
     return 0
 
 

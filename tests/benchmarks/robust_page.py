@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -25,7 +24,7 @@ from mcp_asdf_tools.reproduction import robust
 from mcp_asdf_tools.robots.population import FILTER_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE, PICTURE = ROOT / "docs/robust.md", ROOT / "docs/images/robust.svg"
+PAGE, PICTURE = ROOT / "docs/robust.md", ROOT / "docs/images/robust.webp"
 
 Results = Mapping[str, Sequence[Trials]]
 """Of the study's two files and of the peers, by name."""
@@ -138,13 +137,11 @@ def picture_of(found: Results) -> Figure:
     return figure
 
 
-def small_svg(figure: Figure) -> bytes:
-    """The figure with letters as such and coordinates to a tenth, since it is kept with the sources."""
-    image = io.StringIO()
-    with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "none"}):
-        figure.savefig(image, format="svg", metadata={"Date": None})
-    short = re.sub(r"\d+\.\d{2,}", lambda found: f"{float(found[0]):.1f}", image.getvalue())
-    return re.sub(r"\n +", "\n", short).encode()
+def small_picture(figure: Figure) -> bytes:
+    """The figure as WebP, since it is kept with the sources."""
+    image = io.BytesIO()
+    figure.savefig(image, format="webp", dpi=140, pil_kwargs={"quality": 75})
+    return image.getvalue()
 
 
 def put_tables(page: Path, tables: Mapping[str, str]) -> None:
@@ -163,7 +160,7 @@ def main() -> int:
     names = (robust.GRID, robust.BEYOND, "peers")
     found = {name: experiments_in(read_table(folder / f"{name}.parquet")) for name in names}
     put_tables(PAGE, tables_of(found))
-    PICTURE.write_bytes(small_svg(picture_of(found)))
+    PICTURE.write_bytes(small_picture(picture_of(found)))
     return 0
 
 

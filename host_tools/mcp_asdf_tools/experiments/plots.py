@@ -448,9 +448,10 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: LimitsOf = 
     Trials of one panel and filter are taken together. All need records of x.
     """
     together = [trials for own in panels.values() for trials in own]
-    filters = list(dict.fromkeys(trials.experiment.filter for trials in together))
-    looks = list(zip(filters, filter_colours(filters), strict=True))
-    figure, grid = _panels(-(-len(panels) // 3), min(len(panels), 3), 1.9, len(filters))
+    filters = {trials.experiment.filter for trials in together}
+    all_looks = zip(TYPESET_FILTER_NAMES, filter_colours([*TYPESET_FILTER_NAMES]), strict=True)
+    looks = [(each, colour) for each, colour in all_looks if each in filters]
+    figure, grid = _panels(-(-len(panels) // 3), min(len(panels), 3), 1.9, len(looks))
     for axes, (title, own) in zip(grid.flat, panels.items(), strict=False):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for each, colour in looks:
