@@ -30,13 +30,6 @@ class Finder:
 
 sys.meta_path.insert(0, Finder())
 """
-COMMAND = """\
-#!{python}
-import sys
-from mcp_asdf_tools.cli.main import main
-if __name__ == "__main__":  # workers import it
-    sys.exit(main())
-"""
 
 
 class Newcomer:
@@ -44,7 +37,6 @@ class Newcomer:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.extras = folder, ""
-        self._bin = folder / ".venv/bin"
         (block,) = blocks(INSTALLING, "sh")
         make, install, self._activate, self.first = block.splitlines()
         assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", install)
@@ -53,8 +45,9 @@ class Newcomer:
         (packages / "hiding.py").write_text(HIDING)
         here = sysconfig.get_path("purelib")
         (packages / "installed.pth").write_text(f"import site; site.addsitedir({here!r})\nimport hiding\n")
-        (self._bin / "mcp-asdf").write_text(COMMAND.format(python=self._bin / "python"))
-        (self._bin / "mcp-asdf").chmod(0o755)
+        command = folder / ".venv/bin/mcp-asdf"
+        command.write_text(f'#!/bin/sh\nexec {command.with_name("python")} -m mcp_asdf_tools.cli.main "$@"\n')
+        command.chmod(0o755)
 
     def types(self, *lines: str) -> subprocess.CompletedProcess[str]:
         """Run a shell's lines in the environment, which is on the path."""

@@ -67,10 +67,6 @@ class Parser(argparse.ArgumentParser):
         formatter.add_text(epilog)
         return formatter.format_help().replace(self.prog, f"{self.prog} [OPTION ...]", 1)
 
-    def format_help_all(self) -> str:
-        """What ``--help-all`` shows."""
-        return super().format_help()
-
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Offer the nearest choice; argparse's own message has none."""
         if action.choices is not None and value not in action.choices:
@@ -89,6 +85,5 @@ class _HelpAll(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         """Find ``--help-all``."""
-        assert isinstance(parser, Parser)
-        print(parser.format_help_all(), end="")
+        print(argparse.ArgumentParser.format_help(parser), end="")
         parser.exit()

@@ -21,7 +21,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import chain
@@ -268,27 +268,35 @@ def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
 def matching(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:
     """The experiments with these parameters, a number in any of its spellings.
 
-    Raises UsageError for what is no parameter, and if no experiment is left.
+    Raises UsageError, with what there is, for what is no parameter, and if no experiment is left.
     """
     found = list(experiments)
     for name, value in where.items():
         if name not in _PARAMETERS:
-            raise UsageError(f"where has {name!r}, which is no parameter{offer(name, _PARAMETERS)}")
+            fix = (
+                f"{offer(name, _PARAMETERS)}; the experiments differ in {differing(found) or 'no parameters'}"
+            )
+            raise UsageError(f"where {name}={value}: no parameter is called so{fix}")
         held = {str(each.experiment.parameters()[name]) for each in found}
-        found = [each for each in found if is_value(each.experiment.parameters()[name], value)]
+        found = [each for each in found if _is(each.experiment.parameters()[name], value)]
         if not found:
-            raise UsageError(f"no experiment has {name}={value}; it is {' or '.join(sorted(held))}")
+            there = " or ".join(sorted(held))
+            raise UsageError(f"where {name}={value}: no experiment has it; {name} is {there}")
     return found
 
 
-def is_value(held: object, value: Any) -> bool:
+def differing(found: Sequence[Trials]) -> str:
+    """The parameters in which experiments differ, with their values."""
+    parameters = [each.experiment.parameters() for each in found]
+    values = {name: sorted({str(each[name]) for each in parameters}) for name in _PARAMETERS}
+    return ", ".join(f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)
+
+
+def _is(held: object, value: Any) -> bool:
     """True if a parameter has the value that was given, a number in any of its spellings."""
-    if str(held) == str(value):
-        return True
-    try:
-        return isinstance(held, int | float) and float(value) == held
-    except (TypeError, ValueError):
-        return False
+    with suppress(TypeError, ValueError):
+        return str(held) == str(value) or (isinstance(held, int | float) and float(value) == held)
+    return False
 
 
 # --- Parquet ---------------------------------------------------------------------------------------------

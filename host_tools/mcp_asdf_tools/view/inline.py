@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
@@ -16,24 +17,12 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.films import film_of_trial
 from mcp_asdf_tools.view.page import page
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Any
-
-    import pyarrow as pa  # type: ignore[import-untyped]
-
 
 @dataclass(frozen=True)
 class Shown:
-    """The page of a run: the last line of a notebook's cell shows it.
-
-    Attributes:
-        page: HTML that needs nothing else.
-        height: Pixels in a notebook.
-    """
+    """The ``page`` of a run, in HTML that needs nothing else: the last line of a notebook's cell shows it."""
 
     page: str
-    height: int
 
     def save(self, path: Path | str) -> None:
         """Write the page. Raises UsageError if that cannot be done."""
@@ -41,29 +30,22 @@ class Shown:
 
     def _repr_html_(self) -> str:
         """What a notebook asks for."""
-        frame = f"width: 100%; height: {self.height}px; border: 0"
-        return f'<iframe srcdoc="{html.escape(self.page)}" style="{frame}"></iframe>'
+        style = "width: 100%; height: 720px; border: 0"
+        return f'<iframe srcdoc="{html.escape(self.page)}" style="{style}"></iframe>'
 
 
 @naming_extras()
-def show(
-    results: Experiment | pa.Table,
-    *,
-    trial: int = 0,
-    where: Mapping[str, Any] | None = None,
-    height: int = 720,
-) -> Shown:
-    """A trial as the page that ``mcp-asdf view`` shows: of an experiment, which is run for it, or of results.
+def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Shown:
+    """A trial as the page that ``mcp-asdf view`` shows: of an Experiment, which is run for it, or of a table.
 
-    ``where`` chooses one of several experiments by its parameters. Raises UsageError if none or several are
-    left, or there is no such trial.
+    ``where`` chooses one of several experiments by its parameters. Raises UsageError if several are left, or
+    there is no such trial.
     """
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
-        given = [run_trials(results, trial, 1)]
-    else:
-        given = matching(experiments_in(results), where or {})
-    if len(given) != 1:
-        raise UsageError(f"there are {len(given)} experiments; choose one by where=")
-    return Shown(page(film_of_trial(given[0], trial)), height)
+        return Shown(page(film_of_trial(run_trials(results, trial, 1), trial)))
+    found = matching(experiments_in(results), where or {})
+    if len(found) > 1:
+        raise UsageError(f"there are {len(found)} experiments; choose one by where=")
+    return Shown(page(film_of_trial(found[0], trial)))
