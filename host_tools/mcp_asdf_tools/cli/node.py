@@ -7,7 +7,7 @@ import json
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from rich.console import Console
@@ -32,6 +32,8 @@ from mcp_asdf_tools.robots.node import (
     state_of,
 )
 from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.record import ids_of
+from mcp_asdf_tools.robots.suspicion import Suspicion
 
 EPILOG = """\
 examples:
@@ -41,8 +43,6 @@ The robot observes and settles as command frames tell it (docs/frame.md): try "m
 it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 
-_CONFLICT = "another node sends under this node's own id; give one of them another"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -50,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
     group = parser.add_argument_group("run")
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
+    group.add_argument("--allow", metavar="IDS", help="take estimates of these ids only, such as 0-19+30")
     group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
     interfaces.add_arguments(parser)
     add_subject_options(parser)
@@ -61,6 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the node until it ends, and print what came out."""
     record, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
+    if args.allow is not None:
+        record = replace(record, allow=ids_of(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     own = argparse.Namespace(steps_per_second=args.steps_per_second)
@@ -104,14 +107,13 @@ def _go(
 
 
 def _watching(node: RobotNode, console: Console) -> Callable[[], None]:
-    """What reports another node with its id at once."""
-    told = False
+    """What reports each kind of suspicious estimate at once, for each sender."""
+    told: set[tuple[Suspicion, int]] = set()
 
     def watch() -> None:
-        nonlocal told
-        if node.reception.id_conflicts and not told:
-            told = True
-            console.print(f"mcp-asdf node: {_CONFLICT}", soft_wrap=True)
+        for kind, sender in node.reception.events.keys() - told:
+            told.add((kind, sender))
+            console.print(f"mcp-asdf node: node {sender}: {kind.text}", soft_wrap=True)
 
     return watch
 

@@ -21,6 +21,7 @@ from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
     MAX_B_HAT,
+    MAX_NODE_ID,
     MIN_B_HAT,
     ONE,
     TELEMETRY,
@@ -39,6 +40,7 @@ from mcp_asdf_tools.bus.frames import (
     frame_as_text,
 )
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.suspicion import Suspicion, Suspicions
 
 Words: TypeAlias = NDArray[np.uint32]
 """Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
@@ -114,22 +116,35 @@ class Reception:
     Attributes:
         delivered: Estimates handed to the firmware.
         refused: Those among them that the firmware did not accept (repeated or invalid).
-        id_conflicts: Estimates under the robot's own id: another node has it, too.
         strays: Legal estimates from outside the swarm: another program uses the subject.
         heartbeats: Heartbeats.
         telemetry: Telemetry, that of other processes' robots included.
         errors: Error frames.
         rejected: Other frames, by the reason why they are no estimate.
+        events: Suspicious estimates; the firmware does not get those of unknown ids.
     """
 
     delivered: int = 0
     refused: int = 0
-    id_conflicts: int = 0
     strays: int = 0
     heartbeats: int = 0
     telemetry: int = 0
     errors: int = 0
     rejected: Counter[Rejection] = field(default_factory=Counter)
+    events: Suspicions = field(default_factory=Counter)
+
+    @property
+    def id_conflicts(self) -> int:
+        """Estimates under the robot's own id: another node has it, too."""
+        return self._of(Suspicion.CONFLICT)
+
+    @property
+    def unknown(self) -> int:
+        """Estimates under ids that are not allowed."""
+        return self._of(Suspicion.UNKNOWN)
+
+    def _of(self, kind: Suspicion) -> int:
+        return sum(count for (each, _), count in self.events.items() if each is kind)
 
 
 @dataclass
@@ -180,6 +195,9 @@ class BusRobot:
         self.is_alive = True
         self.reception = Reception()
         self.recorder = recorder
+        self._allowed: NDArray[np.bool_] | None = None
+        if record.allow is not None:
+            self._allowed = np.isin(np.arange(MAX_NODE_ID + 1), [self.id, *record.allow])
         self._make = make or record.make
         self._period = record.comms_period
         self._estimates, self._telemetry = estimates, telemetry
@@ -282,16 +300,25 @@ class BusRobot:
         self.count([decode_any(frame, self._estimates) for frame in others])
 
     def receive(self, words: Words) -> None:
-        """Hand estimates to the firmware. O(estimates)."""
+        """Hand estimates under allowed ids, and its own, to the firmware. O(estimates)."""
         if not self.is_alive:
             return
+        if self._allowed is not None:
+            is_allowed = self._allowed[words[:, 0]]
+            for sender in words[~is_allowed, 0].tolist():
+                self.reception.events[Suspicion.UNKNOWN, sender] += 1
+            words = words[is_allowed]
         if self.recorder is not None:
             self.recorder.receive(words)
         received, accepted = len(words), self._port.receive_all(words)
         self.reception.delivered += received
         if accepted < received:
             self.reception.refused += received - accepted
-            self.reception.id_conflicts += words[:, 0].tolist().count(self.id)
+            self._note_conflicts(words[:, 0].tolist().count(self.id))
+
+    def _note_conflicts(self, count: int) -> None:
+        if count:
+            self.reception.events[Suspicion.CONFLICT, self.id] += count
 
     def count(self, contents: Sequence[Content]) -> None:
         """Count frames that are no estimates."""
@@ -313,7 +340,7 @@ class BusRobot:
             self.count([content])
         elif self.is_alive:
             self.reception.strays += 1
-            self.reception.id_conflicts += content.sender == self.id
+            self._note_conflicts(content.sender == self.id)
 
 
 class RoundingPort:

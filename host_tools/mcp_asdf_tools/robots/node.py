@@ -32,6 +32,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 
 _RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
@@ -112,6 +113,7 @@ class RobotNode(BusRobot):
         self.is_settled = True
         self.obeyed = self.disobeyed = self.unsettled = 0
         self._steps_per_second = steps_per_second
+        self._watch = AlphaWatch()
         self._tick_of_command: int | None = None
 
     def start(self) -> list[can.Message]:
@@ -159,9 +161,15 @@ class RobotNode(BusRobot):
             "unsettled": self.unsettled,
             "rejected": {reason.name: count for reason, count in self.reception.rejected.items()},
             "id_conflicts": self.reception.id_conflicts,
+            "events": [
+                {"event": kind.value, "sender": sender, "estimates": count}
+                for (kind, sender), count in self.reception.events.items()
+            ],
         }
 
     def _receive(self, message: Message) -> None:
+        if self._watch.jumps(message.sender, message.alpha):
+            self.reception.events[Suspicion.JUMP, message.sender] += 1
         self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
 
     def _obey(self, command: Command) -> list[can.Message]:

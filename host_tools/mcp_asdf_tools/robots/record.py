@@ -13,6 +13,7 @@ from mcp_asdf.robot import (
     Robot,
     check_settings,
 )
+from mcp_asdf_tools.bus.frames import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
@@ -26,6 +27,28 @@ _TYPES: dict[str, type[Any]] = {
 _KINDS = {int: "a whole number", str: "a text", float: "a number with a point"}
 
 
+def ids_of(text: str, what: str) -> frozenset[int]:
+    """The ids of ``0+3-5``. Raises UsageError, naming ``what``, if there are none or no node can have one."""
+    found: set[int] = set()
+    for item in text.split("+"):
+        first, dash, last = item.partition("-")
+        try:
+            ids = range(int(first), int(last if dash else first) + 1)
+        except ValueError:
+            ids = range(0)
+        if not ids or ids[-1] > MAX_NODE_ID:
+            raise UsageError(f"{what} is {text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
+        found.update(ids)
+    return frozenset(found)
+
+
+def text_of_ids(ids: frozenset[int]) -> str:
+    """The text that ``ids_of`` reads back."""
+    firsts = sorted(each for each in ids if each - 1 not in ids)
+    lasts = sorted(each for each in ids if each + 1 not in ids)
+    return "+".join(f"{a}-{b}" if a < b else str(a) for a, b in zip(firsts, lasts, strict=True))
+
+
 @dataclass(frozen=True)
 class RobotRecord:
     """Initial state of one robot.
@@ -36,6 +59,7 @@ class RobotRecord:
         b_hat: Initial assumed accuracy.
         config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
         comms_period: Ticks between broadcasts, the length of a round, 1 .. 2**32 - 1.
+        allow: Ids besides its own whose estimates it takes; None for all.
     """
 
     id: int
@@ -43,6 +67,7 @@ class RobotRecord:
     b_hat: float
     config: Config
     comms_period: int = 1
+    allow: frozenset[int] | None = None
 
     @property
     def filter_period(self) -> int:
@@ -63,6 +88,8 @@ class RobotRecord:
         """
         plain = {"id": self.id, "firmware": self.firmware, "b_hat": self.b_hat, **vars(self.config)}
         plain |= {"comms_period": self.comms_period, "filter_period": self.filter_period}
+        if self.allow is not None:
+            plain["allow"] = text_of_ids(self.allow)
         plain["filter"] = self.config.filter.name.lower()
         table = plain.pop("table")
         if table is not None:
@@ -99,6 +126,7 @@ class RobotRecord:
             raise UsageError(f"filter_period is {tau}; choose a multiple of comms_period {comms}")
         config = Config(table, _FILTERS[plain["filter"]], tau // comms, plain["memory"])
         check_settings(config)  # names the wrong setting, which the C cannot
-        record = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms)
+        allow = ids_of(str(plain["allow"]), "allow") if "allow" in plain else None
+        record = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms, allow)
         record.make()  # raises here if the firmware refuses it
         return record

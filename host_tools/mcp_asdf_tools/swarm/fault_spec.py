@@ -13,6 +13,7 @@ from typing import Any
 
 from mcp_asdf_tools.bus.frames import MAX_NODE_ID, float_of
 from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.robots.record import ids_of, text_of_ids
 
 
 class FaultKind(Enum):
@@ -163,7 +164,7 @@ def _read(text: str, option: str, value: str) -> Any:
             raise _error(text, option, value, " or ".join(_REJOIN))
         return value
     if option not in _NUMBERS:
-        return _ids(text, option, value)
+        return ids_of(value, f"fault {text!r}: {option}")
     kind, least, most = _NUMBERS[option]
     try:
         number = kind(value)
@@ -175,28 +176,11 @@ def _read(text: str, option: str, value: str) -> Any:
     return number
 
 
-def _ids(text: str, option: str, value: str) -> frozenset[int]:
-    """The ids of ``0+3-5``."""
-    found: set[int] = set()
-    for item in value.split("+"):
-        first, dash, last = item.partition("-")
-        try:
-            ids = range(int(first), int(last if dash else first) + 1)
-        except ValueError:
-            ids = range(0)
-        if not ids or ids[-1] > MAX_NODE_ID:
-            raise _error(text, option, value, f"ids 0 to {MAX_NODE_ID} such as 0+3-5")
-        found.update(ids)
-    return frozenset(found)
-
-
 def _error(text: str, option: str, value: object, fix: str) -> UsageError:
     return UsageError(f"fault {text!r}: {option} is {value!r}; it must be {fix}")
 
 
 def _text_of(value: object) -> str:
-    if not isinstance(value, frozenset):
-        return value if isinstance(value, str) else repr(value)
-    firsts = sorted(robot for robot in value if robot - 1 not in value)
-    lasts = sorted(robot for robot in value if robot + 1 not in value)
-    return "+".join(f"{a}-{b}" if a < b else str(a) for a, b in zip(firsts, lasts, strict=True))
+    if isinstance(value, frozenset):
+        return text_of_ids(value)
+    return value if isinstance(value, str) else repr(value)

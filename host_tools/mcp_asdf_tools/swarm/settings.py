@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.record import RobotRecord, ids_of, text_of_ids
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.world.settings import MAX_PERIOD
 
@@ -23,6 +24,7 @@ class SwarmSettings(Population):
 
     Attributes:
         telemetry_period: Steps between telemetry frames of a robot; 0 for none.
+        allow: Ids whose estimates robots take, as ``ids_of`` reads them; empty for all.
         frames: Format of estimates.
         faults: Faults in the order in which they act; texts such as ``loss=0.1`` are parsed.
         clock: Clock that ends steps.
@@ -31,6 +33,7 @@ class SwarmSettings(Population):
     telemetry_period: int = parameter(
         "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD, default=0
     )
+    allow: str = parameter("ids whose estimates robots take, such as 0-19+30; any if not given", default="")
     frames: FrameFormat = field(default_factory=FrameFormat)
     faults: Any = ()
     clock: ClockKind = "lockstep"
@@ -39,6 +42,10 @@ class SwarmSettings(Population):
         super().__post_init__()
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
+        try:
+            object.__setattr__(self, "allow", self.allow and text_of_ids(ids_of(self.allow, "allow")))
+        except UsageError as error:
+            raise ParameterError("allow", str(error)) from None
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
         object.__setattr__(self, "faults", tuple(parse_fault(str(each)) for each in self.faults))
@@ -60,7 +67,8 @@ class SwarmSettings(Population):
 
     def records(self) -> list[RobotRecord]:
         """Initial state of each robot, by id."""
-        return [self.record(robot) for robot in range(self.robots)]
+        allow = ids_of(self.allow, "allow") if self.allow else None
+        return [replace(self.record(robot), allow=allow) for robot in range(self.robots)]
 
     def plain(self) -> dict[str, Any]:
         """All settings as plain values, for JSON."""

@@ -64,6 +64,7 @@ class Traffic:
             "telemetry_heard": self.total("telemetry"),
             "errors_heard": self.total("errors"),
             "refused": self.total("refused"),
+            "unknown": self.total("unknown"),
             "strays": self.total("strays"),
             "id_conflicts": {robot: count for robot, count in conflicts.items() if count},
             "rejected": {reason.name: count for reason, count in rejected.items()},

@@ -34,6 +34,7 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
@@ -254,8 +255,9 @@ def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
             other.hear_stranger(frame)
             dead.hear_stranger(frame)
         one.end()
-    everything = Reception(heartbeats=50, telemetry=50, errors=50, id_conflicts=50)
+    everything = Reception(heartbeats=50, telemetry=50, errors=50)
     everything.rejected[Rejection.LENGTH] = 50
+    everything.events[Suspicion.CONFLICT, 5] = 50
     assert one.reception == replace(everything, delivered=100, refused=50)
     assert other.reception == replace(everything, strays=100)
     assert dead.reception == Reception()
