@@ -17,7 +17,7 @@ import can
 import pytest
 
 from mcp_asdf.robot import FixedPointRobot, Observation
-from mcp_asdf_tools.bus.frames import COMMANDS, FrameFormat, Message, decode, encode
+from mcp_asdf_tools.bus.frames import COMMANDS, FrameFormat, Message, bits_of, decode, encode, word_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -131,6 +131,42 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
     assert main(["replay", str(log)]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
+
+
+def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Those of unknown ids are dropped; own ones are heard, whatever is allowed. A confidence may double when
+    it is new or has fallen, but not after 32 rounds."""
+    few, twice, many = (bits_of(alpha) for alpha in (40.0, 80.0, 1e30))
+    alphas = {6: [*range(few, few + 32), twice + 62, *[few] * 33, twice - 1], 7: [few, *[twice] * 32, many]}
+
+    def drive(bus: can.BusABC) -> None:
+        lockstep = Lockstep(bus, timeout=PATIENCE)
+        lockstep.wait_until_up({5}, PATIENCE)
+        for tick in range(70):
+            lockstep.observe({5: WHITE})
+            said = {each: bits[tick] for each, bits in alphas.items() if tick < len(bits)}
+            for sender, bits in (said | dict.fromkeys((5, 30, 31), many)).items():
+                bus.send(encode(Message(sender, 9, word_of(bits), tick % 32), FrameFormat()), timeout=1)
+            lockstep.settle({5})
+
+    with join() as bus, meanwhile(lambda: drive(bus)):
+        assert (
+            main(["node", "--id", "5", "--allow", "6+7-9", "--filter", "none", "--steps", "70", "--json"])
+            == 0
+        )
+    captured = capsys.readouterr()
+    report = json.loads(captured.out)
+    frames, counters = (report["results"][name] for name in ("frames", "robot"))
+    told = {(each["event"], each["sender"]): each["estimates"] for each in frames["events"]}
+    expected = {("conflict", 5): 70, ("unknown", 30): 70, ("unknown", 31): 70, ("jump", 6): 1, ("jump", 7): 1}
+    assert told == expected
+    assert frames["delivered"] == 70 + sum(map(len, alphas.values()))
+    assert counters["counters"]["accepted"] == sum(map(len, alphas.values()))
+    assert report["parameters"]["robot"]["allow"] == "6-9"
+    lines = [line for line in captured.err.splitlines() if ": node " in line]
+    assert len(lines) == len(expected) and all("mcp-asdf node: node" in line for line in lines)
 
 
 ENDINGS = {"": signal.SIGINT, "--steps 100000": signal.SIGTERM, "--until-eof": None}

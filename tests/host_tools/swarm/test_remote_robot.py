@@ -159,7 +159,7 @@ def test_processes_end_in_the_same_bits(
     log, other = tmp_path / "run.log", tmp_path / "other.log"
     bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
-    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering)
+    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering, "--set", "allow=0+2")
     assert main([*SMALL, *bus, *faults]) == 0
     elsewhere = json.loads(capsys.readouterr().out)
     assert main([*SMALL, *faults, "--log", str(other)]) == 0
@@ -167,6 +167,8 @@ def test_processes_end_in_the_same_bits(
     for robot, known in enumerate(here["results"]["robots"]):
         report = elsewhere["processes"][str(robot)]["results"]
         assert report["steps"] == 25
+        unknown = [each["sender"] for each in report["frames"]["events"] if each["event"] == "unknown"]
+        assert unknown == [1] * (robot != 1)
         assert report["robot"]["b_hat"] == known["b_hat"]
         assert report["robot"]["x"] == known["x"] == elsewhere["results"]["robots"][robot]["x"]
         assert report["robot"]["counters"]["tests"] == known["tests"]

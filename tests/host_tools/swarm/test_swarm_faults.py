@@ -21,8 +21,10 @@ from host_tools.swarm.test_faults import any_fault
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import WithoutEcho
+from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
+from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -154,6 +156,27 @@ def test_what_a_fault_does(
     assert found == (replayed or (300, 0, 0, 0))
 
 
+@pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
+def test_ids_that_are_not_allowed_do_nothing(medium: str) -> None:
+    """A node under other ids changes no bit; under the others' ids it does."""
+    honest, _ = record(small())
+    found, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    assert states(found.nodes) == states(honest.nodes)
+    assert figures(found)["unknown"] == 60 * 6 * 4 and figures(honest)["unknown"] == 0
+    assert figures(found)["delivered"] == figures(honest)["delivered"]
+    spoofed, _ = record(small("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
+    assert (figures(spoofed)["unknown"], figures(spoofed)["id_conflicts"]) == (0, {"0": 60})
+    nobody, _ = record(small(allow="127"), MEDIA[medium])
+    assert all(node.robot.x == node.robot.x_hat for node in nobody.nodes)
+
+
+@pytest.mark.parametrize("allow", ["x", "5-3", "0-128", "+", "-1"])
+def test_an_allowed_id_is_one_that_a_node_may_have(allow: str) -> None:
+    with pytest.raises(ParameterError, match=f"allow is '{re.escape(allow)}'; it must be ids 0 to 127"):
+        small(allow=allow)
+    assert small(allow="3+0-2+5").allow == "0-3+5"
+
+
 @pytest.mark.parametrize("rejoin", ["new", "restored"])
 def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     """New, with the accuracy and the numbers that it started with, or as it was."""
@@ -247,9 +270,13 @@ ROWS = [
 def test_the_table_of_threats_says_what_happens(faults: list[str], figures: list[str]) -> None:
     """The second row is the liar that takes all; robots from 6 on are those that go wrong."""
     assert len(ROWS) == 20 and ROWS[0][0] == []
+    assert len(figures) == 2 + ("sybil" in str(faults))
     found = []
-    for filtering in ("asdf-plus", "robust"):
-        settings = SwarmSettings(steps=500, filter_period=100, filter=filtering, faults=tuple(faults))
+    runs: list[tuple[Filtering, str]] = [("asdf-plus", ""), ("robust", ""), ("asdf-plus", "0-19")]
+    for filtering, allow in runs[: len(figures)]:
+        settings = SwarmSettings(
+            steps=500, filter_period=100, filter=filtering, faults=tuple(faults), allow=allow
+        )
         last = max({6}.union(*(fault.robots for fault in settings.faults)))
         with Swarm(settings, Wiring()) as swarm:
             robots = [node.robot for node in run_swarm(swarm).nodes]
