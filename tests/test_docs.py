@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import re
 import shlex
 import shutil
@@ -265,6 +266,19 @@ def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
     if programs:
         printed = run(sys.executable, "-c", script, cwd=tmp_path)
         assert page.name != "experiments.md" or printed.endswith(shown(page, "6 flawed"))
+
+
+@pytest.mark.slow
+def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
+    """Its pictures are there, too."""
+    notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    shown = "".join("".join(output["text"]) for output in outputs if output["output_type"] == "stream")
+    assert (
+        run(sys.executable, "-c", "\n".join("".join(cell["source"]) for cell in cells), cwd=tmp_path) == shown
+    )
+    assert any("image/png" in output.get("data", {}) for output in outputs)
 
 
 def test_the_python_program_of_the_readme_runs() -> None:

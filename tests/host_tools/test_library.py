@@ -160,17 +160,18 @@ def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[object], object]
 def test_a_curve_goes_into_axes_of_ones_own_or_has_panels() -> None:
     """A function of the trials is as good as a measure, and a range is not called an interval."""
     table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=[4, 5], steps=60, trials=2))
-    figure = Figure()
+    figure: Any = Figure()
     axes = figure.subplots()
     where = {"robots": 4, "filter": "none"}
     assert (
         m.plot(table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=axes) is figure
     )
     chosen = [each for each in m.experiments_in(table) if each.experiment.robots == 4][:1]
-    assert axes.lines[0].get_ydata()[0] == np.median(chosen[0].errors[:, 0])  # type: ignore[index]
-    both = m.plot(table, "curve", x="flawed", hue="filter", facet="robots")
+    assert axes.lines[0].get_ydata()[0] == np.median(chosen[0].errors[:, 0])
+    both: Any = m.plot(table, "curve", x="flawed", hue="filter", facet="robots")
+    assert both._repr_png_().startswith(b"\x89PNG"), "a notebook shows it"
     assert [each.get_title() for each in both.axes] == ["robots 4", "robots 5"]
-    caption = both._supxlabel.get_text().replace("\n", " ")  # type: ignore[attr-defined]
+    caption = both._supxlabel.get_text().replace("\n", " ")
     assert "bands all trials where there are fewer than 6" in caption
     graphs = [[(0, 1)], [(a, b) for a in range(4) for b in range(a)]]
     wired = m.simulate(m.grid(topology="graph", graph=graphs, robots=4, steps=30, trials=1, filter="none"))

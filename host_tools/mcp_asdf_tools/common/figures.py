@@ -75,9 +75,17 @@ def ordered_colours(count: int) -> list[str]:
     return [to_hex(_LOW_TO_HIGH(index / max(1, count - 1))) for index in range(count)]
 
 
+class Drawing(Figure):
+    """A figure that the last line of a notebook's cell shows."""
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook asks for."""
+        return image_of(self, Path("cell.png"))
+
+
 def empty_figure(width: float, height: float) -> Figure:
     """A figure of this size in inches, which needs no display."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Drawing(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
