@@ -4,7 +4,7 @@
 #include "linux/main.c"
 #undef main
 
-#include "check.h"
+#include "../c_ref/check.h"
 
 #include <fcntl.h>
 #include <linux/can.h>

@@ -38,7 +38,7 @@ def play(folder: Path, planted: tuple[str, str, str] | None = None) -> str:
     files = [folder / "linux" / name for name in sources if name.endswith(".c") and name != "main.c"]
     files += [ROOT / "tests/targets/faults.c", folder / "node/node.c", TABLE]
     files += CORE.parent.glob("*.c")
-    includes = (folder, ROOT / "tests/c_ref", ROOT / "c_ref/ports", CORE.parent)
+    includes = (folder, ROOT / "c_ref/ports", CORE.parent)
     table = "-DMCP_ASDF_NODE_TABLE=mcp_asdf_t_table_omega05_q30"
     flags = ["-std=c99", "-D_GNU_SOURCE", table, *(f"-I{each}" for each in includes)]
     wraps = [f"-Wl,--wrap={name}" for name in WRAPPED]
