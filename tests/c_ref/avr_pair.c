@@ -1,19 +1,12 @@
 /* Two simulated ATmega328P that hear each other's UART, the second one started half a round after the first.
  * Usage: avr_pair IMAGE ROUND TILES FILE TILES FILE, where ROUND is in clock cycles, TILES has a 0 (white) or
  * 1 (black) for each of a robot's rounds, and FILE takes all that it sends. Pins of port B are its id. */
-#include <simavr/avr_adc.h>
-#include <simavr/avr_ioport.h>
-#include <simavr/avr_uart.h>
-#include <simavr/sim_avr.h>
-#include <simavr/sim_elf.h>
+#include "avr_machine.h"
 
+#include <simavr/avr_ioport.h>
 #include <stdbool.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
-
-#define BLACK_MILLIVOLTS 1000
-#define WHITE_MILLIVOLTS 4000
 
 typedef struct robot {
     avr_t *avr;
@@ -34,31 +27,15 @@ static void sent(struct avr_irq_t *irq, uint32_t byte, void *parameter)
     }
 }
 
-static void stay_awake(struct avr_t *machine, avr_cycle_count_t howlong)
-{
-    (void)machine;
-    (void)howlong;
-}
-
 static void make(robot_t *robot, const char *image, uint32_t id)
 {
-    elf_firmware_t firmware = {0};
-    uint32_t flags = 0;
-    robot->avr = avr_make_mcu_by_name("atmega328p");
-    if (robot->avr == NULL || elf_read_firmware(image, &firmware) != 0 || robot->said == NULL) {
+    if (robot->said == NULL) {
         exit(2);
     }
-    avr_init(robot->avr);
-    avr_load_firmware(robot->avr, &firmware);
-    robot->avr->frequency = 8000000;
-    robot->avr->vcc = robot->avr->avcc = 5000;
-    robot->avr->sleep = stay_awake;
-    avr_ioctl(robot->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    robot->avr = make_machine(image, 8000000, sent, robot);
     for (int pin = 0; pin < 8; ++pin) {
         avr_raise_irq(avr_io_getirq(robot->avr, AVR_IOCTL_IOPORT_GETIRQ('B'), pin), id >> pin & 1);
     }
-    avr_irq_register_notify(avr_io_getirq(robot->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), sent,
-                            robot);
 }
 
 /* One instruction; the tile of a round is under the robot from half a round before it looks. */
@@ -73,10 +50,7 @@ static bool step(robot_t *robot, avr_cycle_count_t round)
         avr_raise_irq(avr_io_getirq(robot->avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0),
                       robot->tiles[now - 1] == '1' ? BLACK_MILLIVOLTS : WHITE_MILLIVOLTS);
     }
-    const int state = avr_run(robot->avr);
-    if (state == cpu_Done || state == cpu_Crashed) {
-        exit(1);
-    }
+    run_instruction(robot->avr);
     return true;
 }
 

@@ -2,17 +2,11 @@
  * hardware would: tiles as voltages at ADC0, bytes of the radio on the UART, ticks by the chip's own timer.
  * What the UART sends goes to a file. Usage: avr_robot IMAGE FILE CLOCK BAUD < SCRIPT
  * Exits with 3 if the UART was set to a speed that is 2.5 % off. */
-#include <simavr/avr_adc.h>
-#include <simavr/avr_uart.h>
-#include <simavr/sim_avr.h>
-#include <simavr/sim_elf.h>
+#include "avr_machine.h"
 
 #include <stdbool.h>
 #include <stdio.h>
-#include <stdlib.h>
 
-#define BLACK_MILLIVOLTS 1000
-#define WHITE_MILLIVOLTS 4000
 #define UART_STATE 0xC0
 #define DOUBLE_SPEED 2
 #define UART_DIVISOR 0xC4 /* and its high byte behind it */
@@ -24,10 +18,7 @@ static FILE *output;
 static void run_until(avr_cycle_count_t cycle)
 {
     while (avr->cycle < cycle) {
-        const int state = avr_run(avr);
-        if (state == cpu_Done || state == cpu_Crashed) {
-            exit(1);
-        }
+        run_instruction(avr);
     }
 }
 
@@ -36,29 +27,6 @@ static void sent(struct avr_irq_t *irq, uint32_t value, void *parameter)
     (void)irq;
     (void)parameter;
     (void)fputc((int)value, output);
-}
-
-static void stay_awake(struct avr_t *machine, avr_cycle_count_t howlong)
-{
-    (void)machine;
-    (void)howlong;
-}
-
-static void start(const char *image)
-{
-    elf_firmware_t firmware = {0};
-    uint32_t flags = 0;
-    avr = avr_make_mcu_by_name("atmega328p");
-    if (avr == NULL || elf_read_firmware(image, &firmware) != 0) {
-        exit(2);
-    }
-    avr_init(avr);
-    avr_load_firmware(avr, &firmware);
-    avr->frequency = clock_rate;
-    avr->vcc = avr->avcc = 5000;
-    avr->sleep = stay_awake;
-    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), sent, NULL);
 }
 
 static bool has_right_speed(void)
@@ -76,7 +44,7 @@ int main(int count, char **arguments)
     }
     clock_rate = (uint32_t)strtoul(arguments[3], NULL, 10);
     baud = (uint32_t)strtoul(arguments[4], NULL, 10);
-    start(arguments[1]);
+    avr = make_machine(arguments[1], clock_rate, sent, NULL);
     const avr_cycle_count_t tick_length = clock_rate / 10, byte_length = clock_rate / (baud / 10);
     avr_irq_t *const radio = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_t *const sensor = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
