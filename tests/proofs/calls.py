@@ -13,15 +13,18 @@ import z3
 from proofs import arithmetic, core, robust
 from proofs.arithmetic import EXACT
 from proofs.core import ONE
-from proofs.formulas import BY_LEMMA, returns, same, units
+from proofs.formulas import BY_LEMMA, Claim, returns, same, units
 from proofs.machine import Machine, Summary, chosen
 from proofs.numbers import Integers, Number
-from proofs.prove import Contract, Formula, always
+from proofs.prove import Contract, Formula, always, any_result
 from proofs.robust import VOTE
 from proofs.source import Variant
 
 ROBUST = 3
-UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT, ERR_IMAGE = 2, 1, -5, -6, -7, -8
+UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT = 2, 1, -5, -6, -7
+
+SUMS = ("alpha", "alpha_x_low", "alpha_x_high", "x_squared", "x", "count")
+ALPHA_MOST = 2**55 - 2**31
 
 # --- What is called --------------------------------------------------------------------------------------
 
@@ -44,8 +47,8 @@ def computed(name: str, like: Any, *given: Any) -> Any:
 
 
 def opaque(name: str, *changes: str, requires: Formula = always, reads: str = "") -> Summary:
-    """Stands for a function that changes these members, of what its first argument points to, at most; and
-    that may read all of it, or one member."""
+    """Stands for a function that its arguments decide, of the first one perhaps one member. Of what that
+    points to it changes these members at most, as its lemma says; without any, it may write to anything."""
 
     def summary(machine: Machine, *arguments: Any) -> Any:
         given = [machine.seen(each) for each in arguments]
@@ -55,6 +58,8 @@ def opaque(name: str, *changes: str, requires: Formula = always, reads: str = ""
             place = arguments[0].below(member)
             found = computed(f"{name} {member}", machine.seen(machine.load(place)), *given)
             machine.store(place, numbers(machine.load(place), found))
+        if not changes:
+            any_result(name)(machine, *arguments)
         result = machine.unknown_of(machine.program.heads[name].type, name)
         return None if result is None else numbers(result, computed(name, machine.seen(result), *given))
 
@@ -170,14 +175,8 @@ def _added(sums: Any, x_hat: Any, alpha: Any) -> Any:
     def product(a: Any, b: Any) -> Any:
         return computed("multiply", alpha, a, b)
 
-    terms = {
-        "alpha": alpha,
-        "alpha_x_low": product(EXACT["low_word"](alpha), x_hat),
-        "alpha_x_high": product(EXACT["high_word"](alpha), x_hat),
-        "x_squared": product(x_hat, x_hat),
-        "x": x_hat,
-        "count": 1,
-    }
+    parts = (EXACT["low_word"](alpha), EXACT["high_word"](alpha), x_hat)
+    terms = dict(zip(SUMS, (alpha, *(product(each, x_hat) for each in parts), x_hat, 1), strict=True))
     return {name: each + terms[name] for name, each in sums.items()}
 
 
@@ -190,6 +189,25 @@ RECEIVE = Contract(
         "vote": opaque("vote", "crowd", requires=VOTE.requires, reads="crowd"),
     },
 )
+
+
+def of_a_message() -> Iterator[Claim]:
+    """One more message keeps the sums of a round possible, in their ranges and no more than senders."""
+    own, sender, x_hat, low, high = z3.Ints("own sender x_hat low high")
+    heard = z3.Bools([f"heard_{index}" for index in range(128)])
+    known = [own >= 0, own <= 127, sender >= 0, sender <= 127, own != sender]
+    known += [z3.Implies(z3.Or(own == at, sender == at), z3.Not(each)) for at, each in enumerate(heard)]
+    yield "126 others were heard at most (I9)", z3.AtMost(*heard, 126), known
+    sums = dict(zip(SUMS, z3.Ints(SUMS), strict=True))
+    alpha = 2**32 * high + low
+    known = [is_round(sums), sums["count"] <= 126, x_hat >= 0, x_hat <= ONE, low >= 0, low < 2**32]
+    known += [alpha >= 1, alpha <= ALPHA_MOST, high >= 0, high < 2**23]
+    terms = (alpha, low * x_hat, high * x_hat, x_hat * x_hat, x_hat, 1)
+    after = {name: each + term for (name, each), term in zip(sums.items(), terms, strict=True)}
+    yield "sums with another message (I7)", is_round(after), known
+    bits = zip((62, 62, 53, 53, 30), sums.values(), strict=False)
+    yield "ranges", z3.And([each < 2**most for most, each in bits]), [is_round(sums)]
+
 
 # --- settle ----------------------------------------------------------------------------------------------
 
@@ -249,13 +267,24 @@ SETTLE = Contract(_settled, instead={"filter": opaque("filter", *FILTER_CHANGES)
 
 
 def is_round(sums: Any) -> Any:
-    """Sums of x_hat that so many messages can have (section 10), in whole numbers."""
+    """Sums of a round that are possible (I7, section 10), in whole numbers."""
+    alpha, low, high, _, x, m = (sums[name] for name in SUMS)
+    return z3.And(
+        *(are_estimates(sums), m <= alpha, alpha <= m * ALPHA_MOST),
+        *(low >= 0, low <= (2**32 - 1) * x, high >= 0, high <= (2**23 - 1) * x),
+        2**32 * high + low <= ONE * alpha,
+    )
+
+
+def are_estimates(sums: Any) -> Any:
+    """The part that is about x_hat alone."""
     m, x, x_squared = (sums[name] for name in ("count", "x", "x_squared"))
-    return z3.And(m <= 127, x <= ONE * m, x_squared <= ONE * x, x * x <= m * x_squared)
+    in_range = (m >= 0, m <= 127, x >= 0, x <= ONE * m, x_squared >= 0, x_squared <= ONE * x)
+    return z3.And(*in_range, x * x <= m * x_squared)
 
 
 def _may_test(robot: Any) -> Any:
-    return z3.And(is_round(robot["open"]), robot["open"]["count"] >= 2, robot["x_hat"] <= ONE)
+    return z3.And(are_estimates(robot["open"]), robot["open"]["count"] >= 2, robot["x_hat"] <= ONE)
 
 
 def _terms_of_test(robot: Any) -> tuple[Any, Any, Any]:

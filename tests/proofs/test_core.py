@@ -44,6 +44,10 @@ def test_lemma(name: str) -> None:
     assert done
 
 
+def test_sums_of_a_round_stay_possible() -> None:
+    prove_all(calls.of_a_message())
+
+
 def test_a_restored_robot_is_the_saved_one() -> None:
     prove_all(images.of_the_way_back(program(VARIANTS[0], images.IMAGE)))
 
