@@ -289,7 +289,7 @@ def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 2, done.stderr
     assert re.search("than 16777216 bytes|than 268435456 bytes|than 100000 experiments", done.stderr)
-    assert done.stderr.count("\n") == 1
+    assert done.stderr.count("\n") == 2
 
 
 def test_all_grids_of_a_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
