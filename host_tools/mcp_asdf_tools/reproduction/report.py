@@ -56,7 +56,7 @@ def write_report(folder: Path, runs: Sequence[Run], scale: Scale) -> None:
         raise UsageError(f"cannot make a folder in {folder}: {error.strerror}; choose another") from error
     for name, image in images.items():
         write_atomically(folder / name, image)
-    content = _rendered("report.md.j2", **_context(runs, scale, drawn))
+    content = re.sub(r" +$", "", _rendered("report.md.j2", **_context(runs, scale, drawn)), flags=re.M)
     write_atomically(folder / "report.md", content)
     write_atomically(folder / "report.html", _page(content, images))
     write_atomically(folder / "comparisons.csv", comparisons(runs, scale))
