@@ -110,8 +110,8 @@ def report(tests: int, skipped: str = "", failures: int = 0) -> str:
     [
         ([report(2000), report(700)], ""),
         ([report(2000), report(700, "this processor has no vectors of x86-64-v4")], ""),
-        ([report(2000), report(700, "frama-c is not installed: make setup")], "a.b was skipped"),
-        ([report(2000), report(700).replace('failures="0"', 'disabled="1"')], "1 more were skipped"),
+        ([report(2000), report(700, "frama-c is not installed: make setup")], "1 were skipped"),
+        ([report(2000), report(700).replace('failures="0"', 'disabled="1"')], "1 were skipped"),
         ([report(2000, failures=1), report(700)], "1 failed"),
         ([report(2000)], "2000 passed; there were 2700 at the last release"),
         ([], "0 passed; there were"),
@@ -128,4 +128,4 @@ def test_continuous_integration_is_strict(reports: list[str], told: str, tmp_pat
         assert done.returncode == status, done.stderr
         assert (told in done.stdout) or not option
         assert re.fullmatch(r"\d+ passed, \d failed, \d skipped", done.stdout.splitlines()[-1])
-        assert done.stdout.count("skipped: a.b: ") == sum("message" in text for text in reports)
+        assert done.stdout.count("skipped: ") == sum("message" in text for text in reports)

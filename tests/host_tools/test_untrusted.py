@@ -222,8 +222,7 @@ def each_damage() -> Iterator[tuple[pa.Table, str]]:
         yield table.drop_columns([name]), f"has no {name}"
         yield with_column(name, pa.array([b"?"] * len(table))), f"column {name} "
         if name not in ("omega", *SCORES):  # what may be left out, and what is found anew
-            gaps = pa.array([None] * len(table), table[name].type)
-            yield with_column(name, gaps), ""
+            yield with_column(name, pa.array([None] * len(table), table[name].type)), ""
         if pa.types.is_list(table[name].type):
             lists = table[name].to_pylist()
             wrong: list[Any]
@@ -235,8 +234,8 @@ def each_damage() -> Iterator[tuple[pa.Table, str]]:
                 told = f"column {'record_' if name == 'record_t' else name}"
                 yield with_column(name, pa.array(wrong, table[name].type)), told
         elif table[name].type == pa.uint64():
-            yield with_column(name, pa.array([2**64 - 1] * len(table), pa.uint64())), ""
-            yield with_column(name, pa.array([0] * len(table), pa.uint64())), ""
+            for number in (0, 2**64 - 1):
+                yield with_column(name, pa.array([number] * len(table), pa.uint64())), ""
     yield table.append_column("k", table["k"]), "k"
     known = metadata_of(table)
     for text in (b"[" * 100_000, b'{"a":' * 100_000, b"[]", b"\xff", b"{", json.dumps(None).encode()):
