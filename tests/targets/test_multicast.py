@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import os
 import random
 import subprocess
 import time
@@ -35,7 +36,8 @@ from targets.c_node import (
 )
 from targets.test_node import ID, SUBJECTS, any_frame, command_frame
 
-PORT = 43291
+PORT = 20000 + os.getpid() % 12000
+"""Below those that the kernel gives senders. Other processes that run this have others."""
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
 NODE = (
     *("--lockstep", "--hop-limit", 0, "--steps-per-second", 3, "--b-hat", 0.75, "--filter-period", 4),
