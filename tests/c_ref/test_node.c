@@ -216,6 +216,52 @@ static void commands_are_followed_in_their_order(void)
     CHECK_EQUAL(sent_on(3001), 1); /* every settle is answered */
 }
 
+/* Ids to ignore are counted, but the own id collides in any case. */
+static void ids_to_ignore_do_not_reach_the_firmware(void)
+{
+    mcp_asdf_frame_t of_last = estimate_of(127), of_9 = estimate_of(9), own = estimate_of(OWN_ID);
+    set_usual();
+    for (int i = 0; i < 16; ++i) {
+        settings.ignore[i] = i == 1 ? 0xFD : 0xFF; /* all but 9 */
+    }
+    make();
+    node_hear(&node, &of_9);
+    CHECK(node.counts.heard == 1 && node.counts.unknown == 0);
+    node_hear(&node, &of_last);
+    CHECK(node.counts.heard == 1 && node.counts.unknown == 1);
+    node_hear(&node, &own);
+    CHECK(node.counts.heard == 2 && node.counts.unknown == 1 && node.counts.collisions == 1);
+    CHECK(mcp_asdf_counters(&node.robot).accepted == 1 && mcp_asdf_counters(&node.robot).rejected == 1);
+}
+
+/* Hear alpha = 0.5 so many times, then one with these upper bytes; returns how many were jumps. */
+static uint32_t jumps_after(uint32_t times, uint8_t exponent, uint8_t rest)
+{
+    mcp_asdf_frame_t frame = estimate_of(9);
+    make_usual();
+    for (uint32_t i = 0; i < times; ++i) {
+        node_hear(&node, &frame);
+    }
+    frame.data[6] = exponent;
+    frame.data[5] = rest;
+    node_hear(&node, &frame);
+    return node.counts.jumps;
+}
+
+static void an_alpha_that_doubles_late_is_a_jump(void)
+{
+    mcp_asdf_frame_t frame = estimate_of(9);
+    const uint32_t enough = NODE_WATCHED_AFTER;
+    CHECK_EQUAL(jumps_after(enough, 63, 128), 1);     /* 0.5 to 1 */
+    CHECK_EQUAL(jumps_after(enough - 1, 63, 128), 0); /* too early */
+    CHECK_EQUAL(jumps_after(enough, 63, 127), 0);     /* 0.998 */
+    CHECK_EQUAL(jumps_after(enough, 127, 127), 1);    /* the largest */
+    CHECK_EQUAL(jumps_after(enough, 62, 128), 0);     /* half as much: anew */
+    node_hear(&node, &frame);                         /* twice as much again */
+    CHECK_EQUAL(node.counts.jumps, 0);
+    CHECK_EQUAL(jumps_after(3 * enough, 0, 0), 0);
+}
+
 int main(void)
 {
     periods_must_fit_together();
@@ -223,6 +269,8 @@ int main(void)
     a_round_is_closed_when_due();
     what_is_not_sent_is_counted();
     frames_are_taken_or_counted();
+    ids_to_ignore_do_not_reach_the_firmware();
+    an_alpha_that_doubles_late_is_a_jump();
     commands_are_followed_in_their_order();
     return check_report();
 }

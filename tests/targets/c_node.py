@@ -8,7 +8,7 @@ import random
 import signal
 import subprocess
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -128,11 +128,13 @@ def twin(
     b_hat: float = 0.95,
     subjects: Subjects | None = None,
     steps_per_second: int = 10,
+    allow: frozenset[int] | None = None,
     **config: Any,
 ) -> RobotNode:
     """The Python node of the same options, on plain integers."""
     usual = {"table": TABLE, "filter": Filter.ADAPTIVE, "filter_period": DEFAULT_FILTER_PERIOD}
-    return RobotNode(record(robot_id, "mirror", b_hat, **(usual | config)), subjects, steps_per_second)
+    start = replace(record(robot_id, "mirror", b_hat, **(usual | config)), allow=allow)
+    return RobotNode(start, subjects, steps_per_second)
 
 
 def content(frames: Iterable[can.Message]) -> list[str]:

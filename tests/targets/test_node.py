@@ -10,6 +10,7 @@ import random
 import signal
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -102,9 +103,9 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen:
     words = [word for name, value in config.items() for word in (f"--{name.replace('_', '-')}", value)]
     node = start(
         *("--lockstep", "--steps-per-second", 3, "--b-hat", 0.75, *FILTERS[chosen].split()),
-        *("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, *words),
+        *("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, *words, "--allow", "0+2-5"),
     )
-    expected = twin(ID, 0.75, SUBJECTS, 3, filter=chosen, **config)
+    expected = twin(ID, 0.75, SUBJECTS, 3, filter=chosen, allow=frozenset((0, *range(2, 6))), **config)
     draw = random.Random(chosen)
     frames = [any_frame(draw) for _ in range(3000)]
     answers = expected.start() + [answer for frame in frames for answer in expected.hear(frame)]
@@ -125,7 +126,10 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen:
     assert_same_robot(figures, expected)
     rejected = figures["refused"] + figures["others"] + figures["error_frames"]
     assert rejected == expected.reception.rejected.total()
-    often = "refused others error_frames collisions obeyed disobeyed unsettled repeated rejected"
+    counted = Counter(kind.value for kind, _ in expected.reception.events.elements())
+    found = {"conflict": "collisions", "unknown": "unknown", "jump": "jumps"}
+    assert {kind: figures[name] for kind, name in found.items()} == dict.fromkeys(found, 0) | counted
+    often = "unknown refused others error_frames collisions obeyed disobeyed unsettled repeated rejected"
     assert all(figures[name] > 50 for name in often.split())
     assert figures["updates" if chosen == Filter.ALWAYS else "tests"] >= 5
 
@@ -196,6 +200,10 @@ LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
     [
         (ON_A_BUS + "--id 1x --lockstep", "--id is 1x; choose a whole number, 0 to 127"),
         (ON_A_BUS + "--lockstep", "--id is missing; see --help"),
+        *(
+            (f"{ON_A_BUS}{LOCKSTEP} --allow {ids}", f"--allow is {ids}; give ids, 0 to 127, such as 0-19+30")
+            for ids in ("x", "5-3", "0-", "+1", "1+", "128", "-1", "0-1-2", "1,2")
+        ),
         (ON_A_BUS + "--id 1", "choose one of --lockstep, --observations, --sensor"),
         (ON_A_BUS + f"{LOCKSTEP} --b-hat nan", "--b-hat is nan; choose 2^-20 to 1 - 2^-20"),
         (ON_A_BUS + f"{LOCKSTEP} --filter asdf-minus", "choose none, asdf-plus or robust"),

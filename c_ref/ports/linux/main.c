@@ -330,6 +330,8 @@ static void print_node(const node_counts_t *counts)
     NUMBER("telemetry", counts->telemetry);
     NUMBER("unsent", counts->unsent);
     NUMBER("heard", counts->heard);
+    NUMBER("unknown", counts->unknown);
+    NUMBER("jumps", counts->jumps);
     NUMBER("collisions", counts->collisions);
     NUMBER("refused", counts->refused);
     NUMBER("others", counts->others);

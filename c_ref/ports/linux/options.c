@@ -27,6 +27,7 @@ enum option_index {
     SAVE_PERIOD,
     HOP_LIMIT,
     ID,
+    ALLOW,
     INTERFACE,
     NETWORK,
     B_HAT,
@@ -60,6 +61,7 @@ static const struct {
                 [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
                 [HOP_LIMIT] = {"hop-limit", 0, 255, 1},
                 [ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
+                [ALLOW] = {.name = "allow"},
                 [INTERFACE] = {.name = "interface"},
                 [NETWORK] = {.name = "network"},
                 [B_HAT] = {.name = "b-hat"},
@@ -84,6 +86,7 @@ static const char usage[] =
     "  --network NAME         what leads to the group, such as wlan0 (the kernel's route)\n"
     "  --hop-limit N          networks that a datagram may cross, 0 (none: this computer) to 255 (1)\n"
     "  --id N                 of robot and node, 0 to 127\n"
+    "  --allow IDS            take estimates of these ids only, such as 0-19+30 (all)\n"
     "  --b-hat P              how often the sensor is taken to be right, 2^-20 to 1 - 2^-20 (0.95)\n"
     "  --filter FILTER        how it recalibrates: none, asdf-plus, robust (asdf-plus)\n"
     "  --activation WHEN      if the test rejects or in every period: adaptive, always (adaptive)\n"
@@ -134,6 +137,35 @@ static uint32_t number(const char *const given[ALL], enum option_index which)
         fail(which, text, fix);
     }
     return (uint32_t)value;
+}
+
+/* Read an id; returns what follows it, or NULL if there is none. */
+static const char *read_id(const char *text, unsigned long *id)
+{
+    char *end = NULL;
+    *id = strtoul(text, &end, 10);
+    return *text >= '0' && *text <= '9' && *id <= MCP_ASDF_MAX_ID ? end : NULL;
+}
+
+/* Mark all ids but those of `text`, such as 0-19+30. */
+static void ignore_others(uint8_t ignore[], const char *text)
+{
+    const char *at = text;
+    memset(ignore, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8);
+    do {
+        unsigned long first = 0, last = 0;
+        at = read_id(at, &first);
+        last = first;
+        if (at != NULL && *at == '-') {
+            at = read_id(at + 1, &last);
+        }
+        if (at == NULL || last < first || (*at != '+' && *at != '\0')) {
+            fail(ALLOW, text, "give ids, 0 to 127, such as 0-19+30");
+        }
+        for (; first <= last; ++first) {
+            ignore[first / 8] &= (uint8_t)~(1U << first % 8);
+        }
+    } while (*at++ == '+');
 }
 
 static uint32_t b_hat(const char *text)
@@ -259,19 +291,22 @@ static void check_multicast(const char *const given[ALL])
 
 static node_settings_t node_settings(const char *const given[ALL])
 {
-    const node_settings_t settings = {.table = MCP_ASDF_NODE_TABLE,
-                                      .comms_period = number(given, COMMS_PERIOD),
-                                      .filter_period = number(given, FILTER_PERIOD),
-                                      .memory = number(given, MEMORY),
-                                      .filter = filter(given),
-                                      .estimate = {(uint16_t)number(given, SUBJECT), 4},
-                                      .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
-                                      .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
-                                      .b_hat = b_hat(given[B_HAT]),
-                                      .ticks_per_second = number(given, RATE),
-                                      .telemetry_period = number(given, TELEMETRY_PERIOD),
-                                      .id = (uint8_t)number(given, ID),
-                                      .lockstep = given[LOCKSTEP] != NULL};
+    node_settings_t settings = {.table = MCP_ASDF_NODE_TABLE,
+                                .comms_period = number(given, COMMS_PERIOD),
+                                .filter_period = number(given, FILTER_PERIOD),
+                                .memory = number(given, MEMORY),
+                                .filter = filter(given),
+                                .estimate = {(uint16_t)number(given, SUBJECT), 4},
+                                .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
+                                .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
+                                .b_hat = b_hat(given[B_HAT]),
+                                .ticks_per_second = number(given, RATE),
+                                .telemetry_period = number(given, TELEMETRY_PERIOD),
+                                .id = (uint8_t)number(given, ID),
+                                .lockstep = given[LOCKSTEP] != NULL};
+    if (given[ALLOW] != NULL) {
+        ignore_others(settings.ignore, given[ALLOW]);
+    }
     return settings;
 }
 

@@ -131,6 +131,37 @@ static void obey(node_t *node, const mcp_asdf_command_t *command)
     }
 }
 
+/* The word alpha in units of 2^-24: below 2^24 2^31. */
+static uint64_t units(uint32_t alpha) { return (uint64_t)(alpha >> 8) << (alpha & 31U); }
+
+static void watch(node_t *node, const mcp_asdf_estimate_t *estimate)
+{
+    node_sender_t *sender = &node->senders[estimate->node];
+    const uint64_t before = units(sender->alpha), now = units(estimate->alpha);
+    const bool is_watched = sender->heard == NODE_WATCHED_AFTER;
+    node->counts.jumps += is_watched && now > 0 && now >= 2 * before;
+    if (2 * now <= before) { /* it has begun anew */
+        sender->heard = 0;
+    } else if (!is_watched) {
+        ++sender->heard;
+    }
+    sender->alpha = estimate->alpha;
+}
+
+static void take(node_t *node, const mcp_asdf_estimate_t *estimate)
+{
+    const uint8_t id = estimate->node;
+    const bool is_own = id == node->settings->id;
+    watch(node, estimate);
+    if (!is_own && (node->settings->ignore[id / 8] >> id % 8 & 1) != 0) {
+        ++node->counts.unknown;
+        return;
+    }
+    ++node->counts.heard;
+    node->counts.collisions += is_own;
+    (void)mcp_asdf_receive(&node->robot, id, estimate->x_hat, estimate->alpha);
+}
+
 void node_hear(node_t *node, const mcp_asdf_frame_t *frame)
 {
     mcp_asdf_estimate_t estimate;
@@ -138,9 +169,7 @@ void node_hear(node_t *node, const mcp_asdf_frame_t *frame)
     mcp_asdf_frame_status_t status =
         mcp_asdf_decode_estimate(&estimate, node->settings->estimate.subject, frame);
     if (status == MCP_ASDF_FRAME_OK) {
-        ++node->counts.heard;
-        node->counts.collisions += estimate.node == node->settings->id;
-        (void)mcp_asdf_receive(&node->robot, estimate.node, estimate.x_hat, estimate.alpha);
+        take(node, &estimate);
         return;
     }
     if (status == MCP_ASDF_FRAME_ERR_SUBJECT && node->settings->lockstep) {

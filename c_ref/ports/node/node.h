@@ -25,7 +25,9 @@
  *   ticks_per_second   a heartbeat is due every so many ticks, 1 or more
  *   telemetry_period   ticks between telemetry frames; 0: none. Not used in lockstep
  *   id                 robot and node, 0 .. 127
- *   lockstep           whether commands are the clock, and every settle is answered */
+ *   ignore             ids whose estimates the firmware does not get: bit id % 8 of byte id / 8. Its own
+ * counts as a collision in any case lockstep           whether commands are the clock, and every settle is
+ * answered */
 typedef struct {
     const uint32_t *table;
     uint32_t comms_period, filter_period;
@@ -36,6 +38,7 @@ typedef struct {
     uint32_t telemetry_period;
     uint8_t filter;
     uint8_t id;
+    uint8_t ignore[(MCP_ASDF_MAX_ID + 1) / 8];
     bool lockstep;
 } node_settings_t;
 
@@ -49,17 +52,28 @@ typedef struct {
  *   estimates, heartbeats, telemetry   made, the first heartbeat counted once, whether or not the bus
  *                                      took them; the next transfer ids, too
  *   unsent       those that the bus did not take
- *   heard        legal estimates, all given to the firmware, whose counters tell what it made of them
- *   collisions   those among them with the node's own id: another node has it, too
- *   refused      estimates and commands that are not legal
- *   others       all other frames
- *   obeyed, disobeyed   commands for this robot that the rules let it follow, or not
- *   unsettled    ticks that the next one ended, since no settle had come */
+ *   heard        legal estimates given to the firmware, whose counters tell what it made of them
+ *   unknown      those of ids to ignore, which it did not get
+ *   jumps        legal estimates with twice the alpha of the sender's last one, or more, after
+ *                NODE_WATCHED_AFTER of them. An honest alpha is nearly proportional to the observations
+ * behind it: it doubles at once after a re-estimate, or if as many were missed as came before collisions
+ * those among them with the node's own id: another node has it, too refused      estimates and commands that
+ * are not legal others       all other frames obeyed, disobeyed   commands for this robot that the rules let
+ * it follow, or not unsettled    ticks that the next one ended, since no settle had come */
 typedef struct {
     uint32_t estimates, heartbeats, telemetry, unsent;
-    uint32_t heard, collisions, refused, others;
+    uint32_t heard, unknown, jumps, collisions, refused, others;
     uint32_t obeyed, disobeyed, unsettled;
 } node_counts_t;
+
+#define NODE_WATCHED_AFTER 32
+
+/* What is known of a sender: its last alpha, a word, and how often it was heard since it began, up to
+ * NODE_WATCHED_AFTER. */
+typedef struct {
+    uint32_t alpha;
+    uint8_t heard;
+} node_sender_t;
 
 typedef struct {
     mcp_asdf_t robot;
@@ -67,6 +81,7 @@ typedef struct {
     const node_settings_t *settings;
     node_output_t output;
     node_counts_t counts;
+    node_sender_t senders[MCP_ASDF_MAX_ID + 1];
     uint32_t ticks;      /* begun; modulo 2^32 */
     uint32_t comms_left; /* ticks still to begin until one is due; 0 in a due tick */
     uint32_t number;     /* of the last observe command */
