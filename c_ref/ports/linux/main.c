@@ -29,6 +29,7 @@ typedef struct {
 typedef struct {
     options_t options;
     node_t node;
+    node_sender_t senders[MCP_ASDF_MAX_ID + 1];
     uint32_t seen; /* ticks whose end note_progress() has seen */
     bus_t bus;
     source_t source;
@@ -120,6 +121,7 @@ static void set_up(run_t *run)
     if (node_init(&run->node, &options->node, output) != MCP_ASDF_OK) {
         fail("cannot make the robot", "of these options", "refused by the firmware", "see --help");
     }
+    run->node.senders = run->senders;
     if (options->state != NULL) {
         const char *why = state_load(options->state, &run->node.robot, &run->node.config);
         if (why != NULL) {

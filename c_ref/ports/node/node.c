@@ -1,6 +1,8 @@
 /* The node; node.h is its manual. */
 #include "node.h"
 
+#include <stddef.h>
+
 #define HEARTBEAT_PRIORITY 4
 
 /* Frames refused before their content is looked at: kernel filters keep those frames away. */
@@ -152,7 +154,9 @@ static void take(node_t *node, const mcp_asdf_estimate_t *estimate)
 {
     const uint8_t id = estimate->node;
     const bool is_own = id == node->settings->id;
-    watch(node, estimate);
+    if (node->senders != NULL) {
+        watch(node, estimate);
+    }
     if (!is_own && (node->settings->ignore[id / 8] >> id % 8 & 1) != 0) {
         ++node->counts.unknown;
         return;

@@ -75,13 +75,15 @@ typedef struct {
     uint8_t heard;
 } node_sender_t;
 
+/*   senders    what jumps are found with, one for each id, at first all 0; NULL, as node_init() leaves it:
+ * none are counted */
 typedef struct {
     mcp_asdf_t robot;
     mcp_asdf_config_t config; /* the robot's, made of the settings */
     const node_settings_t *settings;
     node_output_t output;
     node_counts_t counts;
-    node_sender_t senders[MCP_ASDF_MAX_ID + 1];
+    node_sender_t *senders;
     uint32_t ticks;      /* begun; modulo 2^32 */
     uint32_t comms_left; /* ticks still to begin until one is due; 0 in a due tick */
     uint32_t number;     /* of the last observe command */

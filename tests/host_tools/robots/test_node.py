@@ -152,10 +152,8 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
             lockstep.settle({5})
 
     with join() as bus, meanwhile(lambda: drive(bus)):
-        assert (
-            main(["node", "--id", "5", "--allow", "6+7-9", "--filter", "none", "--steps", "70", "--json"])
-            == 0
-        )
+        words = ["--id", "5", "--allow", "6+7-9", "--filter", "none", "--steps", "70", "--json"]
+        assert main(["node", *words]) == 0
     captured = capsys.readouterr()
     report = json.loads(captured.out)
     frames, counters = (report["results"][name] for name in ("frames", "robot"))
