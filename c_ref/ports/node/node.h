@@ -56,10 +56,12 @@ typedef struct {
  *   unknown      those of ids to ignore, which it did not get
  *   jumps        legal estimates with twice the alpha of the sender's last one, or more, after
  *                NODE_WATCHED_AFTER of them. An honest alpha is nearly proportional to the observations
- * behind it: it doubles at once after a re-estimate, or if as many were missed as came before collisions
- * those among them with the node's own id: another node has it, too refused      estimates and commands that
- * are not legal others       all other frames obeyed, disobeyed   commands for this robot that the rules let
- * it follow, or not unsettled    ticks that the next one ended, since no settle had come */
+ *                behind it: it doubles at once after a re-estimate, or if as many were missed as came before
+ *   collisions   heard ones with the node's own id: another node has it, too
+ *   refused      estimates and commands that are not legal
+ *   others       all other frames
+ *   obeyed, disobeyed   commands for this robot that the rules let it follow, or not
+ *   unsettled    ticks that the next one ended, since no settle had come */
 typedef struct {
     uint32_t estimates, heartbeats, telemetry, unsent;
     uint32_t heard, unknown, jumps, collisions, refused, others;
@@ -75,8 +77,8 @@ typedef struct {
     uint8_t heard;
 } node_sender_t;
 
-/*   senders    what jumps are found with, one for each id, at first all 0; NULL, as node_init() leaves it:
- * none are counted */
+/*   senders    what jumps are found with, one for each id, at first all 0. NULL, as node_init() leaves it:
+ *              none are counted */
 typedef struct {
     mcp_asdf_t robot;
     mcp_asdf_config_t config; /* the robot's, made of the settings */
