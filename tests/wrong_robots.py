@@ -29,6 +29,7 @@ from mcp_asdf_tools.bus.frames import (
     bits_of,
     decode,
     decode_command,
+    float_of,
     word_of,
 )
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
@@ -38,9 +39,11 @@ from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from wire import TABLE, record
+from wire import record
 
 ID, B_HAT = 3, 0.55
+DEFAULT: dict[str, Any] = {"b_hat": 0.95, "filter_period": 1000, "table": generate(parse_omega("0.05"), 127)}
+"""What a controller has that is set up by the defaults."""
 Act = Callable[..., Any]
 """What a method does instead: it takes the object, the right method and the arguments."""
 
@@ -69,11 +72,12 @@ def _replaced(kind: type, acts: dict[str, Act]) -> type:
 
 @dataclass(frozen=True)
 class Wrong:
-    """A wrong controller: the phase that finds it, and how to make it where it has that configuration."""
+    """A wrong controller: the phase that finds it by default, and how to make it, with this configuration on
+    top of another."""
 
     phase: str
     config: dict[str, Any]
-    make: Callable[[], RobotNode]
+    make: Callable[[dict[str, Any]], RobotNode]
 
 
 def set_up(
@@ -86,8 +90,8 @@ def set_up(
     """A controller that is set up otherwise than said, which is ``config``."""
     said = config or {}
 
-    def make() -> RobotNode:
-        settings = {"robot": ID, "b_hat": B_HAT, **said, **actual}
+    def make(others: dict[str, Any]) -> RobotNode:
+        settings = {"robot": ID, **others, **said, **actual}
         own = record(firmware="mirror", **settings)
         return kind(own, make=lambda: firmware(own.config, own.id, own.b_hat))  # type: ignore[no-any-return]
 
@@ -106,9 +110,9 @@ def firmware(phase: str, *changes: str, config: dict[str, Any] | None = None) ->
 VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
 
 
-def robust(phase: str, *changes: str, b_hat: float = B_HAT) -> Wrong:
+def robust(phase: str, *changes: str) -> Wrong:
     """The same with the robust filter."""
-    return firmware(phase, *changes, config={**VOTES, "b_hat": b_hat})
+    return firmware(phase, *changes, config=VOTES)
 
 
 def node(phase: str, **acts: Act) -> Wrong:
@@ -136,9 +140,10 @@ def given(change: Callable[[Any], object]) -> Act:
 
 
 def table_wrong_at(m: int) -> Table:
-    """The t-table with one entry that is a thousandth too large."""
-    entries = [entry + (entry >> 10) * (each == m) for each, entry in enumerate(TABLE.entries, 2)]
-    return Table(TABLE.omega_word, tuple(entries))
+    """The t-table with one entry that is a thousandth too large, if k stays above the next."""
+    right = DEFAULT["table"]
+    entries = [entry + (entry >> 10) * (each == m) for each, entry in enumerate(right.entries, 2)]
+    return Table(right.omega_word, tuple(entries))
 
 
 # --- Wrong frames ---
@@ -176,7 +181,7 @@ def as_subject(mask: int) -> Callable[[can.Message], None]:
 # --- Wrong nodes: what they hear ---
 
 
-@wrong("_obey", "heartbeats", "a buffer of 4 commands")
+@wrong("_obey", "nothing seen", "a buffer of 4 commands")
 def _(node: Any, right: Act, command: Command) -> list[can.Message]:
     node.waiting = 0 if command.action is Action.SETTLE else getattr(node, "waiting", 0) + 1
     return right(command) if node.waiting <= 4 else []
@@ -237,6 +242,17 @@ def accepts(reason: Rejection) -> Act:
     return hear
 
 
+def to_nearest(frame: can.Message) -> can.Message:
+    """An estimate whose alpha is the nearest multiple of 2^-24."""
+    if not is_estimate(frame) or (value := float_of(alpha_bits(frame))) > 1:
+        return frame
+    rounded = copy(frame)
+    rounded.data = (
+        frame.data[:3] + bits_of(round(value * 2**24) / 2**24).to_bytes(4, "little") + frame.data[7:]
+    )
+    return rounded
+
+
 # --- Wrong nodes: commands ---
 
 
@@ -247,7 +263,7 @@ def _(node: Any, right: Act, command: Command) -> Any:
     return right(command)
 
 
-@wrong("_obey", "lost commands", "stays in a tick")
+@wrong("_obey", "nothing seen", "stays in a tick")
 def _(node: Any, right: Act, command: Command) -> Any:
     return [] if not node.is_settled and command.tick != node._tick_of_command else right(command)
 
@@ -272,7 +288,7 @@ def sends(subject: int, spoil: Callable[[can.Message], list[can.Message] | objec
             sent += instead if isinstance(instead, list) else [frame]
         return sent
 
-    return node("alone", observe=spoiled, settle=spoiled)
+    return node("nothing seen", observe=spoiled, settle=spoiled)
 
 
 def numbers_of(bits: int) -> Wrong:
@@ -286,43 +302,43 @@ HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
 
 WRONG |= {
     # How it is set up
-    "another b_hat": set_up("alone", b_hat=0.56),
-    "broadcasts in every tick": set_up("alone", SLOW, comms_period=1),
-    "another id": set_up("alone", robot=4),
-    "has run before": node("alone", start=has_run),
-    "another filter period": set_up("messages and silence", filter_period=9),
+    "another b_hat": set_up("nothing seen", b_hat=0.56),
+    "broadcasts in every tick": set_up("nothing seen", SLOW, comms_period=1),
+    "another id": set_up("nothing seen", robot=4),
+    "has run before": node("nothing seen", start=has_run),
+    "another filter period": set_up("all white", filter_period=9),
     "filters always": set_up("rounds without a test", filter=Filter.ALWAYS),
     "filters though it should not": set_up(
-        "messages and silence", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
+        "no filter", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
     ),
-    "memory 8192": set_up("long run", memory=8192),
+    "memory 8192": set_up("threshold of 5 messages", memory=8192),
     "memory 64": set_up("alone", memory=64),
-    "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 20)),
+    "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 127)),
     **{
         f"threshold of {m} messages wrong": set_up(f"threshold of {m} messages", table=table_wrong_at(m))
         for m in (2, 3, 5, 10)
     },
-    "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(21)),
+    "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(30)),
     # The method
     "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
-    "tests its informed estimate": firmware("threshold of 2 messages", "s.open, {s.x_hat => self.x_raw})"),
+    "tests its informed estimate": firmware("no information", "s.open, {s.x_hat => self.x_raw})"),
     "tests one message": firmware(
         "rounds without a test", "({2 => 1} if mode ==", "if {not => s.open.count > 1 and not} rejects"
     ),
-    "never updates": firmware("no information", "return {reestimate(s.t, s.n, s.closed) => None}"),
+    "never updates": firmware("all white", "return {reestimate(s.t, s.n, s.closed) => None}"),
     "x_bar not weighted in eq. 8": firmware(
-        "threshold of 2 messages", "s.n, {s.closed => Closed(s.open.count << 24, s.open.x << 24)})"
+        "no information", "s.n, {s.closed => Closed(s.open.count << 24, s.open.x << 24)})"
     ),
     "eq. 8 in float32": firmware("no information", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": firmware(
-        "threshold of 5 messages", "max(b_hat, {B_HAT_MIN), B_HAT_MAX => 42950), 2**32 - 42950})"
+        "all white", "max(b_hat, {B_HAT_MIN), B_HAT_MAX => 42950), 2**32 - 42950})"
     ),
     "updates at x_bar = 1/2": firmware("re-estimates", "INFORMATIVE_G:\n        return {None => B_HAT_MAX}"),
     "a re-estimate changes x_hat at once": firmware(
-        "no information", "s.updated = 1{ => ; s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)}"
+        "all white", "s.updated = 1{ => ; s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)}"
     ),
     "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
-    "keeps x_bar in silence": firmware("messages and silence", "{ => if s.open.count: }s.closed = Closed(s."),
+    "keeps x_bar in silence": firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
     "a bitmap of 32 senders": firmware(
         "alike ids", "if s.heard[{sender >> 5 => 0}]", "s.heard[{sender >> 5 => 0}] |="
     ),
@@ -335,16 +351,55 @@ WRONG |= {
         "def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        s =",
         "s, updated = self.s, False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
     ),
-    "loses low bits of alpha": firmware("messages and silence", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
-    "takes alpha = 0 for a little": firmware("extreme messages", "s.open, x_hat, alpha{ =>  or 0x100})"),
+    "loses low bits of alpha": firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
+    "takes alpha = 0 for a little": firmware("nothing seen", "s.open, x_hat, alpha{ =>  or 0x100})"),
     "colours exchanged": firmware("alone", "self.s, {index(z) => 1 - index(z)}"),
-    "rounds x_hat up": firmware(
-        "threshold of 5 messages", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"
-    ),
+    "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("halvings", "s.n + {(s.n >> 1 & 1) => 0} >> 1", config=HALVED),
-    "halves up": firmware("halvings", "s.n + {(s.n >> 1 & 1) => 1} >> 1", config=HALVED),
-    "broadcasts x": firmware("messages and silence", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
+    "halves down": firmware("no information", "s.n + {(s.n >> 1 & 1) => 0} >> 1", config=HALVED),
+    "halves up": firmware("threshold of 10 messages", "s.n + {(s.n >> 1 & 1) => 1} >> 1", config=HALVED),
+    "broadcasts x": firmware("nothing seen", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
+    # Ends of ranges
+    "x_hat at least 0.01": firmware("alone", "mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
+    "x_hat wrong below 0.2": firmware(
+        "first black tiles", "mirrored else {x_hat => x_hat ^ (0 < x_hat < ONE // 5)}, alpha"
+    ),
+    "alpha wrong without a black tile": firmware(
+        "alone", "alpha_word({mantissa => mantissa ^ (n == 0)}, exp"
+    ),
+    "alpha wrong where x_hat is clamped": firmware(
+        "no information", "accuracy.rare + {(total => 0 * (total} >> acc"
+    ),
+    "alpha wrong there after 100 tiles": firmware(
+        "all white", "at_end(accuracy, {t => t ^ (t > 100)}, part)"
+    ),
+    "alpha of one significant bit below 1/2": firmware("no information", "{mantissa >> -exponent => 1}, 0"),
+    "knows nothing below 2^-10": firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
+    "senders stay heard after an update": firmware(
+        "all white", "= Sums(), {[0, 0, 0, 0] => s.heard if updated else [0, 0, 0, 0]}"
+    ),
+    "senders stay heard after a test": firmware(
+        "all white",
+        "= Sums(), {[0, 0, 0, 0] => s.heard if s.filter_left == self.config.filter_period else [0, 0, 0, 0]}",
+    ),
+    "messages stay after an update": firmware(
+        "all white", "s.heard = {Sums() => s.open if updated else Sums()}, ["
+    ),
+    "re-estimates before it has observed": firmware("nothing seen", "if {s.t == 0 => False}:\n"),
+    "no re-estimate without a black tile": firmware("all white", "if {s.t == 0 => s.n == 0}:\n"),
+    "x_bar of 1 is 0": firmware(
+        "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} 1 << 31:"
+    ),
+    "sums of alpha up to 2^45 in eq. 8": firmware(
+        "threshold of 3 messages", "alpha_x(), {closed.alpha => min(closed.alpha, 1 << 45)} *"
+    ),
+    "sums of alpha from 2^32 in eq. 8": firmware(
+        "no information", "alpha_x(), {closed.alpha => max(closed.alpha, 1 << 32)} *"
+    ),
+    "a square of 54 bits": firmware(
+        "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
+    ),
+    "a spread of 56 bits": firmware("large sums", "open_round.x * open_round.x{ =>  & (1 << 56) - 1}"),
     # The robust filter: votes
     "takes a large alpha for two votes": robust(
         "few voices", "8:{ => \n            if alpha_units(alpha) > 1 << 40: vote(s.crowd, sender, x_hat)}"
@@ -378,19 +433,19 @@ WRONG |= {
     "two voices are enough": robust("few voices", "if crowd.voices.bit_count() < {3 => 2}:"),
     "three voices are too few": robust("few voices", "if crowd.voices.bit_count() < {3 => 4}:"),
     "rejects at 3 sigma": robust("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
-    "forgets the spread in its test": robust("test of a moderate spread", "{(g_spread * g_spread) => 0}"),
+    "forgets the spread in its test": robust("moving up", "{(g_spread * g_spread) => 0}"),
     "variance of the prediction alone": robust(
-        "test of a moderate spread", "for value in ({seen, p => p,}))", b_hat=0.95
+        "test of a moderate spread", "for value in ({seen, p => p,}))"
     ),
-    "variance of the count alone": robust("test of a moderate spread", "for value in (seen,{ p => })"),
+    "variance of the count alone": robust("test of the least spread", "for value in (seen,{ p => })"),
     "eq. 8 from its own estimate": robust("few voices", "s.n, {crowd_mean(crowd) => s.x_hat << 9})"),
     "tests the present b_hat": robust(
-        "messages and silence", 'deviates({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
+        "moving up", 'deviates({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
     ),
-    "no way back": robust("test of a moderate spread", "return {crowd.first => None} if s.accuracy"),
+    "no way back": robust("moving up", "return {crowd.first => None} if s.accuracy"),
     # A crowd that moves
     "does not see that the crowd moves": robust("moving up", "if {crowd.is_moving => False}:"),
-    "tests while the crowd moves": robust("moving up", "votes >>= 1\n            {return None => pass}"),
+    "tests while the crowd moves": robust("moving down", "votes >>= 1\n            {return None => pass}"),
     "keeps its gain when the crowd moves": robust("moving up", "votes >>= {1 => 0}\n"),
     "sees only a crowd that moves up": robust("moving down", "not {1 << 13 <= self => self}.trend < 7"),
     "a trend of 512 moves": robust("moving up", "MAX_TREND = {8, 1 << 7, 0xFF => 9, 1 << 6, 0x7F}"),
@@ -398,9 +453,10 @@ WRONG |= {
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),
     "refuses large alphas": node(
-        "extreme messages",
+        "nothing seen",
         hear=drops(lambda frame: is_estimate(frame) and alpha_bits(frame) >= bits_of(2.0**31)),
     ),
+    "rounds foreign alphas": node("nothing seen", hear=given(to_nearest)),
     "hears itself": node(
         "its own id", _receive=given(lambda each: replace(each, sender=99) if each.sender == ID else each)
     ),
@@ -427,10 +483,10 @@ WRONG |= {
     },
     # Commands
     "takes no observation for white": node(
-        "alone", observe=given(lambda z: Observation.WHITE if z is None else z)
+        "nothing seen", observe=given(lambda z: Observation.WHITE if z is None else z)
     ),
     "answers late": node(
-        "lost commands", observe=lambda node, right, z: ([] if node.is_settled else node.settle()) + right(z)
+        "nothing seen", observe=lambda node, right, z: ([] if node.is_settled else node.settle()) + right(z)
     ),
     "obeys others": node("stray commands", _obey=given(lambda command: replace(command, target=ID))),
     "ignores settles for every robot": node(
@@ -446,7 +502,12 @@ WRONG |= {
     "compares ignored bits of commands": node("unusual commands", hear=compares(3002, 3 << 21)),
     "numbers of 8 bits": numbers_of(8),
     "numbers of 31 bits": numbers_of(31),
-    "hangs": node("every sender", hear=lambda node, right, frame: right(frame) if node.ticks < 200 else []),
+    "ignores older numbers": node(
+        "unusual commands",
+        _obey=lambda node, right, each: [] if each.tick < (node._tick_of_command or 0) else right(each),
+    ),
+    "estimate before heartbeat": node("nothing seen", observe=lambda node, right, z: right(z)[::-1]),
+    "hangs": node("nothing seen", hear=lambda node, right, frame: right(frame) if node.ticks < 200 else []),
     # The wire
     "another priority": sends(3000, flip(1 << 26)),
     "another priority of telemetry": sends(3001, flip(1 << 27)),
@@ -468,6 +529,7 @@ WRONG |= {
     "health caution": sends(7509, put(4, lambda byte: byte | 2)),
     "mode maintenance": sends(7509, put(5, lambda byte: byte | 2)),
     "heartbeats twice as often": node(
-        "alone", observe=lambda node, right, z: (node.start() if node.ticks % 10 == 5 else []) + right(z)
+        "nothing seen",
+        observe=lambda node, right, z: (node.start() if node.ticks % 10 == 5 else []) + right(z),
     ),
 }

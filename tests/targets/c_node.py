@@ -62,6 +62,12 @@ class Kind:
 
 HOST = Kind("host", flags=SANITIZERS)
 PLAIN = Kind("plain")
+COVERED = Kind(
+    "covered",
+    ("gcov", "gcc"),
+    " --coverage -O0 -Dalways_inline=unused",  # each function once
+    settings=("-DCMAKE_BUILD_TYPE=Debug",),
+)
 CORTEX_A8 = Kind(
     "cortex-a8",
     ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
@@ -77,6 +83,25 @@ def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     ready = Path(os.environ.get(NODES, "none"), kind.name)
     folder = ready if ready.exists() else made_once(tmp_path_factory, f"node {kind.name}", kind.build)
     return [*kind.runner, str(folder / "mcp_asdf_node")]
+
+
+def unexecuted(folder: Path) -> set[str]:
+    """Lines of the core that a covered build has not executed, or only in one way, as "file: text"."""
+    rarest = dict[str, int]()
+    for data in folder.glob("core/**/*.gcda"):
+        report = json.loads(
+            run("gcov", "--branch-probabilities", "--json-format", "--stdout", data, cwd=folder)
+        )
+        for file in report["files"]:
+            path = Path(file["file"])
+            if path.parent != ROOT / "c_ref/src" or path.stem == "mcp_asdf_image":  # which saves and restores
+                continue
+            lines = path.read_text(encoding="utf-8").splitlines()
+            for line in file["lines"]:
+                text = f"{path.name}: {lines[line['line_number'] - 1].split('/*')[0].strip()}"
+                least = min([line["count"], *(branch["count"] for branch in line["branches"])])
+                rarest[text] = max(least, rarest.get(text, 0)) if path.suffix == ".h" else least
+    return {text for text, least in rarest.items() if least == 0}
 
 
 class CNode:

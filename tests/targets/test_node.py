@@ -7,6 +7,7 @@ The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`
 from __future__ import annotations
 
 import random
+import re
 import signal
 import subprocess
 import time
@@ -39,8 +40,10 @@ from mcp_asdf_tools.robots.record import RobotRecord
 from support import PATIENCE, interruptible, require, slow
 from targets.c_node import (
     CORTEX_A8,
+    COVERED,
     HOST,
     PLAIN,
+    TABLE,
     CNode,
     Kind,
     Start,
@@ -49,6 +52,7 @@ from targets.c_node import (
     content,
     drive,
     twin,
+    unexecuted,
 )
 from targets.unix_bus import UnixBus
 from wrong_robots import surroundings
@@ -487,3 +491,48 @@ def test_the_state_s_file_holds_the_last_state_or_the_one_before(
     assert state.read_bytes() == images[newest]
     if not fails:
         assert calls[:-1] == [*SAVING] * 2
+
+
+# ---- The verdict ----
+
+NOT_EXECUTED = {
+    "configurations that the node refuses before it is there": r"mcp_asdf\.c: (.*config->(filter|memory).*"
+    r"|return (MCP_ASDF_ERR_(CONFIG|TABLE|ID)|false);|if \((id|head|word|status) .*|: MCP_ASDF_OK;"
+    r"|.*(K_ONE|TABLE_OMEGA_MAX).*)",
+    "arguments that its codec refuses before": r"mcp_asdf\.c: (if \((\(uint32_t\)z|x_hat|sender) .*"
+    r"|return MCP_ASDF_ERR_(OBSERVATION|X_HAT);|\+\+robot->counters\.rejected;)",
+    "error frames, CAN FD, and frames that no node makes": r"mcp_asdf_frame\.c: (return status;"
+    r"|: MCP_ASDF_FRAME_OK;|return format->.*"
+    r"|if \((status|node|target|action|message->\w+|\(frame->flags & MCP_ASDF_FRAME_(ERROR|FD)\)) .*"
+    r"|return MCP_ASDF_FRAME_ERR_(ACTION|B_HAT|ERROR_FRAME|FD_FRAME|HEALTH|MODE|NODE|TARGET|X|X_HAT);)",
+    "step(), which the node does not call": r"mcp_asdf\.c: (.*_(step|observe)\(.*|return status == .*)",
+    "other configurations: another filter, table or memory, b_hat below 1/2": r"mcp_asdf\.c: "
+    r"(if \(mode == .*|const uint32_t k = .*|if \(t >= robot->config->memory.*|t >>= 1;|n = \(n .*)"
+    r"|mcp_asdf_robust\.h: const uint32_t g = .*",
+    "46,341 observations or more: the largest alpha": r"mcp_asdf\.c: return exponent <= ALPHA_SHIFT_MAX .*"
+    r"|mcp_asdf_arithmetic\.h: (if \(\(count & 32U\).*|value = high_word\(value\);)",
+    "a crowd that moves within 512 votes, or comes to 1 exactly": r"mcp_asdf_robust\.h: "
+    r"(if \(crowd->votes >= 2U \* VOTES_MOVED\).*|return robot->crowd\.centre >> 30 .*)",
+}
+"""What a verification leaves out of the core, and why: patterns of "file: text of a line"."""
+
+
+@pytest.mark.slow
+def test_a_verification_executes_every_line_and_branch_of_the_core(
+    bus: UnixBus, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """At the default configuration, of the paper's filter and of the robust one, but those listed above."""
+    command = built(COVERED, tmp_path_factory)
+    for chosen, config in (("asdf-plus", Config(TABLE)), ("robust", Config(filter=Filter.ROBUST))):
+        with CNode(command, bus.channel_info, ID, "--lockstep", "--filter", chosen) as node:
+            bus.accept()
+            own = RobotRecord(ID, "mirror", 0.95, config)
+            verdict = Verification(surroundings(own), BenchOptions(bus, 25, PATIENCE)).run()
+            assert verdict.has_passed, verdict.headline
+            node.stop()
+    left_out = unexecuted(Path(command[-1]).parent)
+    reasons = {
+        line: [why for why, lines in NOT_EXECUTED.items() if re.fullmatch(lines, line)] for line in left_out
+    }
+    assert [line for line, why in reasons.items() if not why] == []
+    assert {why for whys in reasons.values() for why in whys} == {*NOT_EXECUTED}

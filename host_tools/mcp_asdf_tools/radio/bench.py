@@ -171,7 +171,7 @@ class Bench:
     def leave_open(self, distance: int = 1) -> None:
         """End the tick as if its settle were lost; the controller may complain about it from now on.
 
-        The number of the next tick is so much higher.
+        The number of the next tick is so much higher, or lower.
         """
         self.lockstep.leave_open(distance)
         self._skipped += distance - 1

@@ -82,8 +82,21 @@ class Comparison:
         own, models = self._by_kind(said), self._by_kind(expected)
         if not self.equal[TELEMETRY]:
             self._greet(own, models)
+        is_first = not self.equal[TELEMETRY]
         symptoms = (self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS)
-        return next((symptom for symptom in symptoms if symptom is not None), None)
+        found = next((symptom for symptom in symptoms if symptom is not None), None)
+        return found if found is not None or is_first else self._check_order(said, expected)
+
+    def _check_order(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
+        """The first frame of another kind, where all are equal kind by kind."""
+        ways = [[kind for each in frames if (kind := self._kind(each))] for frames in (said, expected)]
+        for own, model in zip(*ways, strict=True):
+            if own != model:
+                return Symptom(own, "order", f"it before the {model}", f"the {model} first")
+        return None
+
+    def _kind(self, frame: can.Message) -> str | None:
+        return self._kinds.get(frame.arbitration_id >> 8 & 0x1FFF)
 
     def _greet(self, own: Frames, models: Frames) -> None:
         """Leave out heartbeats that are the greeting; one more than expected must be it."""
@@ -95,7 +108,7 @@ class Comparison:
     def _by_kind(self, frames: Sequence[can.Message]) -> Frames:
         sorted_: Frames = {kind: [] for kind in FIELDS}
         for frame in frames:
-            kind = self._kinds.get(frame.arbitration_id >> 8 & 0x1FFF)
+            kind = self._kind(frame)
             if kind is not None:
                 sorted_[kind].append(frame)
         return sorted_

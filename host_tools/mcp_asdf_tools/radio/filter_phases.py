@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.robot import Filter, Observation
-from mcp_asdf_tools.radio.bench import Bench
+from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.rounds import (
     CRAFTED_SIZES,
+    Content,
     Update,
+    any_content,
     at_threshold,
     far_away,
     for_update,
-    ordinary_alpha,
+    scaled_alphas,
+    with_large_sums,
 )
 
 LONG_RUN = 10_000
@@ -26,14 +30,48 @@ _MANY = "many observations in a row"
 
 def no_information(bench: Bench) -> None:
     """A re-estimate that gives b_hat = 1/2, after which the robot knows nothing until the next."""
-    bench.doing = "many observations, half of them black"
     s = bench.firmware.s
-    while 2 * s.n != s.t:
-        bench.tick(Observation(2 * s.n < s.t))
-    _update(bench, Update.HALF)
-    bench.doing = "observations of a robot that knows nothing"
-    for _ in range(3):
-        bench.tick(bench.any_observation())
+    for wanted in (Update.HALF, Update.FAINT):
+        bench.doing = "many observations, half of them black"
+        least = 0 if wanted is Update.HALF else s.t // 4096 + 1  # more black ones than white ones
+        while 2 * s.n - s.t != least:
+            bench.skip(max(abs(2 * s.n - s.t) // 2, 1), lambda: Observation(2 * s.n - s.t < least))  # noqa: B023
+        if wanted is Update.HALF and s.t < 1 << 12:
+            bench.to_test()
+            bench.doing = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
+            _crafted(bench, [(HALF + (1 << 10) + each, 0x8000_0001) for each in range(1, 4)])
+        _update(bench, wanted)
+        bench.doing = "observations of a robot that knows hardly anything"
+        for _ in range(3):
+            bench.tick(bench.any_observation())
+
+
+def all_white(bench: Bench) -> None:
+    """A re-estimate before the first black tile."""
+    bench.doing = "white tiles until the test"
+    bench.to_test(lambda: Observation.WHITE)
+    bench.doing = "a re-estimate without a black tile"
+    _crafted(bench, [(HALF // 2 + each, alpha) for each, alpha in enumerate(scaled_alphas(bench.draw, 5))])
+
+
+def ends(bench: Bench) -> None:
+    """Re-estimates whose x_bar is 0 or 1, after which one colour leaves the range that b_hat allows."""
+    s = bench.firmware.s
+    for end in (0, ONE) if s.x_hat > HALF else (ONE, 0):
+        _to_test(bench)
+        bench.doing = f"estimates of {end // ONE}"
+        _crafted(bench, [(end, alpha) for alpha in scaled_alphas(bench.draw, 5)])
+        bench.doing = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
+        for tick in range(12):
+            bench.tick(Observation(tick // 3 % 2))
+
+
+def large_sums(bench: Bench) -> None:
+    """Rounds whose squares have most bits."""
+    for name in with_large_sums(bench.situation, bench.draw):
+        _to_test(bench)
+        bench.doing = name
+        _crafted(bench, with_large_sums(bench.situation, bench.draw)[name])
 
 
 def thresholds(m: int, wanted: Update) -> Callable[[Bench], None]:
@@ -44,7 +82,7 @@ def thresholds(m: int, wanted: Update) -> Callable[[Bench], None]:
             _to_test(bench)
             rounds = at_threshold(bench.situation, m, wanted, bench.draw)
             bench.doing = f"{m} messages just {where} the threshold"
-            bench.round(*rounds[place])
+            _crafted(bench, rounds[place])
 
     return play
 
@@ -56,7 +94,7 @@ def own_estimate(bench: Bench) -> None:
     """Messages that all equal the own estimate: the test must not reject at equality."""
     _to_test(bench)
     bench.doing = "messages equal to its own estimate"
-    bench.round(*((bench.situation.x_hat, ordinary_alpha(bench.draw)) for _ in range(5)))
+    _crafted(bench, [(bench.situation.x_hat, alpha) for alpha in scaled_alphas(bench.draw, 5)])
 
 
 def no_test(bench: Bench) -> None:
@@ -77,12 +115,15 @@ def no_test(bench: Bench) -> None:
 def updates(bench: Bench) -> None:
     """Re-estimates of each kind but the one that a phase of its own makes."""
     for wanted in Update:
-        if wanted is not Update.HALF:
+        if wanted not in (Update.HALF, Update.FAINT):
             _update(bench, wanted)
 
 
 def quiet(bench: Bench) -> None:
-    """Messages far away from the estimate of a robot that does not filter."""
+    """Messages far away from the estimate of a robot that does not filter, also where a test would be."""
+    if bench.record.filter_period <= LONG_RUN:
+        bench.doing = _MANY
+        bench.to_test(bench.any_observation)
     for _ in range(5):
         bench.doing = "messages far away"
         bench.round(*far_away(bench.situation, bench.draw))
@@ -104,7 +145,7 @@ def halvings(bench: Bench) -> None:
 def long_run(bench: Bench) -> None:
     """So many observations that a memory that is too short shows."""
     bench.doing = _MANY
-    bench.skip(LONG_RUN - bench.firmware.s.t, bench.any_observation)
+    bench.skip(max(LONG_RUN - bench.firmware.s.t, BURST), bench.any_observation)
 
 
 def _to_test(bench: Bench, before: int = 0) -> None:
@@ -114,17 +155,26 @@ def _to_test(bench: Bench, before: int = 0) -> None:
     bench.to_test(bench.any_observation, before)
 
 
+def _crafted(bench: Bench, contents: Sequence[Content]) -> None:
+    """A round at the test, and another of the same senders, who count again."""
+    senders = bench.draw.sample(bench.others, len(contents))
+    bench.round(*contents, senders=senders)
+    bench.avoid_test()
+    bench.doing += "; then others of the same senders"
+    bench.round(*(any_content(bench.draw) for _ in senders), senders=senders)
+
+
 def _update(bench: Bench, wanted: Update) -> None:
     """A round for which the test makes this update; up to three others first, where it cannot yet."""
     for _ in range(_ATTEMPTS):
-        if wanted is Update.HALF:
+        if wanted in (Update.HALF, Update.FAINT):
             bench.to_test()
         else:
             _to_test(bench)
         contents = for_update(bench.situation, wanted, bench.draw)
         bench.doing = f"a round for a re-estimate: {wanted.value}"
         if contents is not None:
-            bench.round(*contents)
+            _crafted(bench, contents)
             return
         bench.round(*far_away(bench.situation, bench.draw))
     bench.missed.append(f"a re-estimate: {wanted.value}")

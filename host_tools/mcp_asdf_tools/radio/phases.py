@@ -66,7 +66,10 @@ def _votes(record: RobotRecord) -> bool:
 
 
 PHASES: tuple[Phase, ...] = (
+    Phase("nothing seen", protocol.nothing_seen),
     Phase("alone", protocol.alone),
+    Phase("all white", filtering.all_white, applies=_re_estimates),
+    Phase("first black tiles", protocol.first_black_tiles),
     Phase("few voices", robust.few_voices, applies=_votes),
     Phase("messages and silence", protocol.messages_and_silence),
     Phase("lost commands", protocol.lost_settles),
@@ -86,8 +89,10 @@ PHASES: tuple[Phase, ...] = (
     Phase("no information", filtering.no_information, applies=_re_estimates),
     Phase("rounds without a test", filtering.no_test, applies=_re_estimates),
     *(Phase(f"threshold of {m} messages", play, applies=_tests) for m, play in filtering.THRESHOLDS.items()),
+    Phase("large sums", filtering.large_sums, applies=_tests),
     Phase("own estimate", filtering.own_estimate, applies=_tests),
     Phase("re-estimates", filtering.updates, applies=_re_estimates),
+    Phase("estimates of 0 and 1", filtering.ends, applies=_re_estimates),
     Phase("votes", robust.votes, applies=_votes),
     Phase("moving up", robust.moving(ONE), applies=_votes),
     Phase("test of a moderate spread", robust.thresholds(robust.MODERATE), applies=_votes),

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf.robot import Observation
+from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
     ONE,
@@ -22,10 +22,9 @@ from mcp_asdf_tools.bus.frames import (
     encode_telemetry,
 )
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content
+from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content, far_away
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
-_PATTERN = (None, None, Observation.BLACK, Observation.WHITE, Observation.BLACK, None, Observation.BLACK)
 MOST_SKIPPED = 10_000
 ALONE_TICKS = 72
 """More than the shortest memory, 64."""
@@ -127,12 +126,34 @@ UNUSUAL_COMMANDS: dict[str, Change] = {
 """Differences of a command that make none to the robot; the first two are its sender and its target."""
 
 
+def nothing_seen(bench: Bench) -> None:
+    """Messages for a robot that has observed nothing: x is their mean alone, and the test comes early."""
+    bench.doing = "no observation"
+    bench.tick(None)
+    is_robust = bench.config.filter is Filter.ROBUST
+    if not is_robust:
+        extremes(bench)
+    if bench.record.filter_period <= MOST_SKIPPED:
+        bench.doing = "commands in a row"
+        bench.to_test()
+        bench.doing = "a test before the first observation"
+        bench.round(*([] if is_robust else far_away(bench.situation, bench.draw)))
+
+
 def alone(bench: Bench) -> None:
-    """The controller observes and hears no messages."""
+    """The controller hears no messages, and all tiles are white: x_hat is 0, or 1 for b_hat below 1/2."""
     for tick in range(ALONE_TICKS):
-        z = _PATTERN[tick] if tick < len(_PATTERN) else bench.any_observation()
-        bench.doing = "no observation" if z is None else f"a {z.name.lower()} tile"
+        z = None if tick % 9 == 8 else Observation.WHITE
+        bench.doing = "no observation" if z is None else "white tiles"
         bench.tick(z)
+
+
+def first_black_tiles(bench: Bench) -> None:
+    """Black tiles while x_hat is that of white ones alone, else white: small estimates, and their clamp."""
+    bench.doing = "the first black tiles"
+    white = bench.firmware.s.x_hat
+    for _ in range(ALONE_TICKS):
+        bench.tick(Observation(bench.firmware.s.x_hat == white or bench.draw.random() < 0.3))
 
 
 def messages_and_silence(bench: Bench) -> None:
@@ -216,11 +237,13 @@ def unusual_commands(bench: Bench) -> None:
         bench.send(bench.messages({bench.others[2]: any_content(bench.draw)}))
         bench.settle()
     for bit in (8, 16, 24, 31):
-        bench.avoid_test()
-        bench.doing = f"an observe whose number differs from that of the open tick in bit {bit} alone"
-        bench.observe(bench.any_observation())
-        bench.leave_open(1 << bit)
-        bench.tick(bench.any_observation())
+        for distance in (1 << bit, 1 - (1 << bit)):
+            bench.avoid_test()
+            later = "higher" if distance > 0 else "lower"
+            bench.doing = f"an observe of a number {later} by about 2^{bit} than that of the open tick"
+            bench.observe(bench.any_observation())
+            bench.leave_open(distance)
+            bench.tick(bench.any_observation())
 
 
 def unusual_messages(bench: Bench) -> None:
@@ -300,7 +323,7 @@ def extremes(bench: Bench) -> None:
     for name, bits in FOREIGN_ALPHAS.items():
         bench.avoid_test()
         bench.doing = name
-        frames = bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]})
+        frames = bench.messages({robot: (any_content(bench.draw)[0], 0x100) for robot in bench.others[:2]})
         frames[0].data[3:7] = bits.to_bytes(4, "little")
         bench.round_of(frames)
 

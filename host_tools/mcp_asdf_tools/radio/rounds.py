@@ -28,11 +28,12 @@ class Update(Enum):
     MAXIMUM = "b_hat at its upper limit"
     MINIMUM = "b_hat at its lower limit"
     HALF = "b_hat at 1/2, where the robot knows nothing"
+    FAINT = "b_hat just off 1/2"
     KEPT = "b_hat kept, as x_bar is 1/2"
 
 
-_NO_INFORMATION = 1 << 20
-"""|2 b_hat - 1| below which a robot knows nothing, in units of 2**-32."""
+_NO_INFORMATION, _FAINT = 1 << 20, 1 << 28
+"""|2 b_hat - 1| below which a robot knows nothing, or hardly anything, in units of 2**-32."""
 _TRIES = 300
 _LEAST_DISTANCE = 1 << 15
 """Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
@@ -46,8 +47,12 @@ _TARGETS = {
     Update.MINIMUM: (0.42, 0.49),
     Update.HALF: (0.7, 0.95),
     Update.KEPT: (0.5, 0.5),
+    Update.FAINT: (0.7, 0.95),
 }
-"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF."""
+"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF, and
+nearly half for FAINT."""
+_SCALES = ((0, 4), (1, 17), (24, 31))
+"""Shifts of the confidences of a round: with sums below 2**32 units, those of robots, and above 2**45."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +87,20 @@ def update_of(b_hat: int | None) -> Update:
         return Update.KEPT
     if b_hat in (B_HAT_MIN, B_HAT_MAX):
         return Update.MINIMUM if b_hat == B_HAT_MIN else Update.MAXIMUM
-    if abs(2 * b_hat - (1 << 32)) < _NO_INFORMATION:
-        return Update.HALF
+    if abs(2 * b_hat - (1 << 32)) < _FAINT:
+        return Update.HALF if abs(2 * b_hat - (1 << 32)) < _NO_INFORMATION else Update.FAINT
     return Update.ABOVE if 2 * b_hat > 1 << 32 else Update.BELOW
 
 
 def ordinary_alpha(draw: random.Random, most: int = 17) -> int:
     """A confidence as robots have it: 1 to 2**(most - 1)."""
     return (1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(1, most)
+
+
+def scaled_alphas(draw: random.Random, m: int) -> list[int]:
+    """Confidences of a round, all of one scale: small, as robots have them, or large."""
+    least, most = draw.choice(_SCALES)
+    return [(1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(least, most) for _ in range(m)]
 
 
 def any_content(draw: random.Random, most: int = 17) -> Content:
@@ -110,7 +121,7 @@ def at_threshold(
         values = _values_at_threshold(situation, m, draw)
         if values is None:
             continue
-        alphas = [ordinary_alpha(draw) for _ in range(m)]
+        alphas = scaled_alphas(draw, m)
         inside, outside = (list(zip(each, alphas, strict=True)) for each in values)
         update = situation.update(outside)
         if update is wanted or (found is None and update is not Update.KEPT):
@@ -152,7 +163,7 @@ def for_update(situation: Situation, wanted: Update, draw: random.Random, m: int
         else:
             spread = draw.randint(1, 1 << 16)
             values = [min(max(target + draw.randint(-spread, spread), 0), ONE) for _ in range(m)]
-            contents = [(value, ordinary_alpha(draw)) for value in values]
+            contents = list(zip(values, scaled_alphas(draw, m), strict=True))
         if situation.update(contents) is wanted:
             return contents
     return None
@@ -171,6 +182,25 @@ def far_away(situation: Situation, draw: random.Random, m: int = 4) -> list[Cont
     return [(value, ordinary_alpha(draw)) for value in values]
 
 
+def with_large_sums(situation: Situation, draw: random.Random) -> dict[str, list[Content]]:
+    """Rounds of most messages, by what would decide otherwise about them: their spread without bits from
+    2**56 up, which is small then, and the square of their sum's distance without bits from 2**54 up, 0 then.
+    """
+    m, own = 126, situation.x_hat
+    ones = next(n for n in (34, 92) if m // 16 * ONE < abs(n * ONE - m * own) < m * 7 // 16 * ONE)
+    step = 1 << 27
+    end = ONE if own < HALF else 0
+    distance = abs(m * end - m * own) // step * step  # of the sum, at least 7 steps
+    mean, rest = divmod(m * own + (distance if end else -distance), m)
+    values = [mean + (place < rest) for place in range(m)]
+    values[0], values[1] = values[0] - 8, values[1] + 8
+    wide = [ONE] * ones + [0] * (m - ones)
+    return {
+        name: list(zip(each, scaled_alphas(draw, m), strict=True))
+        for name, each in (("a spread of 2^57", wide), ("a distance of the sum above 2^27", values))
+    }
+
+
 EXTREMES: dict[str, list[Content]] = {
     "confidences of 0": [(ONE, 0), (0, 0)],
     "one confidence of 0 among others": [(ONE, 0), (HALF, 0x8000_0001), (0, 0x8000_0001)],
@@ -185,6 +215,7 @@ EXTREMES: dict[str, list[Content]] = {
 FOREIGN_ALPHAS = {
     "a confidence above the largest": 0x7F7F_FFFF,
     "a confidence between two multiples of 2^-24": 0x3300_0001 + (1 << 23),
+    "a confidence nearer to the next multiple of 2^-24": 0x3400_0000 - (1 << 21),
     "a subnormal confidence": 0x0000_0001,
 }
 """binary32 bits that the codec brings to the firmware's grid."""

@@ -137,7 +137,7 @@ class Lockstep:
     def leave_open(self, distance: int = 1) -> None:
         """End the tick without a *settle*, as if all were lost: robots end it when they observe again.
 
-        The number of the next tick is ``distance``, at least 1, higher.
+        The number of the next tick is ``distance`` higher, or lower if that is negative; it is not 0.
         """
         self.tick += distance
 
