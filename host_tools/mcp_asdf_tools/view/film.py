@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,8 @@ class Film:
         generation: Counts changes of what was taken already (it was thinned out, a robot joined), after which
             earlier indices mean nothing.
         has_ended: Whether nothing more comes.
+        report: What stands beside the latest state, as plain values, replaced and never changed; None if
+            nothing does.
     """
 
     def __init__(self, stage: Stage, states: Iterable[State] | None = None) -> None:
@@ -75,6 +77,7 @@ class Film:
         self.stage = stage
         self.generation = 0
         self.has_ended = states is not None
+        self.report: dict[str, Any] | None = None
         self._states = list(states or ())
         self._spacing = 1
         self._lock = threading.Lock()

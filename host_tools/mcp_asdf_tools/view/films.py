@@ -29,6 +29,7 @@ from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
+from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
@@ -193,6 +194,7 @@ class SwarmCamera:
 
 
 STATES_PER_SECOND = 10
+STATES_PER_REPORT = 5
 _X, _X_HAT, _B_HAT, _ = range(len(QUANTITIES))
 
 
@@ -216,28 +218,36 @@ class BusFilm:
         self._frames = frames
         self._unknown = [np.nan, np.nan, np.nan, np.nan if b is None else b]
         self._states: dict[int, list[float]] = {}
+        self._roster = Roster()
+        self._began = time.monotonic()
+        self._report_due = 0
 
     def record(self, should_stop: Callable[[], bool]) -> None:
         """Film until asked to stop. Raises can.CanError if the bus fails."""
-        began, tick = time.monotonic(), 0
+        tick, self._began = 0, time.monotonic()
         while not should_stop():
-            left = began + tick / STATES_PER_SECOND - time.monotonic()
+            left = tick / STATES_PER_SECOND - self._seconds()
             frame = self._bus.recv(max(left, 0.0))
             if frame is not None:
                 self.hear(frame)
             if left <= 0:
                 self._take(tick)
-                tick = int((time.monotonic() - began) * STATES_PER_SECOND) + 1
+                tick = int(self._seconds() * STATES_PER_SECOND) + 1
 
     def hear(self, frame: can.Message) -> None:
         """Take a frame of any node. O(1)."""
         content = decode_any(frame, self._frames)
+        self._roster.hear(frame, content, self._seconds())
         if isinstance(content, Message):
             self._state(content.sender)[_X_HAT] = content.x_hat / ONE
         elif isinstance(content, Telemetry):
             self.has_telemetry = True
             state = self._state(content.sender)
             state[_X], state[_B_HAT] = content.x / ONE, content.b_hat / 2**24
+
+    def _seconds(self) -> float:
+        """Seconds since the film began."""
+        return time.monotonic() - self._began
 
     def _state(self, robot: int) -> list[float]:
         if robot not in self._states:
@@ -246,7 +256,15 @@ class BusFilm:
         return self._states[robot]
 
     def _take(self, tick: int) -> None:
+        """Add a state, in which nothing is known of robots that are silent, and a report."""
+        now, robots = self._seconds(), self._roster.robots
+        for robot, state in self._states.items():
+            if robots[robot].is_silent(now):
+                state[:] = self._unknown
         if self._states:
             values = np.array(list(self._states.values())).T
             deaf = np.zeros((len(self._states), len(self._states)), np.bool_)
             self.film.add(State(tick, values, deaf, None))
+        if tick >= self._report_due:
+            self.film.report = self._roster.report(now)
+            self._report_due = tick + STATES_PER_REPORT

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.view.film import QUANTITIES, Film, Stage, State
 
 _FOLDER = Path(__file__).parent / "page"
-_MODULES = ("arena", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
+_MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
 """Of ``page/``; they import each other as ``view/NAME``."""
 
 

@@ -103,8 +103,8 @@ class OwnPagesOnly:
 
 
 async def _events(film: Film) -> AsyncIterator[str]:
-    """Server-sent events: a ``stage``, again after each generation, its ``block``s, at last ``end``."""
-    generation, index, has_begun, has_ended = 0, 0, False, False
+    """Server-sent events: a ``stage`` for each generation, its ``block``s, ``report``s, at last ``end``."""
+    generation, index, has_begun, has_ended, report = 0, 0, False, False, None
     while not has_ended:
         has_ended = film.has_ended  # read before the states, so that none is left behind
         before, (generation, stage, states) = generation, film.since(generation, index)
@@ -114,6 +114,9 @@ async def _events(film: Film) -> AsyncIterator[str]:
         if states:
             index += len(states)
             yield _event("block", await asyncio.to_thread(states_as_plain, states, stage))
+        if film.report is not report:
+            report = film.report
+            yield _event("report", report)
         await asyncio.sleep(_SECONDS_BETWEEN_BLOCKS)
     yield _event("end", None)
 

@@ -6,16 +6,19 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import can
 import numpy as np
 import pytest
 
 from browser import browser_page, until
+from mcp_asdf_tools.bus.frames import Health, Heartbeat, Message
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view.film import Film, Stage
 from mcp_asdf_tools.view.films import SwarmCamera
 from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serving
 
 if TYPE_CHECKING:
@@ -93,8 +96,29 @@ def follow_a_run(browser: Page, film: Film) -> None:
         bus.join(9)
         until(browser, "view.film.robots === 2 && view.film.length === 1")
         assert browser.evaluate("Number.isNaN(view.film.value('x', 1, 0))")
+        check_the_table(browser, bus)
         bus.has_ended = True
         until(browser, f"{STATE} === 'the run has ended'")
+
+
+def check_the_table(browser: Page, bus: Film) -> None:
+    """A row for each robot, a silent one greyed, and frames through the filter."""
+    roster, text = Roster(), "document.getElementById('frames').textContent"
+    for robot, now in ((9, 0.0), (5, 9.0)):
+        for content in (Message(robot, 0, 0, 3), Heartbeat(robot, 60, 4, Health.WARNING)):
+            roster.hear(can.Message(), content, now)
+    bus.report = roster.report(10.0)
+    until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
+    rows = [row.split() for row in browser.locator("#roster tbody tr").all_inner_texts()]
+    rest = ["%", "0", *["\N{EN DASH}"] * 3, "0"]
+    assert rows[0] == ["5", "1.0", "s", "warning", "operational", "1.0/s", "0.0", *rest]
+    assert rows[1] == ["9", "10.0", "s", "warning", "operational", "0.0/s", "0.0", *rest]
+    assert browser.locator("#roster tr.silent").count() == 1
+    browser.locator("#roster button").last.press("Enter")
+    assert browser.evaluate("view.film.stage.robots[view.chosen]") == 9
+    assert browser.evaluate(text).count("\n") == 3
+    browser.locator("#filter").fill("9 heartbeat")
+    assert browser.evaluate(text).strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"
 
 
 @pytest.mark.slow

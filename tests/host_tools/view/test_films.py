@@ -166,6 +166,8 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("mcp_asdf_tools.view.films.STATES_PER_SECOND", 8)
     watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
     watch.record(lambda: now[0] >= 0.5)
+    report = watch.film.report
+    assert report is not None and [each["robot"] for each in report["robots"]] == [7]
     generation, stage, taken = watch.film.since()
     assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
     unknown = [np.nan, np.nan]
@@ -175,3 +177,7 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     assert [each.tick for each in taken] == [0, 1, 2, 3]
     for each, expected in zip(taken, (first, first, second, third), strict=True):
         assert np.array_equal(each.values, expected, equal_nan=True)
+    watch.record(lambda: now[0] >= 4.5)
+    silent = [*[[np.nan, np.nan]] * 3, [0.9, 0.9]]
+    assert np.array_equal(watch.film.since()[2][-1].values, silent, equal_nan=True)
+    assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])

@@ -76,6 +76,7 @@ export class Arena {
   draw(tick, chosen) {
     const { context, film } = this;
     this.isBlank = false;
+    if (this.canvas.width === 1) return; // hidden
     this.#fit();
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this.#drawFloor();

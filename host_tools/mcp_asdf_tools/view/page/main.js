@@ -1,6 +1,7 @@
 // The page: a film from the page itself or from the server, and everything that shows it.
 
 import { Arena } from "view/arena";
+import { Bus } from "view/bus";
 import { Charts } from "view/charts";
 import { forgetColours } from "view/colours";
 import { Film } from "view/film";
@@ -15,6 +16,7 @@ class View {
     this.player = new Player();
     this.arena = new Arena(find("arena"));
     this.charts = new Charts(find("charts"));
+    this.bus = new Bus((id) => this.follow(this.film.stage.robots.indexOf(id)));
     this.film = null;
     this.chosen = null;
     this.before = performance.now();
@@ -59,9 +61,11 @@ class View {
     this.charts.rebuild();
   }
 
+  /** Follows a robot, by its place among them; null or -1 for none. */
   follow(robot) {
-    this.chosen = robot;
-    this.charts.follow(robot);
+    this.chosen = robot === -1 ? null : robot;
+    this.charts.follow(this.chosen);
+    this.bus.follow(this.film.stage.robots[this.chosen]);
   }
 
   /** One frame of the screen. */
@@ -170,6 +174,7 @@ function connect(view) {
     }),
   );
   source.addEventListener("block", (event) => then(() => view.append(JSON.parse(event.data))));
+  source.addEventListener("report", (event) => then(() => view.bus.take(JSON.parse(event.data))));
   source.addEventListener("end", () => {
     source.close();
     then(() => {

@@ -13,7 +13,7 @@ export function element(name, text = "", className = "") {
   return made;
 }
 
-function shown(value, digits = 3) {
+export function shown(value, digits = 3) {
   return value === null || Number.isNaN(value) ? "–" : value.toFixed(digits);
 }
 
@@ -22,18 +22,18 @@ function mean(values) {
   return found.length ? found.reduce((sum, value) => sum + value, 0) / found.length : Number.NaN;
 }
 
-/** Four figures of the swarm in a sample. */
+/** Four figures of the swarm in a sample, without the robots that are silent or dead. */
 export function showFigures(film, sample) {
   const f = film.stage.fill_ratio;
   const robots = film.stage.robots.map((_, robot) => robot);
   const x = robots.map((robot) => film.value("x", robot, sample));
-  const wrong = robots.map((robot) => film.wrongness(robot, sample));
-  const isKnown = wrong.some((value) => !Number.isNaN(value));
+  const known = x.filter((value) => !Number.isNaN(value));
+  const judged = robots.map((robot) => film.wrongness(robot, sample)).filter((value) => !Number.isNaN(value));
   const figures = {
     "mean-x": shown(mean(x)),
     "mean-error": f === null ? "–" : shown(mean(x.map((value) => Math.abs(value - f)))),
-    spread: shown(Math.max(...x) - Math.min(...x)),
-    wrong: isKnown ? `${wrong.filter((value) => value > WRONG).length} of ${robots.length}` : "–",
+    spread: shown(known.length ? Math.max(...known) - Math.min(...known) : Number.NaN),
+    wrong: judged.length ? `${judged.filter((value) => value > WRONG).length} of ${judged.length}` : "–",
   };
   for (const [name, value] of Object.entries(figures)) {
     if (find(name).textContent !== value) find(name).textContent = value;

@@ -1,0 +1,133 @@
+"""What a page says of each robot of a bus, from frames made by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+import pytest
+
+from mcp_asdf_tools.bus.frames import (
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    Mode,
+    Telemetry,
+    decode_any,
+    encode,
+    encode_heartbeat,
+    encode_telemetry,
+)
+from mcp_asdf_tools.view.roster import Roster
+
+
+class Heard(Roster):
+    """A roster that hears frames as a bus has them."""
+
+    def frame(self, frame: can.Message, now: float) -> None:
+        self.hear(frame, decode_any(frame, FrameFormat()), now)
+
+    def estimate(self, transfer_id: int, now: float, alpha: int = 1 << 30, robot: int = 3) -> None:
+        self.frame(encode(Message(robot, 1 << 22, alpha, transfer_id), FrameFormat()), now)
+
+    def beat(self, uptime: int, transfer_id: int, now: float = 0.0, health: Health = Health.NOMINAL) -> None:
+        self.frame(encode_heartbeat(Heartbeat(3, uptime, transfer_id, health, Mode.MAINTENANCE)), now)
+
+    def row(self, now: float, place: int = 0) -> dict[str, Any]:
+        return dict(self.report(now)["robots"][place])
+
+
+@pytest.mark.parametrize(
+    ("transfer_ids", "lost"),
+    [
+        ([5, 6, 7], 0),
+        ([30, 31, 0, 1], 0),
+        ([5, 7], 1),
+        ([30, 1], 2),
+        ([7, 7, 8], 0),
+        ([8, 7], 30),
+        ([4, 3], 30),
+    ],
+)
+def test_loss_is_counted_by_gaps_of_transfer_ids_modulo_32(transfer_ids: list[int], lost: int) -> None:
+    heard = Heard()
+    for place, each in enumerate(transfer_ids):
+        heard.estimate(each, 0.1 * place)
+    assert heard.row(1.0)["loss"] == lost / (lost + len(transfer_ids))
+
+
+def test_each_kind_of_frame_has_transfer_ids_of_its_own_and_silence_ends_a_series() -> None:
+    heard = Heard()
+    heard.estimate(9, 0.0)
+    heard.beat(100, 2, 0.0)
+    heard.frame(encode_telemetry(Telemetry(3, 1 << 21, 1 << 23, 7, 30)), 0.0)
+    heard.estimate(10, 1.0)
+    heard.estimate(11, 1.0, robot=2)
+    assert [heard.row(1.0, place)["loss"] for place in (0, 1)] == [0, 0]
+    heard.estimate(20, 3.99)
+    assert heard.row(4.0)["loss"] == 0 and heard.row(4.0, 1)["loss"] == 9 / (9 + 5)
+    heard.estimate(1, 6.99)  # 3 s of silence: it may have sent any number of frames
+    assert heard.row(7.0, 1)["loss"] == 9 / (9 + 6)
+
+
+def test_a_rate_is_that_of_the_last_seconds_and_ends_with_silence() -> None:
+    heard = Heard()
+    for tick in range(100):
+        heard.estimate(tick % 32, tick / 10)
+    assert heard.row(9.9)["rate"] == 10.0 and not heard.row(12.89)["silent"]
+    row = heard.row(12.9)
+    assert row["rate"] == pytest.approx(4.0, abs=0.21) and row["silent"] and row["seen"] == 3.0
+    assert heard.row(20.0)["rate"] == 0
+
+
+def test_states_jumps_and_values_are_what_the_frames_say() -> None:
+    heard = Heard()
+    heard.estimate(0, 0.0, alpha=100 << 8)
+    assert {heard.row(0.0)[name] for name in ("health", "mode", "x", "b_hat", "updates")} == {None}
+    for alpha, jumps in ((199, 0), (398, 1), (200, 1), (100, 2), (0, 2), (100, 2)):
+        heard.estimate(0, 0.0, alpha=alpha << 8)
+        assert heard.row(0.0)["jumps"] == jumps, alpha
+    heard.beat(100, 2, health=Health.ADVISORY)
+    heard.frame(encode_telemetry(Telemetry(3, 1 << 21, 3 << 22, 7, 30)), 0.5)
+    row = heard.row(1.0)
+    assert (row["health"], row["mode"], row["seen"]) == ("advisory", "maintenance", 0.5)
+    assert (row["x"], row["b_hat"], row["updates"]) == (0.25, 0.75, 7)
+
+
+@pytest.mark.parametrize(
+    ("beats", "conflicts"),
+    [
+        ([(1, 1), (2, 2), (4, 4), (5, 5)], 0),
+        ([(100, 4), (0, 0), (1, 1), (2, 2)], 0),
+        ([(0, 0), (1, 1), (0, 0), (1, 1), (0, 0)], 0),
+        ([(100, 4), (5, 5), (101, 5), (6, 6), (102, 6)], 2),
+        ([(100, 4), (0, 0), (102, 5)], 0),
+        ([(7, 7), (7, 7), (8, 8), (8, 8)], 2),
+    ],
+    ids=["one", "restart", "boot loop", "another", "by chance", "started together"],
+)
+def test_two_nodes_with_one_id_are_told_from_one_that_restarts(
+    beats: list[tuple[int, int]], conflicts: int
+) -> None:
+    heard = Heard()
+    for uptime, transfer_id in beats:
+        heard.beat(uptime, transfer_id)
+    assert heard.row(0.0)["conflicts"] == conflicts
+
+
+def test_frames_are_listed_in_words_the_last_two_hundred() -> None:
+    heard = Heard()
+    for tick in range(250):
+        heard.estimate(tick % 32, float(tick))
+    heard.beat(100, 2, 250.0)
+    heard.frame(encode_telemetry(Telemetry(3, 1 << 21, 3 << 22, 7, 30)), 251.0)
+    heard.frame(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1"), 252.0)
+    frames = heard.report(252.0)["frames"]
+    assert [each[0] for each in frames] == [*range(53, 253)]
+    assert frames[0] == [53, 53.0, 3, "estimate 21: x_hat 0.5000, alpha 0.25"]
+    assert [each[2:] for each in frames[-3:]] == [
+        [3, "heartbeat 2: nominal, maintenance, up 100 s"],
+        [3, "telemetry 30: x 0.2500, b_hat 0.7500, updates 7"],
+        [None, "refused, standard id: 123#01"],
+    ]
