@@ -51,9 +51,10 @@ static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE]
 static int sync_folder(char *path)
 {
     char *slash = strrchr(path, '/');
-    const char *folder = slash == NULL ? "." : slash == path ? "/" : path;
+    const char *folder = ".";
     if (slash != NULL) {
-        *slash = 0;
+        slash[slash == path ? 1 : 0] = 0; /* "/" stays */
+        folder = path;
     }
     const int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0) {
