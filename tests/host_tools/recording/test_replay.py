@@ -93,7 +93,8 @@ def test_every_robot_is_reproduced_and_gaps_are_no_difference(options: str, tmp_
     assert made / 5 < verdict.reproduced < made / 2
 
 
-FAULTS = " ".join(f"--fault {kind.value}=0.3" + ",id=2" * (kind is FaultKind.COLLIDE) for kind in FaultKind)
+NEEDED = {FaultKind.COLLIDE: ",id=2", FaultKind.SYBIL: ",ids=2+100"}
+FAULTS = " ".join(f"--fault {kind.value}=0.3{NEEDED.get(kind, '')}" for kind in FaultKind)
 
 
 @pytest.mark.parametrize(
