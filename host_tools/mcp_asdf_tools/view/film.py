@@ -31,6 +31,9 @@ class Stage:
         sides: Width and height of the arena in metres; None if robots do not move.
         radio_range: In metres; None if robots do not move.
         floor: True where black, the first row in the north; None if there is no floor.
+        filter: Name of the robots' filter; None if unknown.
+        twin: Mean error of the same robots without a filter, as means over equal parts of the run; empty if
+            unknown.
     """
 
     title: str
@@ -42,6 +45,8 @@ class Stage:
     sides: tuple[float, float] | None = None
     radio_range: float | None = None
     floor: NDArray[np.bool_] | None = None
+    filter: str | None = None
+    twin: Sequence[float] = ()
 
 
 class State(NamedTuple):

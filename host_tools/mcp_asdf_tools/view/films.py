@@ -21,6 +21,8 @@ from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.experiments.engine import native
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
@@ -37,6 +39,7 @@ from mcp_asdf_tools.world.world import World
 
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
+_TWIN_PARTS = 480
 
 
 def stage_of(settings: Population, trial: int = 0) -> Stage:
@@ -48,11 +51,30 @@ def stage_of(settings: Population, trial: int = 0) -> Stage:
         settings.fill_ratio,
         settings.steps,
         settings.steps_per_second,
+        filter=settings.filter,
+        twin=_twin(settings, trial),
     )
     if not settings.is_dynamic:
         return stage
     floor = floor_of(Arena(settings, trial))
     return replace(stage, sides=settings.sides, radio_range=settings.radio_range, floor=floor)
+
+
+def _twin(settings: Population, trial: int) -> list[float]:
+    """Mean error of the same robots without a filter, over equal parts of the run.
+
+    Empty where they have none, where faults or ``allow`` make another run, and where it would take long.
+    """
+    is_other = getattr(settings, "faults", ()) or getattr(settings, "allow", "")
+    if settings.filter == "none" or settings.firmware != "native" or is_other:
+        return []
+    parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
+    experiment = Experiment(**parameters, trials=trial + 1)
+    if not native.can_run(experiment):
+        return []
+    x = run_trials(experiment, trial, 1, spacing_of(settings.steps, settings.robots)).records["x"][0]
+    errors = abs(x - settings.fill_ratio).mean(axis=1)
+    return [round(float(part.mean()), 5) for part in np.array_split(errors, min(_TWIN_PARTS, len(errors)))]
 
 
 def floor_of(arena: Arena) -> NDArray[np.bool_]:

@@ -78,7 +78,12 @@ def stage_as_plain(stage: Stage) -> dict[str, Any]:
         rows, columns = stage.floor.shape
         bits = _text(np.packbits(stage.floor, axis=1).tobytes())
         floor = {"rows": rows, "columns": columns, "bits": bits}
-    return vars(stage) | {"flawed": [*stage.flawed], "floor": floor, "quantities": QUANTITIES}
+    return vars(stage) | {
+        "flawed": [*stage.flawed],
+        "twin": [*stage.twin],
+        "floor": floor,
+        "quantities": QUANTITIES,
+    }
 
 
 def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:

@@ -87,6 +87,17 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
             assert all(map(np.array_equal, state, states(logged)[tick])), tick
 
 
+def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = {"topology": "dynamic", "steps": 60}
+    film, plain_run = filmed(**world), filmed(**world, filter="none")
+    x = np.stack([state[0][0] for state in states(plain_run).values()])
+    assert film.stage.twin[1:] == pytest.approx(abs(x - 0.55).mean(axis=1), abs=1e-5)
+    assert (film.stage.filter, plain_run.stage.filter) == ("asdf-minus", "none")
+    assert len(plain_run.stage.twin) == len(filmed(**world, faults=("loss=0.1",)).stage.twin) == 0
+    monkeypatch.setattr("mcp_asdf_tools.view.films._TWIN_PARTS", 4)
+    assert len(filmed(**world).stage.twin) == 4
+
+
 def test_dead_robots_keep_their_values(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     words = ["swarm", "--robots", "4", "--steps", "60", "--fault", "crash=1,robots=2,from=20,ticks=40"]

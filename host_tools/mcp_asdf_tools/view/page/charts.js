@@ -1,8 +1,15 @@
 // Charts of all robots over time. Long films are thinned to the extremes of each column of the screen.
 
-import { colour } from "view/colours";
+import { colour, colourOfError } from "view/colours";
 
 const COLUMNS = 480;
+const FILTERS = {
+  none: ["none", "no filter"],
+  "asdf-minus": ["minus", "ASDF−"],
+  "asdf-plus": ["plus", "ASDF+"],
+  robust: ["robust", "robust"],
+};
+const MEAN = { name: "mean error", label: "mean error of x: " };
 const ERROR = { name: "error", label: "mean error of x: median and middle half of runs" };
 const PANELS = [
   { name: "b_hat", label: "b_hat: trust in the own sensor", symbol: "b" },
@@ -29,6 +36,46 @@ function thinned(film, { name, symbol }) {
     });
   }
   return [ticks, ...series, truths];
+}
+
+/** Mean error of x over time, and that of the twin without a filter, as data for uPlot. O(samples robots). */
+function meanErrors(film) {
+  const { fill_ratio: f, twin = [], steps } = film.stage;
+  const columns = Math.min(COLUMNS, film.length);
+  const rows = [[], [], []];
+  for (let column = 0; column < columns; column++) {
+    const first = Math.floor((column * film.length) / columns);
+    const end = Math.max(first + 1, Math.floor(((column + 1) * film.length) / columns));
+    let [sum, count] = [0, 0];
+    for (let at = first * film.robots; at < end * film.robots; at++) {
+      const x = film.value("x", at % film.robots, Math.floor(at / film.robots));
+      if (!Number.isNaN(x)) [sum, count] = [sum + Math.abs(x - f), count + 1];
+    }
+    const tick = film.ticks[first];
+    rows[0].push(tick);
+    rows[1].push(count ? sum / count : null);
+    rows[2].push(twin[Math.min(Math.floor((tick * twin.length) / (steps + 1)), twin.length - 1)] ?? null);
+  }
+  return rows;
+}
+
+/** The colour of a robot's line: at each time that of the robot on the floor. */
+function stroke(plot, film, robot) {
+  const { left, width } = plot.bbox;
+  const gradient = plot.ctx.createLinearGradient(left, 0, left + Math.max(width, 1), 0);
+  let before = null;
+  const columns = Math.min(COLUMNS, film.length);
+  for (let column = 0; column < columns; column++) {
+    const sample = Math.floor((column * film.length) / columns);
+    const now = colourOfError(film.wrongness(robot, sample));
+    if (now === before) continue;
+    const place = (plot.valToPos(film.ticks[sample], "x", true) - left) / width;
+    const at = Number.isFinite(place) ? Math.min(Math.max(place, 0), 1) : 0;
+    if (before !== null) gradient.addColorStop(at, before);
+    gradient.addColorStop(at, now);
+    before = now;
+  }
+  return gradient;
 }
 
 /** The true b of the first robot or f; null if unknown. */
@@ -74,7 +121,11 @@ export class Charts {
   show(film) {
     this.film = film;
     this.drawn = -1;
-    const panels = film.comparison ? [ERROR, PANELS[0]] : PANELS;
+    const panels = film.comparison
+      ? [ERROR, PANELS[0]]
+      : film.stage.fill_ratio === null
+        ? PANELS
+        : [MEAN, ...PANELS];
     const isSame = film.robots === this.plots[0]?.robots && panels.length === this.plots.length;
     if (!isSame) this.rebuild(panels);
     this.update();
@@ -88,6 +139,7 @@ export class Charts {
     this.drawn = -1;
     this.#fit();
     this.update();
+    this.follow(this.chosen);
   }
 
   #panel(panel, isLast) {
@@ -95,6 +147,7 @@ export class Charts {
     box.className = "chart";
     const label = document.createElement("p");
     label.textContent = panel.label;
+    if (panel === MEAN) label.append(...this.#namesOfErrors());
     const truth = document.createElement("span");
     label.append(truth);
     box.append(label);
@@ -125,15 +178,42 @@ export class Charts {
         { ...axis, size: isLast ? 26 : 6, values: isLast ? undefined : () => [] },
         { ...axis, size: 46, space: 24 },
       ],
-      ...(panel === ERROR ? this.#comparison() : { series: this.#seriesOfRobots(isStepped) }),
+      ...(panel === ERROR
+        ? this.#comparison()
+        : { series: panel === MEAN ? this.#meanErrors() : this.#seriesOfRobots(isStepped) }),
     };
+  }
+
+  /** Colour and name of this run's error and, if known, its twin's. */
+  #errors() {
+    const { filter, twin } = this.film.stage;
+    const own = FILTERS[filter] ?? ["ink", "these robots"];
+    return twin?.length ? [own, FILTERS.none] : [own];
+  }
+
+  #namesOfErrors() {
+    return this.#errors().map(([name, text]) => {
+      const word = document.createElement("b");
+      word.textContent = text;
+      word.style.setProperty("--colour", `var(--${name})`);
+      return word;
+    });
+  }
+
+  #meanErrors() {
+    const lines = [...this.#errors(), FILTERS.none].slice(0, 2);
+    return [
+      {},
+      ...lines.map(([name]) => ({ stroke: () => colour(name), width: 2, points: { show: false } })),
+    ];
   }
 
   #seriesOfRobots(isStepped) {
     return [
       {},
       ...this.film.stage.robots.map((_, robot) => ({
-        stroke: () => this.#stroke(robot, this.film.stage.flawed.includes(robot)),
+        stroke: (plot) => stroke(plot, this.film, robot),
+        alpha: 0.7,
         width: 1.2,
         points: { show: false },
         paths: isStepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
@@ -170,12 +250,6 @@ export class Charts {
     };
   }
 
-  #stroke(robot, isFlawed) {
-    const usual = colour(isFlawed ? "wrong" : "right");
-    if (this.chosen === null) return `${usual}b0`;
-    return robot === this.chosen ? colour("focus") : `${usual}40`;
-  }
-
   #fit() {
     const height = this.parent.clientHeight - 6;
     const width = this.parent.clientWidth - 12;
@@ -195,7 +269,14 @@ export class Charts {
   /** The robot whose lines stand out, or null. */
   follow(robot) {
     this.chosen = robot;
-    for (const { plot } of this.plots) plot.redraw(false);
+    for (const { plot, panel } of this.plots) {
+      if (!panel.symbol) continue;
+      plot.series.slice(1, -1).forEach((series, each) => {
+        series.alpha = robot === null ? 0.7 : robot === each ? 1 : 0.2;
+        series.width = robot === each ? 2.6 : 1.2;
+      });
+      plot.redraw(false);
+    }
   }
 
   /** Takes samples that have come since, and errors of other runs. O(samples). */
@@ -206,6 +287,10 @@ export class Charts {
     for (const { plot, panel, truth } of this.plots) {
       if (panel === ERROR) {
         plot.setData(this.film.comparison.data());
+        continue;
+      }
+      if (panel === MEAN) {
+        plot.setData(meanErrors(this.film));
         continue;
       }
       plot.setData(thinned(this.film, panel));

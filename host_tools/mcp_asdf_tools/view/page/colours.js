@@ -26,9 +26,10 @@ function channels(hex) {
 const MIDDLE = [169, 169, 169];
 const MOST = 0.4;
 
-/** Colour of a robot that is wrong by |b_hat - b|: blue, over grey, to orange from 0.4 on; grey if unknown. */
+/** Colour of a robot that is wrong by |b_hat - b|: blue, over grey, to orange from 0.4 on. */
 export function colourOfError(error) {
-  const step = Number.isNaN(error) ? 32 : Math.round(64 * Math.min(error / MOST, 1));
+  if (Number.isNaN(error)) return colour("soft"); // unknown
+  const step = Math.round(64 * Math.min(error / MOST, 1));
   const key = `error ${step}`;
   let value = cache.get(key);
   if (value === undefined) {
