@@ -187,7 +187,8 @@ def with_large_sums(situation: Situation, draw: random.Random) -> dict[str, list
     2**56 up, which is small then, and the square of their sum's distance without bits from 2**54 up, 0 then.
     """
     m, own = 126, situation.x_hat
-    ones = next(n for n in (34, 92) if m // 16 * ONE < abs(n * ONE - m * own) < m * 7 // 16 * ONE)
+    fits = [n for n in (34, 92) if m // 16 * ONE < abs(n * ONE - m * own) < m * 7 // 16 * ONE]
+    ones = fits[0] if fits else m // 2  # whose spread is 1/4 smaller, but fits where the others do not
     step = 1 << 27
     end = ONE if own < HALF else 0
     distance = abs(m * end - m * own) // step * step  # of the sum, at least 7 steps
