@@ -25,9 +25,9 @@
  *   ticks_per_second   a heartbeat is due every so many ticks, 1 or more
  *   telemetry_period   ticks between telemetry frames; 0: none. Not used in lockstep
  *   id                 robot and node, 0 .. 127
- *   ignore             ids whose estimates the firmware does not get: bit id % 8 of byte id / 8. Its own
- * counts as a collision in any case lockstep           whether commands are the clock, and every settle is
- * answered */
+ *   ignore             ids whose estimates the firmware does not get, but for its own: bit id % 8 of byte
+ *                      id / 8
+ *   lockstep           whether commands are the clock, and every settle is answered */
 typedef struct {
     const uint32_t *table;
     uint32_t comms_period, filter_period;
