@@ -14,6 +14,8 @@ in the same order.
 
 from __future__ import annotations
 
+import os
+import select
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -42,6 +44,9 @@ _BATCH = 64
 _MOST_LATE = 4096
 """Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
 
+
+_LONGEST = 4096
+"""Bytes of the longest datagram or burst that is thrown away at once."""
 
 OpenBus = Callable[[int], can.BusABC]
 """Joins the bus of a robot, by id."""
@@ -132,6 +137,21 @@ class Connection:
         if frame is not None:
             self._sort(frame, Counter())
 
+    def discard(self) -> None:
+        """Throw away what has come to a connection that only sends: undecoded, where it has a descriptor.
+
+        Raises can.CanError if the bus has failed.
+        """
+        try:
+            descriptor = self.bus.fileno()
+        except NotImplementedError:
+            self.drain()
+            return
+        with can.exceptions.error_check():
+            for _ in range(_MOST_LATE):
+                if not select.select([descriptor], [], [], 0)[0] or not os.read(descriptor, _LONGEST):
+                    return
+
     def _sort(self, frame: can.Message, left: Counter[Content]) -> None:
         """Take a frame off ``left``, or hand over a stranger."""
         if self._every is not None:
@@ -219,7 +239,7 @@ class Carrier:
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
             if radio is not None:
-                radio.drain()
+                radio.discard()
 
     def _read(self, tick: int) -> None:
         """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
@@ -242,7 +262,7 @@ class Carrier:
         """
         self._read(tick)
         if self._radios and not self._has_own_buses:
-            self._radios[0].drain()
+            self._radios[0].discard()
         come, self._come = self._come, []
         arrivals = self._delivery.arrivals(tick, come)
         if not self._has_own_buses:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import count, islice
+from socket import AF_UNIX, MSG_DONTWAIT, SOCK_DGRAM, socketpair
 from typing import Any
 from unittest.mock import Mock
 
@@ -293,3 +294,23 @@ def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
         assert (found["after_min"], found["after_max"]) == (min(b_hat), max(b_hat))
     for name in ("tests", "updates"):
         assert results[name] == sum(vars(node.robot.counters)[name] for node in outcome.nodes) > 0
+
+
+def test_what_comes_to_a_sending_connection_is_thrown_away_undecoded() -> None:
+    """If it has a descriptor; else it is read."""
+    one, other = socketpair(AF_UNIX, SOCK_DGRAM)
+    bus = Mock(fileno=other.fileno)
+    radio = Connection(bus, "a robot")
+    for _ in range(9):
+        one.send(b"frame")
+    radio.discard()
+    with pytest.raises(BlockingIOError):
+        other.recv(1, MSG_DONTWAIT)
+    one.close()
+    other.close()
+    with pytest.raises(can.CanOperationError):
+        radio.discard()
+    bus.recv.assert_not_called()
+    bus.fileno, bus.recv.return_value = Mock(side_effect=NotImplementedError), None
+    radio.discard()
+    bus.recv.assert_called_once_with(0)
