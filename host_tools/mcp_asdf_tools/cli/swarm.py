@@ -168,7 +168,7 @@ def _camera(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
     from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    camera = SwarmCamera(plan.settings)
+    camera = SwarmCamera(plan.settings, plan.args.pace)
     view.announce(plan.args, ending.enter_context(serving(camera.film, plan.args.port)))
     ending.push(lambda kind, error, trace: _let_look(camera, kind is None))
     return camera

@@ -94,6 +94,13 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         help="also run the same swarm without a filter, with ASDF- and with the robust filter",
     )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    output.add_argument(
+        "--pace",
+        metavar="N",
+        type=float,
+        default=500.0,
+        help="steps a second with --view; 0 for any (default %(default)g)",
+    )
     view.add_server_options(output)
     output.add_argument(
         "--quiet", action="store_true", help="nothing while it runs, and one line for a summary"

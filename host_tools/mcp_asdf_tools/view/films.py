@@ -202,13 +202,23 @@ class SwarmCamera:
         film: What was taken so far.
     """
 
-    def __init__(self, settings: SwarmSettings) -> None:
-        """Prepare for a run. Raises UsageError if its arena cannot be made."""
+    def __init__(self, settings: SwarmSettings, pace: float = 0.0) -> None:
+        """Prepare for a run of at most ``pace`` steps a second, or of any number if it is 0.
+
+        Raises UsageError if ``pace`` is below 0, or the arena cannot be made.
+        """
+        if not pace >= 0:
+            raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
         self.film = Film(stage_of(settings))
         self._spacing = spacing_of(settings.steps, settings.robots)
+        self._step = 1 / pace if pace else 0.0
+        self._due = 0.0
 
     def __call__(self, swarm: Swarm) -> None:
-        """Take the present state if it is due. O(robots^2)."""
+        """Wait for the next step, and take the present state if it is due. O(robots^2)."""
+        now = time.monotonic()
+        self._due = max(self._due + self._step, now)  # a slow step is not made up for
+        time.sleep(self._due - now)
         if swarm.ticks % self._spacing == 0:
             world = swarm.world
             values = np.vstack([_estimates(node.robot for node in swarm.nodes), world.accuracy])

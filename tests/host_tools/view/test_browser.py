@@ -121,6 +121,26 @@ def check_the_table(browser: Page, bus: Film) -> None:
     assert browser.evaluate(text).strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"
 
 
+def check_keys_and_address(browser: Page, path: Path) -> None:
+    """Arrows choose a robot, n and p lead to events, and the address brings back what was seen."""
+    browser.mouse.move(0, 0)
+    browser.locator("#arena").focus()
+    for key, robot in (("ArrowRight", 0), ("ArrowLeft", 7), ("ArrowLeft", 6), ("ArrowDown", 7)):
+        browser.keyboard.press(key)
+        assert browser.evaluate("view.chosen") == robot
+    browser.evaluate("view.player.seek(0)")
+    ticks = browser.evaluate("[...new Set(view.film.events.map(({ tick }) => tick))]")
+    for key, tick in (("n", ticks[0]), ("n", ticks[1]), ("p", ticks[0])):
+        browser.keyboard.press(key)
+        assert browser.evaluate("view.player.tick") == tick
+    browser.locator("#later").click()
+    assert browser.evaluate("view.player.tick") == ticks[1]
+    until(browser, f"location.hash.startsWith('#step={ticks[1]}&robot=')")
+    browser.goto("about:blank")
+    browser.goto(f"{path.as_uri()}#step=120&robot=5")
+    until(browser, f"{IS_SHOWN} && view.player.tick === 120 && view.chosen === 5 && !view.player.isPlaying")
+
+
 @pytest.mark.slow
 def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) -> None:
     path, asked = tmp_path / "run.html", list[str]()
@@ -151,4 +171,5 @@ def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) ->
         until(browser, "view.chosen !== null && view.player.tick % 50 === 0")
         browser.keyboard.press("Escape")
         assert browser.evaluate("view.chosen") is None
+        check_keys_and_address(browser, path)
     assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"

@@ -98,6 +98,25 @@ def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPat
     assert len(filmed(**world).stage.twin) == 4
 
 
+def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow step is not made up for."""
+    now, slept = [0.0], list[float]()
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        now[0] += seconds
+
+    camera: Any = SwarmCamera(SwarmSettings(**PARAMETERS | {"steps": 20_000}), 100)
+    monkeypatch.setattr(time, "monotonic", lambda: 50 + now[0])
+    monkeypatch.setattr(time, "sleep", sleep)
+    for work in (0.002, 0.0, 0.05, 0.0):
+        camera(SimpleNamespace(ticks=1))
+        now[0] += work
+    assert slept == pytest.approx([0.0, 0.008, 0.01, 0.0])
+    with pytest.raises(UsageError, match="--pace is -1; give steps a second"):
+        SwarmCamera(SwarmSettings(**PARAMETERS), -1)
+
+
 def test_dead_robots_keep_their_values(tmp_path: Path) -> None:
     log = tmp_path / "run.log"
     words = ["swarm", "--robots", "4", "--steps", "60", "--fault", "crash=1,robots=2,from=20,ticks=40"]

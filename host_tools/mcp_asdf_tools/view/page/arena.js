@@ -181,11 +181,19 @@ export class Arena {
       context.lineWidth = 2.5 * this.ratio;
       context.stroke();
     }
+    this.#drawId(String(this.film.stage.robots[robot]), x, y);
+  }
+
+  /** An id, where it fits into its disc at a size that one can read. */
+  #drawId(id, x, y) {
+    const { context, radius, ratio } = this;
+    const size = Math.min(Math.max(9 * ratio, 0.95 * radius), (1.9 * radius) / (0.6 * id.length));
+    if (size < 7 * ratio) return;
     context.fillStyle = colour("card");
-    context.font = `600 ${Math.max(9 * this.ratio, 0.95 * radius)}px system-ui, sans-serif`;
+    context.font = `600 ${size}px system-ui, sans-serif`;
     context.textAlign = "center";
     context.textBaseline = "middle";
-    context.fillText(String(this.film.stage.robots[robot]), x, y + 0.5 * this.ratio);
+    context.fillText(id, x, y + 0.5 * ratio);
   }
 
   /** The robot under a mouse event, or null. */

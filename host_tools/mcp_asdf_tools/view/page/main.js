@@ -9,7 +9,10 @@ import { find, showEvents, showFigures, showRobot } from "view/panels";
 import { Player } from "view/player";
 import { Playground } from "view/playground";
 
+const MILLISECONDS_BETWEEN_ADDRESSES = 500;
 const MILLISECONDS_BETWEEN_CHARTS = 250;
+
+const WAYS = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 };
 
 class View {
   constructor() {
@@ -21,6 +24,7 @@ class View {
     this.chosen = null;
     this.before = performance.now();
     this.chartsDue = 0;
+    this.addressDue = 0;
     this.connectControls();
   }
 
@@ -76,6 +80,7 @@ class View {
     if (film?.length) {
       player.advance(seconds);
       this.draw();
+      this.showAddress(now);
       if (now >= this.chartsDue) {
         this.charts.update();
         this.chartsDue = Number.POSITIVE_INFINITY;
@@ -84,10 +89,46 @@ class View {
     requestAnimationFrame((next) => this.frame(next));
   }
 
+  /** Goes to the step and follows the robot of an address such as #step=300&robot=7; false if it has no step. */
+  openAddress() {
+    const settings = new URLSearchParams(location.hash.slice(1));
+    if (settings.has("robot")) this.follow(this.film.stage.robots.indexOf(Number(settings.get("robot"))));
+    const step = Number.parseFloat(settings.get("step"));
+    if (Number.isFinite(step)) this.player.seek(step);
+    return Number.isFinite(step);
+  }
+
+  /** Keeps step and robot in the address, so that a link shows what one sees. A page in another has none. */
+  showAddress(now) {
+    if (this.playground || parent !== window || now < this.addressDue) return;
+    this.addressDue = now + MILLISECONDS_BETWEEN_ADDRESSES; // browsers refuse addresses that change too often
+    const robot = this.chosen === null ? "" : `&robot=${this.film.stage.robots[this.chosen]}`;
+    const address = this.player.isFollowing ? robot.slice(1) : `step=${Math.floor(this.player.tick)}${robot}`;
+    if (address !== location.hash.slice(1)) history.replaceState(null, "", `#${address}`);
+  }
+
+  /** Goes to the next event, or with -1 to the one before. */
+  seekEvent(way) {
+    const events = way > 0 ? this.film.events : [...this.film.events].reverse();
+    const next = events.find(({ tick }) => way * (tick - this.player.tick) > 0);
+    if (!next) return;
+    this.player.pause();
+    this.player.seek(next.tick);
+    this.follow(next.robot);
+  }
+
+  /** Follows the next robot, or with -1 the one before. */
+  step(way) {
+    const { robots } = this.film;
+    this.follow(this.chosen === null ? (way > 0 ? 0 : robots - 1) : (this.chosen + way + robots) % robots);
+  }
+
   draw() {
     const { film, player } = this;
     const { tick } = player;
-    const state = [film, film.length, tick, this.chosen, this.total, player.isPlaying, player.isFollowing];
+    const isHeld = find("events").matches(":hover");
+    const playing = [player.isPlaying, player.isFollowing, isHeld];
+    const state = [film, film.length, tick, this.chosen, this.total, ...playing];
     if (!this.arena.isBlank && state.every((each, index) => each === this.drawn?.[index])) return;
     this.drawn = state;
     const sample = film.sampleAt(tick);
@@ -116,6 +157,8 @@ class View {
   connectControls() {
     find("play").addEventListener("click", () => this.player.toggle());
     find("live").addEventListener("click", () => this.player.follow());
+    find("earlier").addEventListener("click", () => this.seekEvent(-1));
+    find("later").addEventListener("click", () => this.seekEvent(1));
     find("time").addEventListener("input", () => this.player.seek(Number(find("time").value)));
     find("arena").addEventListener("click", (event) => this.follow(this.arena.robotAt(event)));
     for (const speed of Player.speeds) {
@@ -133,7 +176,11 @@ class View {
       event.target instanceof HTMLButtonElement ||
       event.target instanceof HTMLInputElement;
     if (event.key === "Escape") this.follow(null);
-    else if (event.key === " " && !isTyped) this.player.toggle();
+    else if (event.target === find("arena") && event.key in WAYS) this.step(WAYS[event.key]);
+    else if (isTyped || event.ctrlKey || event.metaKey || event.altKey) return;
+    else if (event.key === " ") this.player.toggle();
+    else if (event.key === "n") this.seekEvent(1);
+    else if (event.key === "p") this.seekEvent(-1);
     else return;
     event.preventDefault();
   }
@@ -150,7 +197,7 @@ async function open(view, { stage, block }) {
   await view.append(block);
   view.chooseSpeed(view.film.lastTick);
   say("recorded");
-  view.player.play();
+  if (!view.openAddress()) view.player.play();
 }
 
 /** Shows a run as it goes. Blocks are taken one after the other, since unpacking one takes a moment. */
@@ -173,7 +220,14 @@ function connect(view) {
       }
     }),
   );
-  source.addEventListener("block", (event) => then(() => view.append(JSON.parse(event.data))));
+  let isOpened = false;
+  source.addEventListener("block", (event) =>
+    then(async () => {
+      await view.append(JSON.parse(event.data));
+      if (!isOpened) view.openAddress();
+      isOpened = true;
+    }),
+  );
   source.addEventListener("report", (event) => then(() => view.bus.take(JSON.parse(event.data))));
   source.addEventListener("end", () => {
     source.close();

@@ -44,7 +44,8 @@ export function showFigures(film, sample) {
 export function showRobot(film, sample, robot) {
   const [title, list] = find("robot").children;
   if (robot === null) {
-    title.textContent = "Click a robot to follow it and to read its numbers";
+    title.textContent =
+      "Click a robot, or choose one by the arrow keys, to follow it and to read its numbers";
     list.replaceChildren();
     return;
   }
@@ -69,7 +70,8 @@ export function showEvents(film, tick, onSeek) {
   const parent = find("events");
   const end = events.findLastIndex((event) => event.tick <= tick) + 1;
   const key = `${end}`;
-  if (parent.dataset.end === key) return;
+  const isHeld = parent.dataset.end !== "" && parent.matches(":hover"); // it must not move under the mouse
+  if (parent.dataset.end === key || isHeld) return;
   parent.dataset.end = key;
   const list = element("ol");
   for (const event of events.slice(Math.max(0, end - MOST_EVENTS), end).reverse()) {
