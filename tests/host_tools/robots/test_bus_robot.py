@@ -197,7 +197,7 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
     expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
     assert [some.record(robot) for robot in range(4)] == expected
     assert Population.from_parameters(some.parameters()) == some
-    with pytest.raises(ParameterError, match="unknown key 'activity'; known are robots, "):
+    with pytest.raises(ParameterError, match="unknown key 'activity'; did you mean activation"):
         Population.from_parameters({"activity": 1})
     unused = {"none": {"omega", "activation"}}.get(filters, {"omega"} if activation == "always" else set())
     assert set(some.unused_parameters()) == unused

@@ -139,7 +139,7 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
     """Those of unknown ids are dropped; own ones are heard, whatever is allowed. A confidence may double when
     it is new or has fallen, but not after 32 rounds."""
     few, twice, many = (bits_of(alpha) for alpha in (40.0, 80.0, 1e30))
-    alphas = {6: [*range(few, few + 32), twice + 62, *[few] * 33, twice - 1], 7: [few, *[twice] * 32, many]}
+    alphas = {6: [*range(few, few + 32), twice + 31, *[few] * 33, twice - 1], 7: [few, *[twice] * 32, many]}
 
     def drive(bus: can.BusABC) -> None:
         lockstep = Lockstep(bus, timeout=PATIENCE)
