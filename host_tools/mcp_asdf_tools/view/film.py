@@ -34,6 +34,7 @@ class Stage:
         filter: Name of the robots' filter; None if unknown.
         twin: Mean error of the same robots without a filter, as means over equal parts of the run; empty if
             unknown.
+        faults: Text, first step and first step after (None if it has no end) of each fault.
     """
 
     title: str
@@ -47,6 +48,7 @@ class Stage:
     floor: NDArray[np.bool_] | None = None
     filter: str | None = None
     twin: Sequence[float] = ()
+    faults: Sequence[tuple[str, int, int | None]] = ()
 
 
 class State(NamedTuple):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import count, repeat
 from pathlib import Path
@@ -28,6 +28,7 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population
+from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
@@ -42,8 +43,11 @@ _MOST_PIXELS = 800
 _TWIN_PARTS = 480
 
 
-def stage_of(settings: Population, trial: int = 0) -> Stage:
-    """The stage of a trial. Raises UsageError if its arena cannot be made."""
+def stage_of(settings: Population, trial: int = 0, faults: Sequence[Fault] = (), allow: str = "") -> Stage:
+    """The stage of a trial, or of a swarm with faults and allowed ids.
+
+    Raises UsageError if its arena cannot be made.
+    """
     stage = Stage(
         _title(settings, trial),
         list(range(settings.robots)),
@@ -52,7 +56,8 @@ def stage_of(settings: Population, trial: int = 0) -> Stage:
         settings.steps,
         settings.steps_per_second,
         filter=settings.filter,
-        twin=_twin(settings, trial),
+        twin=[] if faults or allow else _twin(settings, trial),
+        faults=[(str(each), each.start, each.stop) for each in faults],
     )
     if not settings.is_dynamic:
         return stage
@@ -63,10 +68,9 @@ def stage_of(settings: Population, trial: int = 0) -> Stage:
 def _twin(settings: Population, trial: int) -> list[float]:
     """Mean error of the same robots without a filter, over equal parts of the run.
 
-    Empty where they have none, where faults or ``allow`` make another run, and where it would take long.
+    Empty where they have none, and where it would take long.
     """
-    is_other = getattr(settings, "faults", ()) or getattr(settings, "allow", "")
-    if settings.filter == "none" or settings.firmware != "native" or is_other:
+    if settings.filter == "none" or settings.firmware != "native":
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
@@ -139,28 +143,34 @@ def film_of_log(log: Path) -> Film:
         settings = Population.from_parameters({name: parameters[name] for name in names})
         spacing = spacing_of(settings.steps, settings.robots)
         values = np.stack([*_values_of_log(input_log, spacing)])
-    return Film(stage_of(settings), _in_the_world(settings, 0, values, spacing))
+    faults = [parse_fault(each) for each in parameters.get("faults", ())]
+    stage = stage_of(settings, 0, faults, parameters.get("allow", ""))
+    return Film(stage, _in_the_world(settings, 0, values, spacing))
 
 
 def _values_of_log(input_log: InputLogReader, spacing: int) -> Iterator[NDArray[np.float64]]:
     """Estimates of all robots of an input log after every ``spacing`` steps.
 
     An input log has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
-    A robot that was dead keeps the values that it had.
+    Of a robot that did not settle, since it was dead, nothing is known.
     """
     places = {record.id: place for place, record in enumerate(input_log.header.robots)}
     now = _estimates(record.make() for record in input_log.header.robots)
+
+    def of_the_living() -> NDArray[np.float64]:
+        return np.where([robot in settled for robot in places], now, np.nan)
+
     ticks, settled = 0, {*places}  # as if all had settled before the first
     for robot_id, robot in rerun(input_log):
         if robot_id in settled:
             if ticks % spacing == 0:
-                yield now.copy()
+                yield of_the_living()
             settled.clear()
             ticks += 1
         settled.add(robot_id)
         now[:, places[robot_id]] = _estimates([robot])[:, 0]
     if ticks % spacing == 0:
-        yield now
+        yield of_the_living()
 
 
 def _estimates(robots: Iterable[Robot]) -> NDArray[np.float64]:
@@ -209,7 +219,7 @@ class SwarmCamera:
         """
         if not pace >= 0:
             raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
-        self.film = Film(stage_of(settings))
+        self.film = Film(stage_of(settings, 0, settings.faults, settings.allow))
         self._spacing = spacing_of(settings.steps, settings.robots)
         self._step = 1 / pace if pace else 0.0
         self._due = 0.0
@@ -221,7 +231,9 @@ class SwarmCamera:
         time.sleep(self._due - now)
         if swarm.ticks % self._spacing == 0:
             world = swarm.world
-            values = np.vstack([_estimates(node.robot for node in swarm.nodes), world.accuracy])
+            estimates = _estimates(node.robot for node in swarm.nodes)
+            estimates[:, [not node.is_alive for node in swarm.nodes]] = np.nan
+            values = np.vstack([estimates, world.accuracy])
             self.film.add(State(swarm.ticks, values, world.hears.copy(), world.positions))
 
 

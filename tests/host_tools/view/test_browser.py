@@ -15,7 +15,7 @@ from mcp_asdf_tools.bus.frames import Health, Heartbeat, Message
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
-from mcp_asdf_tools.view.film import Film, Stage
+from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import SwarmCamera
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.roster import Roster
@@ -121,6 +121,34 @@ def check_the_table(browser: Page, bus: Film) -> None:
     assert browser.evaluate(text).strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"
 
 
+def check_marks(browser: Page, path: Path) -> None:
+    """Faults stand in the header; they, a death and a return are marked; the dead are in no mean."""
+    states = [State(tick, np.full((4, 2), 0.5), np.eye(2) > 1, None) for tick in range(11)]
+    for state in states[4:7]:
+        state.values[:3, 1] = np.nan
+    states[5].values[0, 0] = 0.75
+    faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
+    stage = Stage("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
+    path.write_text(page(Film(stage, states)))
+    browser.goto(f"{path.as_uri()}#step=5")
+    until(browser, IS_SHOWN)
+    assert browser.locator("#faults").inner_text() == "loss=0.2; liar=1.0"
+    figures = [browser.locator(f"#{name}").inner_text() for name in ("mean-x", "spread", "wrong")]
+    assert figures == ["0.750", "0.000", "0 of 1"]
+    events = browser.evaluate("view.film.events.map(({ tick, text }) => [tick, text])")
+    assert events == [
+        [1, "fault: loss=0.2"],
+        [2, "fault: liar=1.0"],
+        [4, "dead"],
+        [7, "back"],
+        [9, "fault over: liar=1.0"],
+    ]
+    width, data = "document.getElementById('marks').width", "getContext('2d').getImageData"
+    ink = f"document.getElementById('marks').{data}(0, 0, {width}, 1).data.filter((each, i) => i % 4 === 3)"
+    places = np.flatnonzero(list(browser.evaluate(f"[...{ink}]")))[::2] / (browser.evaluate(width) - 2)
+    assert places == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
+
+
 def check_keys_and_address(browser: Page, path: Path) -> None:
     """Arrows choose a robot, n and p lead to events, and the address brings back what was seen."""
     browser.mouse.move(0, 0)
@@ -172,4 +200,5 @@ def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) ->
         browser.keyboard.press("Escape")
         assert browser.evaluate("view.chosen") is None
         check_keys_and_address(browser, path)
+        check_marks(browser, tmp_path / "faults.html")
     assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"

@@ -117,14 +117,20 @@ def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None
         SwarmCamera(SwarmSettings(**PARAMETERS), -1)
 
 
-def test_dead_robots_keep_their_values(tmp_path: Path) -> None:
-    log = tmp_path / "run.log"
-    words = ["swarm", "--robots", "4", "--steps", "60", "--fault", "crash=1,robots=2,from=20,ticks=40"]
+def test_nothing_is_known_of_dead_robots_and_faults_are_named(tmp_path: Path) -> None:
+    fault, log = "crash=1.0,from=20,to=21,robots=2,ticks=15", tmp_path / "run.log"
+    words = ["swarm", "--robots", "4", "--steps", "60", "--filter", "asdf-minus", "--fault", fault]
     assert main([*words, "--log", str(log), "--quiet"]) == 0
-    values = np.stack([state[0] for state in states(film_of_log(log)).values()])
-    assert len(values) == 61
-    assert (values[21:, :3, 2] == values[21, :3, 2]).all()
-    assert (values[30, 1, [0, 1, 3]] != values[60, 1, [0, 1, 3]]).all()
+    settings = SwarmSettings(robots=4, steps=60, filter="asdf-minus", faults=(fault,))
+    camera = SwarmCamera(settings)
+    with Swarm(settings, Wiring()) as swarm:
+        run_swarm(swarm, [camera])
+    logged = film_of_log(log)
+    assert plain(logged.stage) == plain(camera.film.stage)
+    assert [*logged.stage.faults] == [(fault, 20, 21)] and not logged.stage.twin
+    for tick, (values, *_) in states(logged).items():
+        assert np.isnan(values[:3, 2]).all() == np.isnan(values).any() == (20 < tick <= 35), tick
+        assert tick == 0 or np.array_equal(values, states(camera.film)[tick][0], equal_nan=True)
 
 
 def test_results_that_do_not_come_out_again_are_refused() -> None:

@@ -165,6 +165,8 @@ export class Arena {
   #drawRobot(robot, sample, chosen) {
     const { context, radius } = this;
     const [x, y] = this.places[robot];
+    const isGone = this.film.gone.has(robot) && Number.isNaN(this.film.value("b_hat", robot, sample));
+    context.globalAlpha = isGone ? 0.4 : 1;
     context.beginPath();
     context.arc(x, y, radius, 0, TURN);
     context.fillStyle = this.liars.has(robot)
@@ -182,12 +184,13 @@ export class Arena {
       context.stroke();
     }
     this.#drawId(String(this.film.stage.robots[robot]), x, y);
+    context.globalAlpha = 1;
   }
 
   /** An id, where it fits into its disc at a size that one can read. */
   #drawId(id, x, y) {
     const { context, radius, ratio } = this;
-    const size = Math.min(Math.max(9 * ratio, 0.95 * radius), (1.9 * radius) / (0.6 * id.length));
+    const size = Math.min(Math.max(9 * ratio, 0.95 * radius), (1.6 * radius) / (0.6 * id.length));
     if (size < 7 * ratio) return;
     context.fillStyle = colour("card");
     context.font = `600 ${size}px system-ui, sans-serif`;

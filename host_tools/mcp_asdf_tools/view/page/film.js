@@ -32,6 +32,7 @@ export class Film {
     this.linkBytes = Math.ceil(this.robots ** 2 / 8);
     this.links = new Uint8Array(0);
     this.events = [];
+    this.gone = new Set();
   }
 
   /** An empty film on a stage as view/page.py writes it. */
@@ -122,13 +123,28 @@ export class Film {
     return Math.abs(this.value("b_hat", robot, sample) - this.value("b", robot, sample));
   }
 
-  /** Notes the robots whose b_hat changed by more than rounding since the sample before. */
+  /** Notes what happened since the sample before: faults, deaths, returns, and changes of b_hat above rounding. */
   #findEvents(sample) {
+    const [first, tick] = [sample - 1, sample].map((each) => this.ticks[each]);
+    const isDue = (at) => at !== null && at <= tick && (at > first || (at === 0 && sample === 1));
+    for (const [text, start, stop] of this.stage.faults ?? []) {
+      if (isDue(start)) this.events.push({ tick, sample, isMark: true, text: `fault: ${text}` });
+      if (isDue(stop)) this.events.push({ tick, sample, isMark: true, text: `fault over: ${text}` });
+    }
     this.stage.robots.forEach((_, robot) => {
       const [before, after] = [sample - 1, sample].map((each) => this.value("b_hat", robot, each));
-      if (Math.abs(after - before) > 0.002) {
-        this.events.push({ tick: this.ticks[sample], sample, robot, before, after });
-      }
+      const [wasGone, isGone] = [before, after].map(Number.isNaN);
+      const event = { tick, sample, robot, before, after };
+      if (isGone && !wasGone) this.events.push({ ...event, isMark: true, text: this.#gone });
+      if (wasGone && !isGone && this.gone.has(robot))
+        this.events.push({ ...event, isMark: true, text: "back" });
+      if (Math.abs(after - before) > 0.002) this.events.push(event);
+      if (isGone && !wasGone) this.gone.add(robot);
     });
+  }
+
+  /** What a robot is of which nothing is known any more: on a bus one cannot see that it is dead. */
+  get #gone() {
+    return this.stage.steps === null ? "silent" : "dead";
   }
 }

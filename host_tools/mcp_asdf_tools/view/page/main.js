@@ -5,7 +5,7 @@ import { Bus } from "view/bus";
 import { Charts } from "view/charts";
 import { forgetColours } from "view/colours";
 import { Film } from "view/film";
-import { find, showEvents, showFigures, showRobot } from "view/panels";
+import { find, showEvents, showFigures, showMarks, showRobot } from "view/panels";
 import { Player } from "view/player";
 import { Playground } from "view/playground";
 
@@ -37,6 +37,8 @@ class View {
     this.charts.follow(this.chosen);
     find("title").textContent = film.stage.title;
     document.title = `${film.stage.title} – mcp-asdf`;
+    find("faults").textContent = (film.stage.faults ?? []).map(([text]) => text).join("; ");
+    find("marks").dataset.key = "";
     find("events").dataset.end = "";
   }
 
@@ -61,6 +63,7 @@ class View {
   /** Takes the colours of a light or a dark page. */
   recolour() {
     forgetColours();
+    find("marks").dataset.key = "";
     this.arena.recolour();
     this.charts.rebuild();
   }
@@ -114,7 +117,7 @@ class View {
     if (!next) return;
     this.player.pause();
     this.player.seek(next.tick);
-    this.follow(next.robot);
+    this.follow(next.robot ?? this.chosen);
   }
 
   /** Follows the next robot, or with -1 the one before. */
@@ -138,8 +141,9 @@ class View {
     showRobot(film, sample, this.chosen);
     showEvents(film, tick, (event) => {
       player.seek(event.tick);
-      this.follow(event.robot);
+      this.follow(event.robot ?? this.chosen);
     });
+    showMarks(film, this.total);
     this.showTime(tick);
   }
 

@@ -64,6 +64,30 @@ export function showRobot(film, sample, robot) {
   list.replaceChildren(...rows.flatMap(([name, text]) => [element("dt", name), element("dd", text)]));
 }
 
+/** An event in words, the new b_hat of a recalibration in the colour of what it did. */
+function wordsOf(film, { robot, sample, before, after, text }) {
+  const who = robot === undefined ? "" : `robot ${film.stage.robots[robot]}: `;
+  if (text) return [who + text];
+  const truth = film.value("b", robot, sample);
+  const isBetter = Math.abs(after - truth) <= Math.abs(before - truth);
+  const look = Number.isNaN(truth) ? "" : isBetter ? "better" : "worse";
+  return [`${who}b_hat ${before.toFixed(2)} → `, element("span", after.toFixed(2), look)];
+}
+
+/** Marks on the time line where faults began or ended, and where robots died or came back. */
+export function showMarks(film, total) {
+  const canvas = find("marks");
+  const key = `${film.events.length} ${total} ${canvas.clientWidth}`;
+  if (canvas.dataset.key === key) return;
+  canvas.dataset.key = key;
+  canvas.width = canvas.clientWidth;
+  const context = canvas.getContext("2d");
+  context.fillStyle = getComputedStyle(canvas).color;
+  for (const { isMark, tick } of film.events) {
+    if (isMark) context.fillRect(Math.round((tick / total) * (canvas.width - 2)), 0, 2, canvas.height);
+  }
+}
+
 /** The last events before a tick; each leads to its time. */
 export function showEvents(film, tick, onSeek) {
   const { events } = film;
@@ -75,18 +99,12 @@ export function showEvents(film, tick, onSeek) {
   parent.dataset.end = key;
   const list = element("ol");
   for (const event of events.slice(Math.max(0, end - MOST_EVENTS), end).reverse()) {
-    const truth = film.value("b", event.robot, event.sample);
-    const isBetter = Math.abs(event.after - truth) <= Math.abs(event.before - truth);
     const row = element("button");
-    row.append(
-      element("time", String(event.tick)),
-      `robot ${film.stage.robots[event.robot]}: b_hat ${event.before.toFixed(2)} → `,
-      element("span", event.after.toFixed(2), Number.isNaN(truth) ? "" : isBetter ? "better" : "worse"),
-    );
+    row.append(element("time", String(event.tick)), ...wordsOf(film, event));
     row.addEventListener("click", () => onSeek(event));
     const item = element("li");
     item.append(row);
     list.append(item);
   }
-  parent.replaceChildren(element("h2", end ? `Recalibrations (${end})` : "No recalibration yet"), list);
+  parent.replaceChildren(element("h2", end ? `Events (${end})` : "No recalibration yet"), list);
 }
