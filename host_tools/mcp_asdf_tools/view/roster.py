@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import can
 
@@ -27,16 +27,8 @@ RATE_SECONDS = 5.0
 """Over which a rate is taken."""
 ALPHA_JUMP = 2.0
 """Ratio of a robot's confidence to the one before, or its inverse, from which on it is a jump."""
-_FRAMES_KEPT = 200
-
-
-class PassedFrame(NamedTuple):
-    """A frame as the page lists it: its number on the bus from 0, when, who sent it (None: nobody known)."""
-
-    number: int
-    seconds: float
-    robot: int | None
-    text: str
+_MOST_FRAMES = 4000
+"""In a report: as many as a bus of 1 Mbit/s has in half a second."""
 
 
 @dataclass
@@ -124,7 +116,7 @@ class RobotOnBus:
 
 
 class Roster:
-    """All robots of a bus, and the frames that passed last.
+    """All robots of a bus, and the frames that passed since the last report.
 
     Attributes:
         robots: By id, in the order in which they were first heard.
@@ -132,21 +124,21 @@ class Roster:
 
     def __init__(self) -> None:
         self.robots: dict[int, RobotOnBus] = {}
-        self._frames: deque[PassedFrame] = deque(maxlen=_FRAMES_KEPT)
-        self._passed = 0
+        self._frames: deque[tuple[float, int | None, str]] = deque(maxlen=_MOST_FRAMES)
 
     def hear(self, frame: can.Message, content: Content, now: float) -> None:
         """Take a frame that was decoded. O(1)."""
         robot = None if isinstance(content, Rejection) else content.sender
-        self._frames.append(PassedFrame(self._passed, round(now, 3), robot, text_of(frame, content)))
-        self._passed += 1
+        self._frames.append((round(now, 3), robot, text_of(frame, content)))
         if not isinstance(content, Rejection):
             self.robots.setdefault(content.sender, RobotOnBus(now, now)).hear(content, now)
 
     def report(self, now: float) -> dict[str, Any]:
-        """A row for each robot, by rising id, and the frames that passed last, as plain values."""
+        """A row for each robot, by rising id, and the frames since the last report, as plain values."""
         rows = [_row(robot, self.robots[robot], now) for robot in sorted(self.robots)]
-        return {"robots": rows, "frames": [list(each) for each in self._frames]}
+        frames = [list(each) for each in self._frames]
+        self._frames.clear()
+        return {"robots": rows, "frames": frames}
 
 
 def _row(robot: int, heard: RobotOnBus, now: float) -> dict[str, Any]:

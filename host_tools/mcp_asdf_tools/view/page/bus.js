@@ -2,7 +2,8 @@
 
 import { element, find, shown } from "view/panels";
 
-const MOST_FRAMES = 500;
+const MOST_FRAMES = 10000;
+const MOST_LINES = 300;
 const COLUMNS = [
   ["robot", "id", (row) => row.robot],
   ["seen", "seconds since its last frame; silent from 3 s on", (row) => `${row.seen.toFixed(1)} s`],
@@ -61,8 +62,7 @@ export class Bus {
     });
     const silent = robots.filter((row) => row.silent).length;
     write(find("roster").caption, `${robots.length} robots, ${silent} silent`);
-    const last = this.frames.at(-1)?.[0] ?? -1;
-    this.frames = [...this.frames, ...frames.filter(([number]) => number > last)].slice(-MOST_FRAMES);
+    this.frames = [...this.frames, ...frames].slice(-MOST_FRAMES);
     this.#list();
   }
 
@@ -101,8 +101,9 @@ export class Bus {
     const passes = (robot, text) => (word) =>
       /^\d+$/.test(word) ? robot === Number(word) : text.includes(word);
     const lines = this.frames
-      .filter(([, , robot, text]) => words.every(passes(robot, text)))
-      .map(([, seconds, robot, text]) => `${seconds.toFixed(3).padStart(9)} s  ${robot ?? "–"}  ${text}`);
+      .filter(([, robot, text]) => words.every(passes(robot, text)))
+      .slice(-MOST_LINES)
+      .map(([seconds, robot, text]) => `${seconds.toFixed(3).padStart(9)} s  ${robot ?? "–"}  ${text}`);
     find("frames").textContent = lines.reverse().join("\n");
   }
 }
