@@ -1,14 +1,9 @@
 // Charts of all robots over time. Long films are thinned to the extremes of each column of the screen.
 
 import { colour, colourOfError } from "view/colours";
+import { COLOURS, FILTERS } from "view/playground";
 
 const COLUMNS = 480;
-const FILTERS = {
-  none: ["none", "no filter"],
-  "asdf-minus": ["minus", "ASDF−"],
-  "asdf-plus": ["plus", "ASDF+"],
-  robust: ["robust", "robust"],
-};
 const MEAN = { name: "mean error", label: "mean error of x: " };
 const ERROR = { name: "error", label: "mean error of x: median and middle half of runs" };
 const PANELS = [
@@ -187,8 +182,8 @@ export class Charts {
   /** Colour and name of this run's error and, if known, its twin's. */
   #errors() {
     const { filter, twin } = this.film.stage;
-    const own = FILTERS[filter] ?? ["ink", "these robots"];
-    return twin?.length ? [own, FILTERS.none] : [own];
+    const names = twin?.length ? [filter, "none"] : [filter];
+    return names.map((name) => [COLOURS[name] ?? "ink", FILTERS[name] ?? "these robots"]);
   }
 
   #namesOfErrors() {
@@ -201,7 +196,7 @@ export class Charts {
   }
 
   #meanErrors() {
-    const lines = [...this.#errors(), FILTERS.none].slice(0, 2);
+    const lines = [...this.#errors(), ["none"]].slice(0, 2);
     return [
       {},
       ...lines.map(([name]) => ({ stroke: () => colour(name), width: 2, points: { show: false } })),

@@ -112,6 +112,7 @@ class View {
 
   /** Goes to the next event, or with -1 to the one before. */
   seekEvent(way) {
+    if (!this.film) return;
     const events = way > 0 ? this.film.events : [...this.film.events].reverse();
     const next = events.find(({ tick }) => way * (tick - this.player.tick) > 0);
     if (!next) return;
@@ -179,6 +180,7 @@ class View {
       event.target instanceof HTMLSelectElement ||
       event.target instanceof HTMLButtonElement ||
       event.target instanceof HTMLInputElement;
+    if (!this.film) return;
     if (event.key === "Escape") this.follow(null);
     else if (event.target === find("arena") && event.key in WAYS) this.step(WAYS[event.key]);
     else if (isTyped || event.ctrlKey || event.metaKey || event.altKey) return;

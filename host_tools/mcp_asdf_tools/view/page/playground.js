@@ -13,8 +13,8 @@ const SLIDERS = [
   { name: "density", label: "D, density", from: 0.2, to: 10, step: 0.2, value: 1 },
   { name: "seed", label: "seed", from: 1, to: 1000, step: 1, value: 1 },
 ];
-const FILTERS = { none: "no filter", "asdf-minus": "ASDF−", "asdf-plus": "ASDF+", robust: "robust" };
-const COLOURS = { none: "none", "asdf-minus": "minus", "asdf-plus": "plus", robust: "robust" };
+export const FILTERS = { none: "no filter", "asdf-minus": "ASDF−", "asdf-plus": "ASDF+", robust: "robust" };
+export const COLOURS = { none: "none", "asdf-minus": "minus", "asdf-plus": "plus", robust: "robust" };
 const PRESETS = [
   [
     "half the robots are wrong",
