@@ -135,7 +135,7 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({"topology": "graph", "graph": "0 0"}, "graph", "graph, edge 1: robot 0 cannot be its own"),
         ({"topology": "graph", "graph": 5}, "graph", "graph is 5; give a file, edges such as"),
         ({"density": 2}, "density", "density is 2.0 but robots do not move; choose topology dynamic"),
-        ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose an extension: none is installed"),
+        ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose an extension: "),
         ({"drift": "sideways"}, "drift", "choose one of none, linear, stepped, wiener"),
         ({"drift_rate": 0.1}, "drift_rate", "drift_rate is 0.1 but drift is none; choose a drift"),
         ({"drift_diffusion": 0.1}, "drift_diffusion", "but drift is none; choose a drift"),
