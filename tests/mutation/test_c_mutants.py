@@ -54,11 +54,13 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
     assert len(EQUIVALENTS) < len(everything()) / 20
 
 
+@pytest.mark.slow
 def test_the_firmware_itself_passes() -> None:
     for variant in VARIANTS:
         assert passes(SOURCES, THIRD, variant), variant
 
 
+@pytest.mark.slow
 def test_some_mistakes_fail_a_test(tmp_path: Path) -> None:
     seed = random.randrange(1 << 32)
     print(f"{SAMPLE} mutants of seed {seed}")

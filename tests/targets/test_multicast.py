@@ -180,6 +180,7 @@ def any_message(draw: random.Random) -> can.Message:
     )
 
 
+@pytest.mark.slow
 def test_nothing_is_allocated_after_the_start(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -177,6 +177,7 @@ def test_the_verdict_on_a_node_with_the_robust_filter_is_good(start: Start, bus:
     assert node.stop()["updates"] > 10
 
 
+@pytest.mark.slow
 def test_a_node_says_that_it_is_there_until_it_is_commanded(start: Start, bus: UnixBus) -> None:
     node = start("--lockstep")
     began = time.monotonic()

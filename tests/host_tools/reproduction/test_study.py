@@ -99,6 +99,7 @@ def test_efforts_count_their_looks() -> None:
     assert allowed == [False, True, False, False, False, True]
 
 
+@pytest.mark.slow
 def test_the_page_has_the_figures_of_the_study() -> None:
     """Some verdicts and the gain of ASDF+ in docs/reproduce.md, with a fifth of its trials."""
     page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
