@@ -1,11 +1,11 @@
-"""The library: experiments, swarms, scores and plots in a few lines; docs/library.md has examples."""
+"""The library: experiments, swarms and scores in a few lines; docs/library.md has examples."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import can
 
@@ -13,10 +13,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.pictures import PLOTS
-from mcp_asdf_tools.experiments.pictures import draw as draw_results
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, matching, rescored
-from mcp_asdf_tools.experiments.scores import LimitsOf, chosen_limits, paper_limits
+from mcp_asdf_tools.experiments.results import rescored
+from mcp_asdf_tools.experiments.scores import chosen_limits
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -25,10 +23,6 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from mcp_asdf_tools.experiments.plots import Measure
 
 
 @naming_extras()
@@ -87,31 +81,3 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     Raises UsageError for limits of 0 or less.
     """
     return rescored(table, chosen_limits(k_max, e_max))
-
-
-@naming_extras()
-def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
-    results: pa.Table | list[Trials],
-    kind: str = PLOTS[0],
-    *,
-    trial: int = 0,
-    x: str = "",
-    hue: str = "",
-    y: str | Measure = "H",
-    facet: str = "",
-    where: Mapping[str, Any] | None = None,
-    ax: Axes | None = None,
-    limits: LimitsOf = paper_limits,
-) -> Figure:
-    """A picture of results; its method ``savefig`` writes a file.
-
-    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure ``y`` (H, h_K,
-    h_e, K, e, or a function of ``Trials`` with a number for each trial) over a parameter ``x``, with a curve
-    for each value of a parameter ``hue`` and a panel for each of ``facet``, or into the axes ``ax``;
-    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``.
-    ``where`` chooses experiments by their parameters. Raises UsageError if the results do not have what it
-    shows.
-    """
-    experiments = results if isinstance(results, list) else experiments_in(results)
-    shown = matching(experiments, where or {})
-    return draw_results(shown, kind, trial=trial, x=x, hue=hue, y=y, facet=facet, ax=ax, limits=limits)

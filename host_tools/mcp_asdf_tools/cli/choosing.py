@@ -22,11 +22,10 @@ def add_where(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
+def chosen(args: argparse.Namespace) -> list[Trials]:
     """The experiments of the file ``args.file`` that meet all conditions.
 
-    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets, and if
-    there are several where ``only_one`` can be shown.
+    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets.
     """
     from mcp_asdf_tools.experiments import results  # noqa: PLC0415 (the tables' library loads slowly)
 
@@ -37,7 +36,4 @@ def chosen(args: argparse.Namespace, only_one: bool = False) -> list[Trials]:
             there = results.differing(found) or "no parameters"
             raise UsageError(f"--where {condition}: write NAME=VALUE; the experiments differ in {there}")
         found = results.matching(found, {name: value})
-    if only_one and len(found) > 1:
-        there = results.differing(found)
-        raise UsageError(f"{len(found)} experiments match; choose one with --where {there}")
     return found

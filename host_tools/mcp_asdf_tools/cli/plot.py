@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.choosing import add_where, chosen
-from mcp_asdf_tools.experiments.pictures import PLOTS, draw
+from mcp_asdf_tools.experiments.pictures import PLOTS, plot
 
 EPILOG = """\
 examples:
@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
-    found = chosen(args, only_one=args.kind == "series")
+    found = chosen(args)
     given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y", "facet")}
-    save_figure(draw(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
+    save_figure(plot(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
     if args.json:
         print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(found)}))
     else:

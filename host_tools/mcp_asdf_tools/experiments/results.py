@@ -285,6 +285,13 @@ def matching(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Tr
     return found
 
 
+def only(found: Sequence[Trials]) -> Trials:
+    """The only experiment. Raises UsageError, with what would choose one, if there are several."""
+    if len(found) > 1:
+        raise UsageError(f"{len(found)} experiments match; choose one with where {differing(found)}")
+    return found[0]
+
+
 def differing(found: Sequence[Trials]) -> str:
     """The parameters in which experiments differ, with their values."""
     parameters = [each.experiment.parameters() for each in found]

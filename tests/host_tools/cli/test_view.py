@@ -23,7 +23,7 @@ from mcp_asdf_tools.view.films import BusFilm
 
 VIEW, PLOT = "view grid.parquet --export out.html", "plot grid.parquet out.svg"
 ONE = "--where filter=none --where fill_ratio=.950"
-ANY = "--where fill_ratio=0.55|0.95, filter=asdf-plus|none"
+ANY = "where fill_ratio=0.55|0.95, filter=asdf-plus|none"
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +130,10 @@ def raise_bus_error(film: BusFilm, should_stop: object) -> None:
             "where colour=red: no parameter is called so; the experiments differ in fill_ratio",
         ),
         (f"{PLOT} --where filte=none", "no parameter is called so; did you mean filter?"),
-        (f"{PLOT} --where filter", f"differ in {ANY.removeprefix('--where ')}"),
+        (f"{PLOT} --where filter", f"differ in {ANY.removeprefix('where ')}"),
         (f"{PLOT} --where filter=both", "has it; filter is asdf-plus or none"),
         (f"{PLOT} --where filter=none --where filter=asdf-plus", "has it; filter is none"),
-        (f"{PLOT} --kind series --where filter=none", "choose one with --where fill_ratio=0.55|0.95"),
+        (f"{PLOT} --kind series --where filter=none", "choose one with where fill_ratio=0.55|0.95"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(line: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT, number_in_words
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
-from mcp_asdf_tools.experiments.pictures import draw
+from mcp_asdf_tools.experiments.pictures import plot
 from mcp_asdf_tools.experiments.plots import (
     MEASURES,
     bands,
@@ -265,7 +265,7 @@ def test_numbers_in_words() -> None:
     ("shown", "given", "words"),
     [
         ([0, 1], {"kind": "pie"}, "kind is 'pie'; choose one of boxes, scatter, curve, bands, series"),
-        ([0, 1], {"kind": "series"}, "there are 2 experiments; series shows one"),
+        ([0, 1], {"kind": "series"}, "2 experiments match; choose one with where filter="),
         ([0], {"kind": "series"}, "nothing was recorded over time"),
         ([0, 1], {"kind": "curve", "x": "omega"}, "the results differ in filter too"),
         ([0, 3], {"kind": "curve", "x": "omega"}, "the results differ in flawed_accuracy, flawed too"),
@@ -278,7 +278,7 @@ def test_what_cannot_be_drawn_is_told(
     shown: list[int], given: dict[str, Any], words: str, results: list[Trials]
 ) -> None:
     with pytest.raises(UsageError, match=words):
-        draw([results[index] for index in shown], **given)
+        plot([results[index] for index in shown], **given)
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
