@@ -1,37 +1,23 @@
 // The robots of a bus: a table with a row for each, and the frames as they pass, through a filter.
 
-import { element, find, shown } from "view/panels";
+import { element, find, shown, write } from "view/panels";
 
 const MOST_FRAMES = 10000;
 const MOST_LINES = 300;
+/** Of each column of the table in page.html: its text, and whether that is alarming. */
 const COLUMNS = [
-  ["robot", "id", (row) => row.robot],
-  ["seen", "seconds since its last frame; silent from 3 s on", (row) => `${row.seen.toFixed(1)} s`],
-  ["health", "of its last heartbeat", (row) => row.health ?? "–"],
-  ["mode", "of its last heartbeat", (row) => row.mode ?? "–"],
-  ["rate", "estimates a second, over 5 s", (row) => `${row.rate.toFixed(1)}/s`],
-  [
-    "loss",
-    "share of its frames that is missing by transfer ids",
-    (row) => `${(100 * row.loss).toFixed(1)} %`,
-  ],
-  ["conflicts", "heartbeats of another node with its id", (row) => row.conflicts],
-  ["x", "of its last telemetry", (row) => shown(row.x, 3)],
-  ["b_hat", "of its last telemetry", (row) => shown(row.b_hat, 3)],
-  ["updates", "of b_hat, modulo 256", (row) => row.updates ?? "–"],
-  ["jumps", "estimates whose alpha is at least twice or at most half the one before", (row) => row.jumps],
+  [(row) => row.robot],
+  [(row) => `${row.seen.toFixed(1)} s`],
+  [(row) => row.health ?? "–", (row) => (row.health ?? "nominal") !== "nominal"],
+  [(row) => row.mode ?? "–", (row) => (row.mode ?? "operational") !== "operational"],
+  [(row) => `${row.rate.toFixed(1)}/s`],
+  [(row) => `${(100 * row.loss).toFixed(1)} %`, (row) => row.loss >= 0.01],
+  [(row) => row.conflicts, (row) => row.conflicts > 0],
+  [(row) => shown(row.x)],
+  [(row) => shown(row.b_hat)],
+  [(row) => row.updates ?? "–"],
+  [(row) => row.jumps],
 ];
-const ALARMS = {
-  health: (row) => row.health !== null && row.health !== "nominal",
-  mode: (row) => row.mode !== null && row.mode !== "operational",
-  loss: (row) => row.loss >= 0.01,
-  conflicts: (row) => row.conflicts > 0,
-};
-
-/** Writes a text where it differs, so that what stays the same is not drawn again. */
-function write(place, text) {
-  if (place.textContent !== String(text)) place.textContent = text;
-}
 
 export class Bus {
   /** `onChoose` takes a robot's id. */
@@ -42,9 +28,10 @@ export class Bus {
     find("filter").addEventListener("input", () => this.#list());
   }
 
-  /** Takes a report as view/roster.py makes it. O(robots + frames). */
+  /** Takes a report as view/roster.py makes it; no frame says where robots are. O(robots + frames). */
   take({ robots, frames }) {
-    if (!find("roster").tHead) this.#begin();
+    document.body.classList.add("bus");
+    find("bus").hidden = false;
     const body = find("roster").tBodies[0];
     robots.forEach((row, place) => {
       if (!this.rows.has(row.robot)) {
@@ -54,29 +41,16 @@ export class Bus {
       }
       const shownRow = this.rows.get(row.robot);
       shownRow.classList.toggle("silent", row.silent);
-      COLUMNS.forEach(([name, , text], column) => {
+      COLUMNS.forEach(([text, isAlarming], column) => {
         const cell = shownRow.cells[column];
         write(column ? cell : cell.firstChild, text(row));
-        cell.classList.toggle("alarm", !row.silent && (ALARMS[name]?.(row) ?? false));
+        cell.classList.toggle("alarm", !row.silent && (isAlarming?.(row) ?? false));
       });
     });
     const silent = robots.filter((row) => row.silent).length;
     write(find("roster").caption, `${robots.length} robots, ${silent} silent`);
     this.frames = [...this.frames, ...frames].slice(-MOST_FRAMES);
     this.#list();
-  }
-
-  /** Shows the table in place of the arena: no frame says where robots are. */
-  #begin() {
-    document.body.classList.add("bus");
-    find("bus").hidden = false;
-    const table = find("roster");
-    table.createCaption();
-    const head = table.createTHead().insertRow();
-    for (const [name, meaning] of COLUMNS) {
-      head.append(Object.assign(element("th", name), { scope: "col", title: meaning }));
-    }
-    table.createTBody();
   }
 
   #row(robot) {

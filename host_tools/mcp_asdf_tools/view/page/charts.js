@@ -1,57 +1,57 @@
 // Charts of all robots over time. Long films are thinned to the extremes of each column of the screen.
 
 import { colour, colourOfError } from "view/colours";
-import { COLOURS, FILTERS } from "view/playground";
+import { element } from "view/panels";
+import { FILTERS } from "view/playground";
 
 const COLUMNS = 480;
-const MEAN = { name: "mean error", label: "mean error of x: " };
-const ERROR = { name: "error", label: "mean error of x: median and middle half of runs" };
+const MEAN = { label: "mean error of x: ", data: meanErrors };
+const ERROR = {
+  label: "mean error of x: median and middle half of runs",
+  data: (film) => film.comparison.data(),
+};
 const PANELS = [
   { name: "b_hat", label: "b_hat: trust in the own sensor", symbol: "b" },
   { name: "x_hat", label: "x_hat: what each sees by itself", symbol: "f" },
   { name: "x", label: "x: what each believes after hearing its neighbours", symbol: "f" },
 ];
 
+/** First and end of the samples in each column of the screen. */
+function columnsOf(film) {
+  const count = Math.min(COLUMNS, film.length);
+  const start = (column) => Math.floor((column * film.length) / count);
+  return Array.from({ length: count }, (_, column) => [start(column), start(column + 1)]);
+}
+
 /** Smallest and largest value of each column, as data for uPlot: ticks, a row per robot, then the truth. */
 function thinned(film, { name, symbol }) {
-  const columns = Math.min(COLUMNS, film.length);
-  const ticks = new Float64Array(2 * columns);
-  const series = film.stage.robots.map(() => new Array(2 * columns));
-  const truths = new Array(2 * columns);
-  for (let column = 0; column < columns; column++) {
-    const first = Math.floor((column * film.length) / columns);
-    const end = Math.max(first + 1, Math.floor(((column + 1) * film.length) / columns));
-    ticks[2 * column] = film.ticks[first];
-    ticks[2 * column + 1] = film.ticks[end - 1] + (end - first === 1 ? 1e-6 : 0);
-    truths[2 * column] = truths[2 * column + 1] = truthOf(film, symbol, first);
-    series.forEach((values, robot) => {
-      const [low, high, lowFirst] = extremes(film, name, robot, first, end);
-      values[2 * column] = lowFirst ? low : high;
-      values[2 * column + 1] = lowFirst ? high : low;
-    });
-  }
-  return [ticks, ...series, truths];
+  const columns = columnsOf(film);
+  const { ticks } = film;
+  const series = film.stage.robots.map((_, robot) =>
+    columns.flatMap(([first, end]) => extremes(film, name, robot, first, end)),
+  );
+  return [
+    columns.flatMap(([first, end]) => [ticks[first], ticks[end - 1] + (end - first === 1 ? 1e-6 : 0)]),
+    ...series,
+    columns.flatMap(([first]) => new Array(2).fill(truthOf(film, symbol, first))),
+  ];
 }
 
 /** Mean error of x over time, and that of the twin without a filter, as data for uPlot. O(samples robots). */
 function meanErrors(film) {
   const { fill_ratio: f, twin = [], steps } = film.stage;
-  const columns = Math.min(COLUMNS, film.length);
-  const rows = [[], [], []];
-  for (let column = 0; column < columns; column++) {
-    const first = Math.floor((column * film.length) / columns);
-    const end = Math.max(first + 1, Math.floor(((column + 1) * film.length) / columns));
+  const columns = columnsOf(film);
+  const ticks = columns.map(([first]) => film.ticks[first]);
+  const errors = columns.map(([first, end]) => {
     let [sum, count] = [0, 0];
     for (let at = first * film.robots; at < end * film.robots; at++) {
       const x = film.value("x", at % film.robots, Math.floor(at / film.robots));
       if (!Number.isNaN(x)) [sum, count] = [sum + Math.abs(x - f), count + 1];
     }
-    const tick = film.ticks[first];
-    rows[0].push(tick);
-    rows[1].push(count ? sum / count : null);
-    rows[2].push(twin[Math.min(Math.floor((tick * twin.length) / (steps + 1)), twin.length - 1)] ?? null);
-  }
-  return rows;
+    return count ? sum / count : null;
+  });
+  const part = (tick) => Math.min(Math.floor((tick * twin.length) / (steps + 1)), twin.length - 1);
+  return [ticks, errors, ticks.map((tick) => twin[part(tick)] ?? null)];
 }
 
 /** The colour of a robot's line: at each time that of the robot on the floor. */
@@ -59,9 +59,7 @@ function stroke(plot, film, robot) {
   const { left, width } = plot.bbox;
   const gradient = plot.ctx.createLinearGradient(left, 0, left + Math.max(width, 1), 0);
   let before = null;
-  const columns = Math.min(COLUMNS, film.length);
-  for (let column = 0; column < columns; column++) {
-    const sample = Math.floor((column * film.length) / columns);
+  for (const [sample] of columnsOf(film)) {
     const now = colourOfError(film.wrongness(robot, sample));
     if (now === before) continue;
     const place = (plot.valToPos(film.ticks[sample], "x", true) - left) / width;
@@ -79,7 +77,7 @@ function truthOf(film, symbol, sample) {
   return Number.isNaN(value) ? null : value;
 }
 
-/** Lowest and highest value of some samples, and whether the lowest came first; null for unknown ones. */
+/** Lowest and highest value of some samples, in the order in which they came; null for unknown ones. */
 function extremes(film, name, robot, first, end) {
   let [low, high, lowAt, highAt] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY, 0, 0];
   for (let sample = first; sample < end; sample++) {
@@ -87,7 +85,8 @@ function extremes(film, name, robot, first, end) {
     if (value < low) [low, lowAt] = [value, sample];
     if (value > high) [high, highAt] = [value, sample];
   }
-  return low > high ? [null, null, true] : [low, high, lowAt <= highAt];
+  if (low > high) return [null, null];
+  return lowAt <= highAt ? [low, high] : [high, low];
 }
 
 /** Room for all but the first moments, when estimates still jump between 0 and 1. */
@@ -103,6 +102,11 @@ function limits([, ...series]) {
   if (low > high) return [0, 1];
   const margin = Math.max(0.06 * (high - low), 0.01);
   return [low - margin, high + margin];
+}
+
+/** A series of uPlot. */
+function line(stroke, width, more = {}) {
+  return { stroke, width, points: { show: false }, ...more };
 }
 
 export class Charts {
@@ -138,19 +142,16 @@ export class Charts {
   }
 
   #panel(panel, isLast) {
-    const box = document.createElement("div");
-    box.className = "chart";
-    const label = document.createElement("p");
-    label.textContent = panel.label;
+    const box = element("div", "", "chart");
+    const label = element("p", panel.label);
+    const truth = element("span");
     if (panel === MEAN) label.append(...this.#namesOfErrors());
-    const truth = document.createElement("span");
     label.append(truth);
     box.append(label);
     this.parent.append(box);
     const options = this.#options(panel, isLast);
     const plot = new uPlot(options, [[0], ...options.series.slice(1).map(() => [null])], box);
-    const now = document.createElement("div");
-    now.className = "now";
+    const now = element("div", "", "now");
     plot.over.append(now);
     return { plot, panel, now, truth, robots: this.film.robots };
   }
@@ -161,7 +162,6 @@ export class Charts {
       grid: { stroke: colour("line"), width: 1 },
       ticks: { show: false },
     };
-    const isStepped = panel.name === "b_hat";
     return {
       width: 300,
       height: 120,
@@ -175,7 +175,7 @@ export class Charts {
       ],
       ...(panel === ERROR
         ? this.#comparison()
-        : { series: panel === MEAN ? this.#meanErrors() : this.#seriesOfRobots(isStepped) }),
+        : { series: [{}, ...(panel === MEAN ? this.#meanErrors() : this.#linesOfRobots(panel))] }),
     };
   }
 
@@ -183,66 +183,48 @@ export class Charts {
   #errors() {
     const { filter, twin } = this.film.stage;
     const names = twin?.length ? [filter, "none"] : [filter];
-    return names.map((name) => [COLOURS[name] ?? "ink", FILTERS[name] ?? "these robots"]);
+    return names.map((name) => (name in FILTERS ? [name, FILTERS[name]] : ["ink", "these robots"]));
   }
 
   #namesOfErrors() {
     return this.#errors().map(([name, text]) => {
-      const word = document.createElement("b");
-      word.textContent = text;
+      const word = element("b", text);
       word.style.setProperty("--colour", `var(--${name})`);
       return word;
     });
   }
 
   #meanErrors() {
-    const lines = [...this.#errors(), ["none"]].slice(0, 2);
-    return [
-      {},
-      ...lines.map(([name]) => ({ stroke: () => colour(name), width: 2, points: { show: false } })),
-    ];
+    const names = [...this.#errors(), ["none"]].slice(0, 2);
+    return names.map(([name]) => line(() => colour(name), 2));
   }
 
-  #seriesOfRobots(isStepped) {
+  #linesOfRobots({ name }) {
+    const paths = name === "b_hat" ? uPlot.paths.stepped({ align: 1 }) : undefined;
     return [
-      {},
-      ...this.film.stage.robots.map((_, robot) => ({
-        stroke: (plot) => stroke(plot, this.film, robot),
-        alpha: 0.7,
-        width: 1.2,
-        points: { show: false },
-        paths: isStepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
-      })),
-      { stroke: colour("truth"), width: 1.5, dash: [6, 4], points: { show: false } },
+      ...this.film.stage.robots.map((_, robot) =>
+        line((plot) => stroke(plot, this.film, robot), 1.2, { alpha: 0.7, paths }),
+      ),
+      line(colour("truth"), 1.5, { dash: [6, 4] }),
     ];
   }
 
   /** For each filter the median error; for the chosen one a band around it, and, thin, that of this run. */
   #comparison() {
-    const { filters } = this.film.comparison;
-    const isChosen = (each) => each.name === this.film.comparison.chosen;
+    const names = Object.keys(FILTERS);
     const nothing = "transparent";
-    const line = (each, width, isShown) => ({
-      stroke: () => (isShown(each) ? colour(each.colour) : nothing),
-      width,
-      points: { show: false },
-    });
-    const never = () => false;
-    return {
-      series: [
-        {},
-        ...filters.flatMap((each) => [
-          line(each, 2.2, () => true),
-          line(each, 1, never),
-          line(each, 1, never),
-          line(each, 0.7, isChosen),
-        ]),
-      ],
-      bands: filters.map((each, at) => ({
-        series: [4 * at + 3, 4 * at + 2],
-        fill: () => (isChosen(each) ? `${colour(each.colour)}30` : nothing),
-      })),
-    };
+    const ofChosen = (name, alpha) => (name === this.film.comparison.chosen ? colour(name) + alpha : nothing);
+    const lines = names.flatMap((name) => [
+      line(() => colour(name), 2.2),
+      line(nothing, 1),
+      line(nothing, 1),
+      line(() => ofChosen(name, ""), 0.7),
+    ]);
+    const bands = names.map((name, at) => ({
+      series: [4 * at + 3, 4 * at + 2],
+      fill: () => ofChosen(name, "30"),
+    }));
+    return { series: [{}, ...lines], bands };
   }
 
   #fit() {
@@ -280,15 +262,8 @@ export class Charts {
     if (!this.film || this.film.length === this.drawn || this.film.length === 0) return;
     this.drawn = this.film.length;
     for (const { plot, panel, truth } of this.plots) {
-      if (panel === ERROR) {
-        plot.setData(this.film.comparison.data());
-        continue;
-      }
-      if (panel === MEAN) {
-        plot.setData(meanErrors(this.film));
-        continue;
-      }
-      plot.setData(thinned(this.film, panel));
+      plot.setData(panel.data ? panel.data(this.film) : thinned(this.film, panel));
+      if (!panel.symbol) continue;
       const value = truthOf(this.film, panel.symbol, this.film.length - 1);
       truth.textContent = value === null ? "" : `${panel.symbol} = ${+value.toFixed(3)}`;
     }

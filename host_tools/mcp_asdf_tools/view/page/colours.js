@@ -2,16 +2,18 @@
 
 const cache = new Map();
 
+function cached(key, make) {
+  if (!cache.has(key)) cache.set(key, make());
+  return cache.get(key);
+}
+
 /** A colour of the style by its name, as #rrggbb. */
 export function colour(name) {
-  let value = cache.get(name);
-  if (value === undefined) {
+  return cached(name, () => {
     document.body.style.outlineColor = `var(--${name})`; // of no outline: it is there to be computed
     const found = getComputedStyle(document.body).outlineColor.match(/\d+/g);
-    value = `#${found.map((each) => Number(each).toString(16).padStart(2, "0")).join("")}`;
-    cache.set(name, value);
-  }
-  return value;
+    return `#${found.map((each) => Number(each).toString(16).padStart(2, "0")).join("")}`;
+  });
 }
 
 /** Reads all colours again, after a change between light and dark. */
@@ -30,15 +32,11 @@ const MOST = 0.4;
 export function colourOfError(error) {
   if (Number.isNaN(error)) return colour("soft"); // unknown
   const step = Math.round(64 * Math.min(error / MOST, 1));
-  const key = `error ${step}`;
-  let value = cache.get(key);
-  if (value === undefined) {
+  return cached(`error ${step}`, () => {
     const share = step / 64;
     const [from, to] =
       share < 0.5 ? [channels(colour("right")), MIDDLE] : [MIDDLE, channels(colour("wrong"))];
     const way = share < 0.5 ? 2 * share : 2 * share - 1;
-    value = `rgb(${from.map((each, i) => Math.round(each + way * (to[i] - each))).join(",")})`;
-    cache.set(key, value);
-  }
-  return value;
+    return `rgb(${from.map((each, i) => Math.round(each + way * (to[i] - each))).join(",")})`;
+  });
 }

@@ -3,10 +3,14 @@
 const SCALE = 65534;
 const UNKNOWN = 65535;
 
+/** Bytes of base64 text. */
+export function bytesOf(text) {
+  return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+}
+
 /** Bytes of deflated base64 text. */
 async function inflated(text) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Response(stream).arrayBuffer();
 }
 
@@ -127,24 +131,19 @@ export class Film {
   #findEvents(sample) {
     const [first, tick] = [sample - 1, sample].map((each) => this.ticks[each]);
     const isDue = (at) => at !== null && at <= tick && (at > first || (at === 0 && sample === 1));
+    const mark = (event) => this.events.push({ tick, sample, isMark: true, ...event });
+    const gone = this.stage.steps === null ? "silent" : "dead"; // on a bus one cannot see which
     for (const [text, start, stop] of this.stage.faults ?? []) {
-      if (isDue(start)) this.events.push({ tick, sample, isMark: true, text: `fault: ${text}` });
-      if (isDue(stop)) this.events.push({ tick, sample, isMark: true, text: `fault over: ${text}` });
+      if (isDue(start)) mark({ text: `fault: ${text}` });
+      if (isDue(stop)) mark({ text: `fault over: ${text}` });
     }
     this.stage.robots.forEach((_, robot) => {
       const [before, after] = [sample - 1, sample].map((each) => this.value("b_hat", robot, each));
       const [wasGone, isGone] = [before, after].map(Number.isNaN);
-      const event = { tick, sample, robot, before, after };
-      if (isGone && !wasGone) this.events.push({ ...event, isMark: true, text: this.#gone });
-      if (wasGone && !isGone && this.gone.has(robot))
-        this.events.push({ ...event, isMark: true, text: "back" });
-      if (Math.abs(after - before) > 0.002) this.events.push(event);
+      if (isGone && !wasGone) mark({ robot, text: gone });
+      if (wasGone && !isGone && this.gone.has(robot)) mark({ robot, text: "back" });
+      if (Math.abs(after - before) > 0.002) this.events.push({ tick, sample, robot, before, after });
       if (isGone && !wasGone) this.gone.add(robot);
     });
-  }
-
-  /** What a robot is of which nothing is known any more: on a bus one cannot see that it is dead. */
-  get #gone() {
-    return this.stage.steps === null ? "silent" : "dead";
   }
 }

@@ -5,7 +5,7 @@ import { Bus } from "view/bus";
 import { Charts } from "view/charts";
 import { forgetColours } from "view/colours";
 import { Film } from "view/film";
-import { find, showEvents, showFigures, showMarks, showRobot } from "view/panels";
+import { find, showEvents, showFigures, showMarks, showRobot, write } from "view/panels";
 import { Player } from "view/player";
 import { Playground } from "view/playground";
 
@@ -152,10 +152,9 @@ class View {
     const { player, film } = this;
     find("time").value = tick;
     find("time").max = this.total;
-    const text = `step ${Math.floor(tick)} of ${this.total}, ${(tick / film.stage.steps_per_second).toFixed(1)} s`;
-    if (find("clock").textContent !== text) find("clock").textContent = text;
-    const sign = player.isPlaying ? "❚❚" : "▶";
-    if (find("play").textContent !== sign) find("play").textContent = sign;
+    const seconds = (tick / film.stage.steps_per_second).toFixed(1);
+    write(find("clock"), `step ${Math.floor(tick)} of ${this.total}, ${seconds} s`);
+    write(find("play"), player.isPlaying ? "❚❚" : "▶");
     find("live").setAttribute("aria-pressed", String(player.isFollowing));
   }
 
@@ -176,10 +175,7 @@ class View {
   }
 
   press(event) {
-    const isTyped =
-      event.target instanceof HTMLSelectElement ||
-      event.target instanceof HTMLButtonElement ||
-      event.target instanceof HTMLInputElement;
+    const isTyped = event.target.matches("select, button, input");
     if (!this.film) return;
     if (event.key === "Escape") this.follow(null);
     else if (event.target === find("arena") && event.key in WAYS) this.step(WAYS[event.key]);
@@ -208,42 +204,39 @@ async function open(view, { stage, block }) {
 
 /** Shows a run as it goes. Blocks are taken one after the other, since unpacking one takes a moment. */
 function connect(view) {
-  let queue = Promise.resolve();
-  const then = (action) => {
-    queue = queue.then(action).catch((error) => say(`the page failed: ${error.message}`));
-  };
   const source = new EventSource("/events");
-  source.addEventListener("stage", (event) =>
-    then(async () => {
-      const isFirst = view.film === null;
-      view.isLive = true;
-      view.show(await Film.on(JSON.parse(event.data)));
-      find("live").hidden = false;
-      say("live", true);
-      if (isFirst) {
-        view.chooseSpeed(view.film.stage.steps ?? 300);
-        view.player.follow();
-      }
-    }),
-  );
-  let isOpened = false;
-  source.addEventListener("block", (event) =>
-    then(async () => {
-      await view.append(JSON.parse(event.data));
-      if (!isOpened) view.openAddress();
-      isOpened = true;
-    }),
-  );
-  source.addEventListener("report", (event) => then(() => view.bus.take(JSON.parse(event.data))));
-  source.addEventListener("end", () => {
-    source.close();
-    then(() => {
-      view.isLive = false;
-      find("live").hidden = true;
-      say("the run has ended");
-      if (view.player.isFollowing) view.player.pause();
+  let queue = Promise.resolve();
+  const take = (name, action) =>
+    source.addEventListener(name, ({ data }) => {
+      queue = queue
+        .then(() => action(JSON.parse(data)))
+        .catch((error) => say(`the page failed: ${error.message}`));
     });
+  take("stage", async (stage) => {
+    const isFirst = view.film === null;
+    view.isLive = true;
+    view.show(await Film.on(stage));
+    find("live").hidden = false;
+    say("live", true);
+    if (isFirst) {
+      view.chooseSpeed(stage.steps ?? 300);
+      view.player.follow();
+    }
   });
+  let isOpened = false;
+  take("block", async (block) => {
+    await view.append(block);
+    if (!isOpened) view.openAddress();
+    isOpened = true;
+  });
+  take("report", (report) => view.bus.take(report));
+  take("end", () => {
+    view.isLive = false;
+    find("live").hidden = true;
+    say("the run has ended");
+    if (view.player.isFollowing) view.player.pause();
+  });
+  source.addEventListener("end", () => source.close());
   source.addEventListener("error", () => say("no connection; trying again"));
 }
 

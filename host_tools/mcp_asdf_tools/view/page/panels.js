@@ -13,12 +13,20 @@ export function element(name, text = "", className = "") {
   return made;
 }
 
+/** Writes a text where it differs, so that what stays the same is not drawn again. */
+export function write(place, text) {
+  if (place.textContent !== String(text)) place.textContent = text;
+}
+
 export function shown(value, digits = 3) {
   return value === null || Number.isNaN(value) ? "–" : value.toFixed(digits);
 }
 
-function mean(values) {
-  const found = values.filter((value) => !Number.isNaN(value));
+function known(values) {
+  return values.filter((value) => !Number.isNaN(value));
+}
+
+function mean(found) {
   return found.length ? found.reduce((sum, value) => sum + value, 0) / found.length : Number.NaN;
 }
 
@@ -26,18 +34,15 @@ function mean(values) {
 export function showFigures(film, sample) {
   const f = film.stage.fill_ratio;
   const robots = film.stage.robots.map((_, robot) => robot);
-  const x = robots.map((robot) => film.value("x", robot, sample));
-  const known = x.filter((value) => !Number.isNaN(value));
-  const judged = robots.map((robot) => film.wrongness(robot, sample)).filter((value) => !Number.isNaN(value));
+  const x = known(robots.map((robot) => film.value("x", robot, sample)));
+  const judged = known(robots.map((robot) => film.wrongness(robot, sample)));
   const figures = {
     "mean-x": shown(mean(x)),
     "mean-error": f === null ? "–" : shown(mean(x.map((value) => Math.abs(value - f)))),
-    spread: shown(known.length ? Math.max(...known) - Math.min(...known) : Number.NaN),
+    spread: shown(x.length ? Math.max(...x) - Math.min(...x) : Number.NaN),
     wrong: judged.length ? `${judged.filter((value) => value > WRONG).length} of ${judged.length}` : "–",
   };
-  for (const [name, value] of Object.entries(figures)) {
-    if (find(name).textContent !== value) find(name).textContent = value;
-  }
+  for (const [name, value] of Object.entries(figures)) write(find(name), value);
 }
 
 /** The numbers of the robot that is followed, or how to follow one. */

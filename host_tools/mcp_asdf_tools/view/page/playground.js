@@ -1,70 +1,31 @@
 // The playground: settings, whose runs a worker computes, and what the page shows of them.
 
-import { Film } from "view/film";
+import { bytesOf, Film } from "view/film";
 import { element, find } from "view/panels";
 
-const SLIDERS = [
-  { name: "robots", label: "robots", from: 2, to: 127, step: 1, value: 20 },
-  { name: "flawed", label: "flawed robots, %", from: 0, to: 100, step: 5, value: 50 },
-  { name: "wrong", label: "b_hat they start with", from: 0.05, to: 0.99, step: 0.01, value: 0.55 },
-  { name: "accuracy", label: "b, true accuracy", from: 0.5, to: 1, step: 0.01, value: 0.95 },
-  { name: "fill", label: "f, share of black tiles", from: 0, to: 1, step: 0.05, value: 0.55 },
-  { name: "liars", label: "liars", from: 0, to: 10, step: 1, value: 0 },
-  { name: "density", label: "D, density", from: 0.2, to: 10, step: 0.2, value: 1 },
-  { name: "seed", label: "seed", from: 1, to: 1000, step: 1, value: 1 },
-];
 export const FILTERS = { none: "no filter", "asdf-minus": "ASDF−", "asdf-plus": "ASDF+", robust: "robust" };
-export const COLOURS = { none: "none", "asdf-minus": "minus", "asdf-plus": "plus", robust: "robust" };
-const PRESETS = [
-  [
-    "half the robots are wrong",
-    "",
-    "Half of twenty robots think that their sensors are hardly better than a coin; they hear those nearby, compare notes, and recalibrate themselves.",
-  ],
-  [
-    "a few are wrong, nobody knows which",
-    "flawed=30&filter=robust",
-    "Six of twenty robots are wrong about their sensors and do not know it: with the robust filter all may recalibrate, and the right ones stay right.",
-  ],
-  [
-    "a liar",
-    "flawed=20&liars=1&filter=robust",
-    "One robot claims, with great confidence, that no tile is black: whoever weighs messages by confidence believes it, the robust filter counts it as one vote.",
-  ],
-  [
-    "everybody hears everybody",
-    "everybody=1&filter=none",
-    "You need no filter: where all hear all, the sound robots outvote the flawed ones, whose confidence is low.",
-  ],
-  [
-    "few neighbours",
-    "density=0.4",
-    "Robots meet seldom, so each is alone with its own sensor for long: here it matters most to know how good that is.",
-  ],
-  [
-    "127 robots",
-    "robots=127",
-    "A hundred more change nothing for the robot: its cost depends on the neighbours that it hears.",
-  ],
-];
-const DEFAULTS = {
-  ...Object.fromEntries(SLIDERS.map(({ name, value }) => [name, value])),
-  everybody: 0,
-  steps: 0,
-  filter: "asdf-minus",
-};
 const SAMPLES = 1000;
 const BLOCK = 8;
+const LIMITS = [
+  ...[...find("settings").querySelectorAll("[type=range]")].map(({ name, min, max, defaultValue }) => ({
+    name,
+    from: Number(min),
+    to: Number(max),
+    value: Number(defaultValue),
+  })),
+  { name: "everybody", from: 0, to: 1, value: 0 },
+  { name: "steps", from: 0, to: SAMPLES, value: 0 },
+];
+const DEFAULTS = {
+  ...Object.fromEntries(LIMITS.map(({ name, value }) => [name, value])),
+  filter: "asdf-minus",
+};
 
 /** Settings of an address such as #flawed=50&filter=robust; what is not there or out of range has its default. */
-export function settingsOf(address) {
+function settingsOf(address) {
   const settings = { ...DEFAULTS };
   const given = new URLSearchParams(address.replace(/^#/, ""));
-  for (const { name, from, to } of [
-    ...SLIDERS,
-    { name: "everybody", from: 0, to: 1 },
-    { name: "steps", from: 0, to: SAMPLES },
-  ]) {
+  for (const { name, from, to } of LIMITS) {
     const value = Number(given.get(name) ?? Number.NaN);
     if (value >= from && value <= to) settings[name] = value;
   }
@@ -76,7 +37,7 @@ export function settingsOf(address) {
 }
 
 /** The address of settings: those that are not defaults. */
-export function addressOf(settings) {
+function addressOf(settings) {
   const given = Object.keys(DEFAULTS).filter((name) => settings[name] !== DEFAULTS[name]);
   return `#${given.map((name) => `${name}=${settings[name]}`).join("&")}`;
 }
@@ -92,45 +53,23 @@ function jobOf(settings) {
 }
 
 /** The command that computes the same bits: of all trials, or, as liars are faults of a bus, of the first. */
-export function commandOf(settings) {
-  const job = jobOf(settings);
-  const isLied = job.liars > 0;
-  const words = {
-    seed: job.seed,
-    robots: job.robots,
-    topology: job.everybody ? "fully-connected" : "dynamic",
-    density: job.everybody ? null : job.density,
-    filter: job.filter,
-    flawed: job.flawedCount,
-    "fill-ratio": job.fill,
-    steps: job.steps,
-  };
-  const accuracies = { "flawed-accuracy": job.wrong, "true-accuracy": job.accuracy };
-  const rest = Object.entries(words).filter(([, value]) => value !== null);
-  const options = rest.map(([name, value]) => `--${name} ${value}`);
-  for (const [name, value] of Object.entries(accuracies)) {
-    options.push(isLied ? `--set ${name.replace("-", "_")}=${value}` : `--${name} ${value}`);
-  }
-  if (!isLied) return `mcp-asdf simulate ${options.join(" ")}`;
-  const ids = `${job.robots - job.liars}-${job.robots - 1}`;
-  return `mcp-asdf swarm ${options.join(" ")} --fault liar,robots=${ids},x=0,alpha=1e6`;
+function commandOf(settings) {
+  const { seed, robots, everybody, density, filter, flawedCount, fill, ...job } = jobOf(settings);
+  const topology = everybody ? "fully-connected" : `dynamic --density ${density}`;
+  const swarm = `--seed ${seed} --robots ${robots} --topology ${topology} --filter ${filter}`;
+  const options = `${swarm} --flawed ${flawedCount} --fill-ratio ${fill} --steps ${job.steps}`;
+  if (job.liars === 0)
+    return `mcp-asdf simulate ${options} --flawed-accuracy ${job.wrong} --true-accuracy ${job.accuracy}`;
+  const accuracies = `--set flawed_accuracy=${job.wrong} --set true_accuracy=${job.accuracy}`;
+  const fault = `liar,robots=${robots - job.liars}-${robots - 1},x=0,alpha=1e6`;
+  return `mcp-asdf swarm ${options} ${accuracies} --fault ${fault}`;
 }
 
-/** Lower quartile, median and upper quartile at each point of series. O(series log(series) points). */
+/** Median, lower and upper quartile at each point of series. O(series log(series) points). */
 function quartiles(series) {
-  const [low, middle, high] = [[], [], []];
-  const values = new Float64Array(series.length);
-  for (let point = 0; point < series[0].length; point++) {
-    series.forEach((each, trial) => {
-      values[trial] = each[point];
-    });
-    values.sort();
-    const at = (share) => values[Math.round(share * (values.length - 1))];
-    low.push(at(0.25));
-    middle.push(at(0.5));
-    high.push(at(0.75));
-  }
-  return { low, middle, high };
+  const sorted = Array.from(series[0], (_, point) => Float64Array.from(series, (each) => each[point]).sort());
+  const at = (share) => sorted.map((values) => values[Math.round(share * (values.length - 1))]);
+  return [at(0.5), at(0.25), at(0.75)];
 }
 
 /** Means of blocks of a series: from step to step x jumps as neighbours come and go. */
@@ -144,12 +83,7 @@ function means(series) {
 /** Errors of all filters and trials, as the first chart draws them. */
 class Comparison {
   constructor() {
-    this.filters = Object.entries(FILTERS).map(([name, label]) => ({
-      name,
-      label,
-      colour: COLOURS[name],
-      trials: [],
-    }));
+    this.filters = Object.keys(FILTERS).map((name) => ({ name, trials: [] }));
     this.isNew = true;
   }
 
@@ -167,8 +101,7 @@ class Comparison {
     const rows = this.filters.flatMap(({ trials }) => {
       const found = trials.filter(Boolean);
       if (found.length === 0) return [nothing, nothing, nothing, nothing];
-      const { low, middle, high } = quartiles(found);
-      return [middle, low, high, trials[0] ?? nothing];
+      return [...quartiles(found), trials[0] ?? nothing];
     });
     return [ticks, ...rows];
   }
@@ -177,8 +110,8 @@ class Comparison {
   ends(filter) {
     const found = this.filters.find(({ name }) => name === filter).trials.filter(Boolean);
     if (!found.length) return null;
-    const { middle } = quartiles(found.map((errors) => errors.slice(-1)));
-    return { median: middle[0], count: found.length };
+    const [[median]] = quartiles(found.map((errors) => errors.slice(-1)));
+    return { median, count: found.length };
   }
 }
 
@@ -188,8 +121,12 @@ export class Playground {
     this.id = 0;
     this.comparison = new Comparison();
     this.settings = settingsOf(location.hash);
-    this.#makeSettings();
-    this.#makePresets();
+    find("settings").addEventListener("input", ({ target }) => {
+      const value = Number(target.type === "checkbox" ? target.checked : target.value);
+      this.#change({ ...this.settings, [target.name]: value });
+    });
+    for (const button of find("presets").children)
+      button.addEventListener("click", () => this.#change(settingsOf(button.dataset.address)));
     this.#makeFilters();
     find("command").lastElementChild.addEventListener("click", () => this.#copy());
     for (const name of ["playground", "settings", "filters", "command"]) find(name).hidden = false;
@@ -197,7 +134,7 @@ export class Playground {
     addEventListener("hashchange", () => this.#change(settingsOf(location.hash)));
     this.worker = new Worker(import.meta.resolve("view/worker"));
     this.worker.addEventListener("message", ({ data }) => this.#take(data));
-    this.worker.postMessage({ module: Uint8Array.from(atob(module), (letter) => letter.charCodeAt(0)) });
+    this.worker.postMessage({ module: bytesOf(module) });
     this.#listenToSite();
     this.#ask(true);
   }
@@ -213,40 +150,10 @@ export class Playground {
     }
   }
 
-  #makeSettings() {
-    for (const { name, label, from, to, step } of SLIDERS) {
-      const row = element("label", label);
-      const shown = element("output");
-      const slider = Object.assign(element("input"), { type: "range", name, min: from, max: to, step });
-      slider.addEventListener("input", () =>
-        this.#change({ ...this.settings, [name]: Number(slider.value) }),
-      );
-      row.append(shown, slider);
-      find("settings").append(row);
-    }
-    const everybody = Object.assign(element("input"), { type: "checkbox", name: "everybody" });
-    everybody.addEventListener("change", () =>
-      this.#change({ ...this.settings, everybody: Number(everybody.checked) }),
-    );
-    const row = element("label", "everybody hears everybody", "check");
-    row.prepend(everybody);
-    find("settings").append(row);
-  }
-
-  #makePresets() {
-    for (const [name, address, story] of PRESETS) {
-      const button = Object.assign(element("button", name), { type: "button" });
-      button.dataset.address = addressOf(settingsOf(address));
-      button.dataset.story = story;
-      button.addEventListener("click", () => this.#change(settingsOf(address)));
-      find("presets").append(button);
-    }
-  }
-
   #makeFilters() {
     for (const [name, label] of Object.entries(FILTERS)) {
       const row = element("label");
-      row.style.setProperty("--colour", `var(--${COLOURS[name]})`);
+      row.style.setProperty("--colour", `var(--${name})`);
       const choice = Object.assign(element("input"), { type: "radio", name: "filter", value: name });
       choice.addEventListener("change", () => this.#change({ ...this.settings, filter: name }));
       row.append(choice, element("b", label), element("output"));
@@ -277,10 +184,9 @@ export class Playground {
   }
 
   #showSettings(job) {
-    for (const { name } of SLIDERS) {
-      const slider = find("settings").elements[name];
-      slider.value = this.settings[name];
-      slider.previousElementSibling.textContent = this.settings[name];
+    for (const slider of find("settings").querySelectorAll("[type=range]")) {
+      slider.value = this.settings[slider.name];
+      slider.previousElementSibling.textContent = this.settings[slider.name];
     }
     find("settings").elements.everybody.checked = job.everybody;
     find("settings").elements.density.disabled = job.everybody;
@@ -292,7 +198,7 @@ export class Playground {
     find("liars").hidden = job.liars === 0;
     find("story").textContent = "";
     for (const button of find("presets").children) {
-      const isChosen = button.dataset.address === address;
+      const isChosen = addressOf(settingsOf(button.dataset.address)) === address;
       button.setAttribute("aria-pressed", isChosen);
       if (isChosen) find("story").textContent = button.dataset.story;
     }
@@ -337,8 +243,8 @@ export class Playground {
     const isFirst = view.film === null;
     view.show(film);
     view.player.end = film.lastTick;
-    if (isFirst) view.player.play();
     if (isFirst) view.chooseSpeed(film.lastTick);
+    if (isFirst) view.player.play();
   }
 
   // --- Inside a page of the documentation, which has the address, the height and the colours ---
