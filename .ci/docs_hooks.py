@@ -42,13 +42,9 @@ _FRAME = r'<iframe id="playground" title="\1" style="width: 100%; height: 46rem;
 def on_config(config: Any, **_: Any) -> Any:
     """The version beside the name, and the rooms below the page of the Python API."""
     config.site_name += f" {own_version()}"
-    (reference,) = (
-        each["Reference"] for each in config.nav if isinstance(each, dict) and "Reference" in each
-    )
-    place = next(number for number, each in enumerate(reference) if "Python API" in each)
-    reference[place] = {
-        "Python API": [{"Overview": "api.md"}, *({name: f"api/{name}.md"} for name in room_names())]
-    }
+    reference = next(each["Reference"] for each in config.nav if "Reference" in each)
+    pages = next(each["Python API"] for each in reference if "Python API" in each)
+    pages += [{name: f"api/{name}.md"} for name in room_names()]
     return config
 
 
@@ -155,17 +151,14 @@ def _room(folder: Path) -> str:
 
 def _labelled(table: re.Match[str]) -> str:
     """A table whose cells name their columns, for screens on which each row stands by itself."""
-    titles = [_plain(title) for title in re.findall(r"<th(?:\s[^>]*)?>(.*?)</th>", table[0], re.DOTALL)]
+    heads = re.findall(r"<th(?:\s[^>]*)?>(.*?)</th>", table[0], re.DOTALL)
+    titles = [re.sub(r"<[^>]+>", "", head).replace('"', "&quot;") for head in heads]
 
     def row(found: re.Match[str]) -> str:
         cells = iter(titles)
         return re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
 
     return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
-
-
-def _plain(title: str) -> str:
-    return html.escape(html.unescape(re.sub(r"<[^>]+>", "", title)), quote=True)
 
 
 class Docstrings(griffe.Extension):

@@ -68,6 +68,27 @@ def blocks(page: Path, *languages: str) -> list[str]:
     return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
 
 
+def block_with(page: Path, part: str, *languages: str) -> str:
+    """The page's only block of code in these languages that has this in it."""
+    (found,) = [code for code in blocks(page, *languages) if part in code]
+    return found
+
+
+HIDING = """\
+import os, sys
+from mcp_asdf_tools.common.extras import EXTRAS
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        extra = EXTRAS.get(name.partition(".")[0])
+        if extra is not None and extra not in os.environ.get("EXTRAS", "").split(","):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Finder())
+"""
+"""Beginning of a program that finds no modules of extras but those named in the variable EXTRAS."""
+
+
 def require(tool: str, packages: str | None = None) -> str:
     """The tool's name; skips the test where it is not installed, naming Debian's packages that have it."""
     if shutil.which(tool, path=PATH) is None:

@@ -15,7 +15,7 @@ import pytest
 
 from browser import browser_page
 from mcp_asdf_tools.cli import main as cli
-from support import PAGES, ROOT, TABLE, blocks, require, run, version_of_header
+from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
@@ -72,6 +72,10 @@ LONG_PAGES = (
     "view.md",
 )
 """Pages whose commands are for ``make verify``: they are many, or take long."""
+CASES = [
+    pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
+    for page in PAGES
+]
 
 NEEDED = {
     "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
@@ -112,13 +116,7 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
-        for page in PAGES
-    ],
-)
+@pytest.mark.parametrize("page", CASES)
 def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
     """Each block of commands runs in a shell of its own."""
     for script in scripts(page):
@@ -228,44 +226,31 @@ def test_links_of_the_readme_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
-def shown(page: Path, beginning: str) -> str:
-    """The page's block of text that begins so."""
-    (text,) = [block for block in blocks(page, "text") if block.startswith(beginning)]
-    return text
-
-
 @pytest.mark.parametrize("source", ["copied", "written"])
 def test_the_c_program_of_the_readme_runs(source: str, tmp_path: Path) -> None:
     """In an empty folder, by the commands that the README prints, and with files copied by hand."""
     readme, flags = ROOT / "README.md", "-pedantic-errors -Wall -Wextra -Werror"
     (code,) = blocks(readme, "c")
     (tmp_path / "robot.c").write_text(code)
-    (commands,) = [block for block in blocks(readme, "sh") if "robot.c" in block]
-    write, build, start = commands.splitlines()
+    write, build, start = block_with(readme, "robot.c", "sh").splitlines()
     if source == "copied":
         shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
         shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
         write, build = ":", build.replace("-std=c99", f"-std=c99 {flags}")
     printed = run("sh", "-ec", f"{write} >/dev/null\n{build}\n{start}", cwd=tmp_path)
-    assert printed == shown(readme, "share of black")
+    assert printed == block_with(readme, "share of black 0.685", "text")
     x = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
     assert f"{x:.3f}" in printed
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG_PAGES else [])
-        for page in PAGES[1:]
-    ],
-)
+@pytest.mark.parametrize("page", CASES[1:])
 def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
     """One after the other in one process, which loads libraries once, but each in a module of its own."""
     programs = blocks(page, "python")
     script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
     if programs:
         printed = run(sys.executable, "-c", script, cwd=tmp_path)
-        assert page.name != "experiments.md" or printed.endswith(shown(page, "6 flawed"))
+        assert page.name != "experiments.md" or printed.endswith(block_with(page, "6 flawed, none:", "text"))
 
 
 @pytest.mark.slow
@@ -283,13 +268,13 @@ def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
 
 def test_the_python_program_of_the_readme_runs() -> None:
     (code,) = blocks(ROOT / "README.md", "python")
-    assert run(sys.executable, "-c", code) == shown(ROOT / "README.md", "tick 1000")
+    assert run(sys.executable, "-c", code) == block_with(ROOT / "README.md", "tick 1000", "text")
 
 
 def test_the_readme_says_how_much_it_helps_as_the_page_does() -> None:
     """The page's figures are those of its program; the README rounds them no further."""
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    lines = shown(ROOT / "docs/experiments.md", "6 flawed").splitlines()
+    lines = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
     (none, minus, robust, _, half_minus, half_robust) = [re.findall(r"\d+\.\d*", line) for line in lines]
     for low, middle, high, *_ in (none, minus, robust):
         assert f"{middle} ({low} to {high})" in readme

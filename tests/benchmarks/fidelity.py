@@ -19,6 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,21 +54,20 @@ class Cell:
 
 def read_cells(path: Path = REFERENCE) -> list[Cell]:
     """The cells of a reference in its order; the physics simulation has the setup of the authors' scripts."""
-    world = {"robots": 10} if path == REFERENCE else {"topology": "dynamic", "robots": 20, "latency": 1}
+    world: Any = {"robots": 10} if path == REFERENCE else {"topology": "dynamic", "robots": 20, "latency": 1}
     cells = []
     with path.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            experiment = Experiment.from_parameters(
-                {
-                    **world,
-                    "steps": 40_000,
-                    "fill_ratio": float(row["fill_ratio"]),
-                    "true_accuracy": float(row["true_b"]),
-                    "flawed_accuracy": float(row["flawed_b"]),
-                    "flawed": int(row["flawed_count"]),
-                    "filter": row["mode"].replace("_", "-"),
-                    "filter_period": int(row["tau"]) or 1000,  # 0 without a filter
-                }
+            mode: Any = row["mode"].replace("_", "-")
+            experiment = Experiment(
+                **world,
+                steps=40_000,
+                fill_ratio=float(row["fill_ratio"]),
+                true_accuracy=float(row["true_b"]),
+                flawed_accuracy=float(row["flawed_b"]),
+                flawed=int(row["flawed_count"]),
+                filter=mode,
+                filter_period=int(row["tau"]) or 1000,  # 0 without a filter
             )
             h_k, h_e = (np.array(row[name].split(), float) for name in ("h_K", "h_e"))
             cells.append(Cell(experiment, np.stack([h_k, h_e, (h_k + h_e) / 2], axis=1)))

@@ -33,7 +33,7 @@ def chosen(args: argparse.Namespace) -> list[Trials]:
     for condition in args.where:
         name, equals, value = condition.partition("=")
         if not equals:
-            there = results.differing(found) or "no parameters"
+            there = results.differing(found)
             raise UsageError(f"--where {condition}: write NAME=VALUE; the experiments differ in {there}")
         found = results.matching(found, {name: value})
     return found

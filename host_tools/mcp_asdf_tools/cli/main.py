@@ -12,10 +12,11 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from typing import Protocol, TextIO, cast
 
-from mcp_asdf_tools.cli.parsing import Parser
+from mcp_asdf_tools.cli.parsing import HelpAll, Parser
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
@@ -72,11 +73,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
     as_json = "--json" in arguments
+    work = partial(_show_overview, arguments) if name is None else partial(_run_command, name, arguments[1:])
     with interruptible() as exit_code:
-        if name is None:
-            code = _attempt(title, lambda: _show_overview(arguments), as_json)
-        else:
-            code = _attempt(title, lambda: _run_command(name, arguments[1:]), as_json)
+        code = _attempt(title, work, as_json)
         return _attempt(title, _flush, as_json) or exit_code(code)
 
 
@@ -147,7 +146,7 @@ def _load(name: str) -> Command:
 
 def _parser_for(name: str, command: Command) -> Parser:
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
-    parser.add_help_all()
+    parser.add_argument("--help-all", action=HelpAll, nargs=0, help="show all options and exit")
     command.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     return parser

@@ -17,13 +17,8 @@ class Parser(argparse.ArgumentParser):
     """ArgumentParser of a command. ``--help`` shows some examples and their options."""
 
     def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
-        super().__init__(
-            prog=prog,
-            description=description,
-            epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
+        raw = argparse.RawDescriptionHelpFormatter
+        super().__init__(prog, None, description, epilog, formatter_class=raw, allow_abbrev=False)
 
     def parsed(self, words: Sequence[str]) -> argparse.Namespace:
         """The options; what was typed is in ``command_line``, program first."""
@@ -35,10 +30,6 @@ class Parser(argparse.ArgumentParser):
             self.error(f"no such {kind}: {first}{offer(first.partition('=')[0], options)}")
         found.command_line = [self.prog, *words]
         return found
-
-    def add_help_all(self) -> None:
-        """The option that shows the whole help."""
-        self.add_argument("--help-all", action=_HelpAll, nargs=0, help="show all options and exit")
 
     def format_help(self) -> str:
         """What ``--help`` shows."""
@@ -80,7 +71,7 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(message)
 
 
-class _HelpAll(argparse.Action):
+class HelpAll(argparse.Action):
     """Print the whole help, and end the program."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:

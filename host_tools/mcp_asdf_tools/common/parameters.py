@@ -7,7 +7,8 @@ in its ``__post_init__``. Options, TOML keys, JSON and table columns follow from
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -22,6 +23,15 @@ class ParameterError(UsageError):
     def __init__(self, key: str, message: str) -> None:
         super().__init__(message)
         self.key = key
+
+
+@contextmanager
+def value_of(key: str) -> Iterator[None]:
+    """Raises ParameterError where what reads the value of this parameter raises UsageError."""
+    try:
+        yield
+    except UsageError as error:
+        raise ParameterError(key, str(error)) from error
 
 
 @dataclass(frozen=True)

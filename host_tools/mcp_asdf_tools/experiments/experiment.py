@@ -44,7 +44,7 @@ def grid(**parameters: Any) -> list[Experiment]:
 
     Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
     """
-    return [Experiment.from_parameters(choice) for choice in combinations(parameters)]
+    return [Experiment(**choice) for choice in combinations(parameters)]
 
 
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

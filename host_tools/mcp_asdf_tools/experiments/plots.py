@@ -49,6 +49,8 @@ _SCATTER = (
 FEWEST = 6
 """Trials from which on a median has a 95 % interval."""
 _MOST_SERIES, _MOST_PANELS = 8, 32
+_OF_CELLS = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter")
+"""What pictures say without a parameter's name."""
 _FILTER_PARAMETERS = ("filter_period", "omega", "activation")
 
 Name = Callable[[Experiment], str]
@@ -114,9 +116,7 @@ def _by_series(experiments: Sequence[Trials], name: Name | None) -> dict[str, li
 
 def _name_of(experiments: Sequence[Trials]) -> Name:
     """Names made of the parameters that vary; those of filters do not name swarms without one."""
-    varying = _varying(
-        experiments, "fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter"
-    )
+    varying = _varying(experiments, *_OF_CELLS)
 
     def name(experiment: Experiment) -> str:
         words = [filter_name(experiment)]
@@ -504,9 +504,7 @@ def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Fig
 
 def _titles(experiments: Sequence[Trials]) -> list[str]:
     """f, b, b_hat and P of each experiment, and every other parameter in which they differ."""
-    varying = _varying(
-        experiments, "fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "filter", "trials"
-    )
+    varying = _varying(experiments, *_OF_CELLS)
     filters = {each.experiment.filter for each in experiments}
     titles = []
     for each in (trials.experiment for trials in experiments):

@@ -229,7 +229,7 @@ def experiments_at(path: Path) -> Iterator[Trials]:
 
 def _trials(parameters: str, table: pa.Table) -> Trials:
     """The trials of rows that belong to one experiment, whose lists in a column are all of one length."""
-    experiment = Experiment.from_parameters(json.loads(parameters))
+    experiment = Experiment(**json.loads(parameters))
     _check_values(experiment, table)
     table = table.sort_by("trial")
 
@@ -257,7 +257,7 @@ def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
     rows = table.select([*_PARAMETERS, "k", "e"]).to_pylist()
     scores = np.empty((len(SCORES), len(rows)))
     for index, row in enumerate(rows):
-        experiment = Experiment.from_parameters({name: row[name] for name in _PARAMETERS})
+        experiment = Experiment(**{name: row[name] for name in _PARAMETERS})
         own = score([row["k"]], [row["e"]], limits_of(experiment))
         scores[:, index] = [values[0] for values in own.values]
     for name, values in zip(SCORES, scores, strict=True):
@@ -273,9 +273,7 @@ def matching(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Tr
     found = list(experiments)
     for name, value in where.items():
         if name not in _PARAMETERS:
-            fix = (
-                f"{offer(name, _PARAMETERS)}; the experiments differ in {differing(found) or 'no parameters'}"
-            )
+            fix = f"{offer(name, _PARAMETERS)}; the experiments differ in {differing(found)}"
             raise UsageError(f"where {name}={value}: no parameter is called so{fix}")
         held = {str(each.experiment.parameters()[name]) for each in found}
         found = [each for each in found if _is(each.experiment.parameters()[name], value)]
@@ -296,7 +294,8 @@ def differing(found: Sequence[Trials]) -> str:
     """The parameters in which experiments differ, with their values."""
     parameters = [each.experiment.parameters() for each in found]
     values = {name: sorted({str(each[name]) for each in parameters}) for name in _PARAMETERS}
-    return ", ".join(f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)
+    lines = (f"{name}={'|'.join(each)}" for name, each in values.items() if len(each) > 1)
+    return ", ".join(lines) or "no parameters"
 
 
 def _is(held: object, value: Any) -> bool:

@@ -143,7 +143,7 @@ class Store:
             trials = table["trial"].to_numpy()
             for parameters, start, stop in stretches_of(table):
                 if parameters not in known:
-                    experiment = Experiment.from_parameters(json.loads(parameters))
+                    experiment = Experiment(**json.loads(parameters))
                     known[parameters] = identity(experiment, self._interval)
                 rows, numbers = self._rows.get(known[parameters], none), trials[start:stop]
                 if not is_own or numbers.max() >= len(rows):

@@ -173,7 +173,7 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
         "steps": min(common.steps, scale.steps),
         "seed": scale.seed,
     }
-    return Experiment.from_parameters({**common.parameters(), **varied})
+    return Experiment(**{**common.parameters(), **varied})
 
 
 # --- Results ---------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from mcp_asdf.robot import (
     B_HAT_MARGIN,
@@ -16,8 +16,7 @@ from mcp_asdf.robot import (
     Config,
     Filter,
 )
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of
+from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of, value_of
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -90,10 +89,8 @@ class Population(WorldSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
-        try:
+        with value_of("omega"):
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
-        except UsageError as error:
-            raise ParameterError("omega", str(error)) from None
         if self.filter_period % self.comms_period:
             raise ParameterError(
                 "filter_period",
@@ -156,16 +153,8 @@ class Population(WorldSettings):
         return RobotRecord(robot, self.firmware, self.b_hat(robot), self.config(robot), self.comms_period)
 
     def parameters(self) -> dict[str, Any]:
-        """All parameters as plain numbers and words, which ``from_parameters`` takes back."""
+        """All parameters as plain numbers and words, which the class takes back."""
         return {name: _plain(getattr(self, name)) for name in parameters_of(type(self))}
-
-    @classmethod
-    def from_parameters(cls, parameters: dict[str, Any]) -> Self:
-        """The same from plain values; those left out have their defaults.
-
-        Raises ParameterError for an unknown name or a value out of range.
-        """
-        return cls(**parameters)
 
 
 def _plain(value: Any) -> Any:

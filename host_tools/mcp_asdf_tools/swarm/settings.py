@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
-from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import ParameterError, parameter
+from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord, ids_of, text_of_ids
@@ -42,10 +41,8 @@ class SwarmSettings(Population):
         super().__post_init__()
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
-        try:
+        with value_of("allow"):
             object.__setattr__(self, "allow", self.allow and text_of_ids(ids_of(self.allow, "allow")))
-        except UsageError as error:
-            raise ParameterError("allow", str(error)) from None
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
         object.__setattr__(self, "faults", tuple(parse_fault(str(each)) for each in self.faults))

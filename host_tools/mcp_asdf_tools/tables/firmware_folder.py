@@ -24,8 +24,6 @@ add_library(mcp_asdf::mcp_asdf ALIAS mcp_asdf)
 set_target_properties(mcp_asdf PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF)
 target_include_directories(mcp_asdf PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})
 """
-
-
 _SUMS = "sha256sums.txt"
 
 
@@ -40,30 +38,24 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     contents[f"{stem(omega, q)}.c"] = c_text(omega, q)
     sources = " ".join(sorted(name for name in contents if name.endswith(".c")))
     contents["CMakeLists.txt"] = _CMAKE.format(version=own_version(), omega=omega, q=q, sources=sources)
-    contents[_SUMS] = "".join(f"{_sum(text.encode())}  {name}\n" for name, text in sorted(contents.items()))
+    sums = {name: sha256(text.encode()).hexdigest() for name, text in sorted(contents.items())}
     others = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in contents]
     if not force:
-        _check_unchanged([*others, *(folder / name for name in contents if name != _SUMS)], folder, contents)
+        _check_unchanged([*others, *(folder / name for name in contents)], folder / _SUMS, sums)
+    contents[_SUMS] = "".join(f"{each}  {name}\n" for name, each in sums.items())
     paths = write_files(folder, contents)
     for path in others:
         path.unlink()
     return paths
 
 
-def _sum(data: bytes) -> str:
-    return sha256(data).hexdigest()
-
-
-def _check_unchanged(paths: Iterable[Path], folder: Path, contents: Mapping[str, str]) -> None:
-    """Raises UsageError for a file that is neither what will be written nor what was."""
-    sums = folder / _SUMS
-    lines = sums.read_text(encoding="utf-8", errors="replace").splitlines() if sums.is_file() else []
-    written = {name: known for known, _, name in (line.partition("  ") for line in lines)}
+def _check_unchanged(paths: Iterable[Path], before: Path, sums: Mapping[str, str]) -> None:
+    """Raises UsageError for a file that has neither its checksum in the file ``before`` nor the new one."""
+    text = before.read_text(encoding="utf-8", errors="replace") if before.is_file() else ""
+    known = {(name, each) for each, _, name in (line.partition("  ") for line in text.splitlines())}
     for path in paths:
-        if path.is_file():
-            own = _sum(path.read_bytes())
-            if own not in (written.get(path.name), _sum(contents.get(path.name, "").encode())):
-                raise UsageError(
-                    f"{path} is not as mcp-asdf firmware wrote it; keep it elsewhere, or give --force to "
-                    "replace it"
-                )
+        if path.is_file() and (path.name, sha256(path.read_bytes()).hexdigest()) not in known | {
+            *sums.items()
+        }:
+            fix = "keep it elsewhere, or give --force to replace it"
+            raise UsageError(f"{path} is not as mcp-asdf firmware wrote it; {fix}")

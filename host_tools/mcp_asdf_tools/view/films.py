@@ -140,7 +140,7 @@ def film_of_log(log: Path) -> Film:
             raise UsageError(
                 f"{log} is not of a swarm, so there is nothing to see; mcp-asdf replay checks it"
             )
-        settings = Population.from_parameters({name: parameters[name] for name in names})
+        settings = Population(**{name: parameters[name] for name in names})
         spacing = spacing_of(settings.steps, settings.robots)
         values = np.stack([*_values_of_log(input_log, spacing)])
     faults = [parse_fault(each) for each in parameters.get("faults", ())]

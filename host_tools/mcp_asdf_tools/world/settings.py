@@ -8,7 +8,13 @@ from typing import Any, Literal, Self
 
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError, offer
-from mcp_asdf_tools.common.parameters import ParameterError, check_parameters, parameter, parameters_of
+from mcp_asdf_tools.common.parameters import (
+    ParameterError,
+    check_parameters,
+    parameter,
+    parameters_of,
+    value_of,
+)
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.topology import Graph, graph_of
 
@@ -119,7 +125,9 @@ class WorldSettings:
             if hasattr(self, name):
                 object.__setattr__(self, name, extensions.name_of(group, getattr(self, name)))
         check_parameters(self)
-        object.__setattr__(self, "graph", _graph(self.graph))
+        if not isinstance(self.graph, Graph) and not (isinstance(self.graph, str) and self.graph == ""):
+            with value_of("graph"):
+                object.__setattr__(self, "graph", graph_of(self.graph))
         self._check_topology()
         self._check_sensor()
         if self.is_dynamic:
@@ -155,10 +163,8 @@ class WorldSettings:
             fix = "give its edges" if self.topology == "graph" else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
         if isinstance(self.graph, Graph):
-            try:
+            with value_of("graph"):
                 self.graph.check(self.robots)
-            except UsageError as error:
-                raise ParameterError("graph", str(error)) from error
 
     def _check_sensor(self) -> None:
         if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
@@ -182,17 +188,6 @@ _OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "til
 def default_of(settings: Any, name: str) -> Any:
     """The default of a parameter."""
     return parameters_of(type(settings))[name].default
-
-
-def _graph(value: Any) -> Graph | str:
-    if isinstance(value, Graph):
-        return value
-    if isinstance(value, str) and value == "":
-        return ""
-    try:
-        return graph_of(value)
-    except UsageError as error:
-        raise ParameterError("graph", str(error)) from error
 
 
 def _check_sides(settings: WorldSettings) -> None:

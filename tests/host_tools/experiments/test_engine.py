@@ -117,8 +117,8 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
             "steps_per_second": source.choice([10, 12]),
             "latency": source.choice([0, 1]),
         }
-        yield Experiment.from_parameters(
-            {
+        yield Experiment(
+            **{
                 "robots": robots,
                 "flawed": source.randint(0, robots),
                 "fill_ratio": source.choice([0.0, 0.5, 0.55, 0.95, 1.0, source.random()]),
@@ -296,7 +296,7 @@ def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
     fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
     plain = experiment.parameters()
     kept = {name: plain[name] for name in plain if name not in ("trials", "conventions")}
-    with Swarm(replace(SwarmSettings.from_parameters(kept), faults=(fault,)), Wiring()) as swarm:
+    with Swarm(replace(SwarmSettings(**kept), faults=(fault,)), Wiring()) as swarm:
         run_swarm(swarm, [])
         assert outcome.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
     call.experiment.liars = experiment.robots + 1

@@ -23,7 +23,7 @@ def test_parameters_come_back() -> None:
         "seed": 2**64 - 1,
     }
     experiment = Experiment(omega=Decimal("0.15"), **changes)
-    assert Experiment.from_parameters(experiment.parameters()) == experiment
+    assert Experiment(**experiment.parameters()) == experiment
     whole, exact = Experiment(true_accuracy=1, fill_ratio=0), Experiment(true_accuracy=1.0, fill_ratio=0.0)
     assert repr(whole) == repr(exact)
 

@@ -196,9 +196,9 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
     b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
     expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
     assert [some.record(robot) for robot in range(4)] == expected
-    assert Population.from_parameters(some.parameters()) == some
+    assert Population(**some.parameters()) == some
     with pytest.raises(ParameterError, match="unknown key 'activity'; did you mean activation"):
-        Population.from_parameters({"activity": 1})
+        Population(activity=1)  # type: ignore[call-arg]
     unused = {"none": {"omega", "activation"}}.get(filters, {"omega"} if activation == "always" else set())
     assert set(some.unused_parameters()) == unused
 

@@ -90,7 +90,7 @@ def check_bits(browser: Page, words: list[str]) -> None:
         places = browser.evaluate(f"view.film.stage.robots.map((robot) => {last})")
         assert np.abs(places - motion.position[-1]).max() <= max(experiment.sides) / 65534
     for number, name in enumerate(FILTERS):
-        other = type(experiment).from_parameters(experiment.parameters() | {"filter": name})
+        other = type(experiment)(**experiment.parameters() | {"filter": name})
         x = native.run(other, 0, 2).x / 2.0**23
         errors = np.broadcast_to(abs(x - experiment.fill_ratio).mean(axis=1), (2, experiment.steps + 1))
         for trial in range(2):
