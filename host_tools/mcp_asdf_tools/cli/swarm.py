@@ -18,7 +18,7 @@ from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
-from mcp_asdf_tools.cli.swarm_options import add_arguments, settings_of, wiring_of
+from mcp_asdf_tools.cli.swarm_options import PACE, add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
@@ -112,6 +112,9 @@ def run(args: argparse.Namespace) -> int:
 def _check(plan: _Plan) -> None:
     """Refuse options that contradict each other."""
     args, settings = plan.args, plan.settings
+    for option in ("pace", "port"):
+        if getattr(args, option) is not None and not args.view:
+            raise UsageError(f"--{option} is for the page of --view; add --view, or leave it out")
     if args.compare and plan.wiring.remote:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
@@ -168,7 +171,7 @@ def _camera(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
     from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    camera = SwarmCamera(plan.settings, plan.args.pace)
+    camera = SwarmCamera(plan.settings, PACE if plan.args.pace is None else plan.args.pace)
     view.announce(plan.args, ending.enter_context(serving(camera.film, plan.args.port)))
     ending.push(lambda kind, error, trace: _let_look(camera, kind is None))
     return camera

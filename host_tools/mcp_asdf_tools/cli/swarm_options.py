@@ -19,6 +19,9 @@ from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.swarm.remote_robot import check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
+PACE = 500.0
+"""Steps a second with ``--view``, unless another number is given."""
+
 _DEFAULTS = SwarmSettings()
 _OPTIONS = (
     *("robots", "topology", "graph", "fill_ratio", "sensor", "density", "steps_per_second", "steps", "seed"),
@@ -98,8 +101,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         "--pace",
         metavar="N",
         type=float,
-        default=500.0,
-        help="steps a second with --view; 0 for any (default %(default)g)",
+        help=f"steps a second with --view; 0 for any (default {PACE:g})",
     )
     view.add_server_options(output)
     output.add_argument(

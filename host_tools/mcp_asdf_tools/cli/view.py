@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_server_options(parser: argparse._ActionsContainer) -> None:
     """Options of everything that serves a page."""
-    parser.add_argument("--port", type=int, default=0, help="TCP port of the page (default: any free one)")
+    parser.add_argument("--port", type=int, help="TCP port of the page (default: any free one)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -33,12 +33,12 @@ _HEADERS = {
 
 
 @contextmanager
-def serving(film: Film, port: int = 0) -> Iterator[str]:
-    """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. Port 0 is any free one.
+def serving(film: Film, port: int | None = None) -> Iterator[str]:
+    """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. No port or 0 is any free one.
 
     Raises UsageError if the port is taken.
     """
-    with closing(_listen(port)) as listener:
+    with closing(_listen(port or 0)) as listener:
         port = listener.getsockname()[1]
         application = _application(film, port)
         config = uvicorn.Config(

@@ -124,6 +124,8 @@ def raise_bus_error(film: BusFilm, should_stop: object) -> None:
         ("view run.log --export out.html --trial 1", "--trial and --where choose from results"),
         ("view run.log --export out.pdf", "choose a name that ends in .html"),
         ("view run.log --port 99999", "--port is 99999"),
+        ("swarm --steps 1 --pace 500", "--pace is for the page of --view; add --view, or leave it out"),
+        ("swarm --steps 1 --port 0", "--port is for the page of --view"),
         ("view --subject 9999 --interface udp_multicast", "subject is 9999"),
         (
             f"{PLOT} --where colour=red",
