@@ -34,7 +34,7 @@ _HEADERS = {
 
 @contextmanager
 def serving(film: Film, port: int | None = None) -> Iterator[str]:
-    """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. No port or 0 is any free one.
+    """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. No port is any free one.
 
     Raises UsageError if the port is taken.
     """
