@@ -46,6 +46,17 @@ def filmed(**more: Any) -> Film:
     return camera.film
 
 
+def logged(log: Path, **more: Any) -> Film:
+    """The film of the log of the same swarm."""
+    options: list[str] = []
+    for name, value in (PARAMETERS | more).items():
+        options += (
+            ["--set", f"{name}={value}"] if "drift" in name else [f"--{name.replace('_', '-')}={value}"]
+        )
+    assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
+    return film_of_log(log)
+
+
 def states(film: Film) -> dict[int, list[Any]]:
     """All but the tick of each state, by the tick."""
     return {each.tick: [*each[1:]] for each in film.since()[2]}
@@ -64,27 +75,24 @@ def plain(stage: Stage) -> dict[str, Any]:
 def test_a_swarm_its_log_and_its_trial_make_one_film(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    live, log = filmed(**world), tmp_path / "run.log"
-    words = [f"{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | world).items()]
-    options = [word for each in words for word in (["--set", each] if "drift" in each else [f"--{each}"])]
-    assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
-    logged, trial = film_of_log(log), film_of_trial(trials_of(**world), 0)
-    assert plain(live.stage) == plain(logged.stage) == plain(trial.stage)
+    log = tmp_path / "run.log"
+    live, past, trial = filmed(**world), logged(log, **world), film_of_trial(trials_of(**world), 0)
+    assert plain(live.stage) == plain(past.stage) == plain(trial.stage)
     assert live.stage.title.endswith(", seed 3")
     assert ("flawed, robust, " in live.stage.title) == (world.get("filter") == "robust")
     x, _, b_hat, _ = np.stack([state[0] for state in states(live).values()], axis=1)
     assert "graph" in world or min(np.ptp(each, axis=0).max() for each in (x, b_hat)) > 0.1
-    assert logged.has_ended and trial.has_ended and not live.has_ended
-    assert list(states(logged)) == list(states(trial)) == [*range(251)]
+    assert past.has_ended and trial.has_ended and not live.has_ended
+    assert list(states(past)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
-    for other in (logged, trial):
+    for other in (past, trial):
         for tick, state in states(live).items():
             assert all(map(np.array_equal, state, states(other)[tick])), tick
     monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 50)
     for sparse in (film_of_log(log), film_of_trial(trials_of(**world), 0)):
         assert list(states(sparse)) == [*range(0, 251, 5)]
         for tick, state in states(sparse).items():
-            assert all(map(np.array_equal, state, states(logged)[tick])), tick
+            assert all(map(np.array_equal, state, states(past)[tick])), tick
 
 
 def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,19 +126,13 @@ def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_nothing_is_known_of_dead_robots_and_faults_are_named(tmp_path: Path) -> None:
-    fault, log = "crash=1.0,from=20,to=21,robots=2,ticks=15", tmp_path / "run.log"
-    words = ["swarm", "--robots", "4", "--steps", "60", "--filter", "asdf-minus", "--fault", fault]
-    assert main([*words, "--log", str(log), "--quiet"]) == 0
-    settings = SwarmSettings(robots=4, steps=60, filter="asdf-minus", faults=(fault,))
-    camera = SwarmCamera(settings)
-    with Swarm(settings, Wiring()) as swarm:
-        run_swarm(swarm, [camera])
-    logged = film_of_log(log)
-    assert plain(logged.stage) == plain(camera.film.stage)
-    assert [*logged.stage.faults] == [(fault, 20, 21)] and not logged.stage.twin
-    for tick, (values, *_) in states(logged).items():
+    fault = "crash=1.0,from=20,to=21,robots=2,ticks=15"
+    live, past = filmed(faults=(fault,)), logged(tmp_path / "run.log", fault=fault)
+    assert plain(past.stage) == plain(live.stage)
+    assert [*past.stage.faults] == [(fault, 20, 21)] and not past.stage.twin
+    for tick, (values, *_) in states(past).items():
         assert np.isnan(values[:3, 2]).all() == np.isnan(values).any() == (20 < tick <= 35), tick
-        assert tick == 0 or np.array_equal(values, states(camera.film)[tick][0], equal_nan=True)
+        assert tick == 0 or np.array_equal(values, states(live)[tick][0], equal_nan=True)
 
 
 def test_results_that_do_not_come_out_again_are_refused() -> None:

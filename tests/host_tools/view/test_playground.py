@@ -49,17 +49,13 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def open_at(browser: Page, path: Path, address: str) -> list[str]:
-    """Open the page with these settings; returns the words of its command."""
+def open_at(browser: Page, path: Path, address: str) -> Any:
+    """Open the page with these settings; returns the options of its command as their parser reads them."""
     browser.goto("about:blank")
     browser.goto(f"{path.as_uri()}#{address}")
     until(browser, IS_DONE)
-    return shlex.split(str(browser.evaluate(COMMAND)))
-
-
-def arguments(words: list[str]) -> Any:
-    """The options of a command as its parser reads them."""
-    return cli._parser_for(words[1], cli._load(words[1])).parse_args(words[2:])
+    _, command, *words = shlex.split(str(browser.evaluate(COMMAND)))
+    return cli._parser_for(command, cli._load(command)).parse_args(words)
 
 
 def test_only_the_playground_may_compile() -> None:
@@ -72,14 +68,17 @@ def test_only_the_playground_may_compile() -> None:
 
 @pytest.mark.slow
 def test_a_browser_computes_the_bits_of_the_command(path: Path) -> None:
-    """Every record of the first trial, its motion, and the errors of all filters in the first two."""
+    """Every record of the first trial, its motion, the errors of all filters in the first two, and liars."""
     with browser_page() as browser:
         for address in ADDRESSES:
             check_bits(browser, open_at(browser, path, address))
+        for topology, name in product(("everybody=1", "density=4"), ("asdf-plus", "robust")):
+            address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={name}"
+            check_liars(open_at(browser, path, address), browser.evaluate(WORDS))
 
 
-def check_bits(browser: Page, words: list[str]) -> None:
-    experiment = experiments_of(arguments(words))[0]
+def check_bits(browser: Page, args: Any) -> None:
+    experiment = experiments_of(args)[0]
     found = np.array(browser.evaluate(WORDS), np.uint32)
     expected = native.run(experiment, 0, 1, 1).records.view(np.uint32).ravel()
     is_padding = np.arange(len(expected)) % 10 == 9
@@ -93,23 +92,14 @@ def check_bits(browser: Page, words: list[str]) -> None:
         other = type(experiment)(**experiment.parameters() | {"filter": name})
         x = native.run(other, 0, 2).x / 2.0**23
         errors = np.broadcast_to(abs(x - experiment.fill_ratio).mean(axis=1), (2, experiment.steps + 1))
-        for trial in range(2):
-            series = browser.evaluate(
-                f"Array.from(view.playground.comparison.filters[{number}].trials[{trial}])"
-            )
-            blocks = errors[trial][: 8 * len(series)].reshape(len(series), 8).mean(axis=1)
-            assert np.abs(series - blocks).max() < 1e-12
-
-
-@pytest.mark.slow
-def test_liars_lie_as_on_an_emulated_bus(path: Path) -> None:
-    with browser_page() as browser:
-        for topology, name in product(("everybody=1", "density=4"), ("asdf-plus", "robust")):
-            address = f"{topology}&robots=9&liars=2&flawed=35&steps=60&filter={name}"
-            check_liars(arguments(open_at(browser, path, address)), browser.evaluate(WORDS))
+        trials = f"view.playground.comparison.filters[{number}].trials.slice(0, 2)"
+        series = np.array(browser.evaluate(f"{trials}.map((each) => [...each])"))
+        blocks = errors[:, : 8 * series.shape[1]].reshape(*series.shape, 8).mean(axis=2)
+        assert np.abs(series - blocks).max() < 1e-12
 
 
 def check_liars(args: Any, words: list[int]) -> None:
+    """They lie as on an emulated bus."""
     found = np.array(words, np.uint32).reshape(60, 9, 10)[-1]
     with Swarm(swarm_options.settings_of(args), Wiring()) as swarm:
         run_swarm(swarm, [])
@@ -122,12 +112,8 @@ def check_liars(args: Any, words: list[int]) -> None:
 def test_controls_presets_and_the_address_agree(path: Path) -> None:
     with browser_page(390, 844) as browser:
         open_at(browser, path, "flawed=20&filter=robust&steps=100&density=nonsense&robots=500")
-        settings = "view.playground.settings"
-        assert browser.evaluate(f"[{settings}.flawed, {settings}.filter, {settings}.robots]") == [
-            20,
-            "robust",
-            20,
-        ]
+        settings = browser.evaluate("view.playground.settings")
+        assert (settings["flawed"], settings["filter"], settings["robots"]) == (20, "robust", 20)
         assert browser.evaluate("document.documentElement.scrollWidth") <= 390
         browser.locator("[name=liars]").focus()
         browser.keyboard.press("ArrowRight")
@@ -143,24 +129,22 @@ def test_controls_presets_and_the_address_agree(path: Path) -> None:
         until(browser, f"view.film.robots === 4 && {IS_DONE}")
         browser.locator("[name=filter][value=none]").check()
         until(browser, "location.hash.includes('filter=none') && view.film.stage.title.endsWith('no filter')")
+        check_documentation(browser, path.with_name("index.html"))
 
 
-@pytest.mark.slow
-def test_the_first_page_of_the_documentation_has_the_address_and_the_colours(path: Path) -> None:
-    site = path.parent
+def check_documentation(browser: Page, index: Path) -> None:
+    """The page that has the playground in a frame has the address and the colours."""
     script = (ROOT / "docs/javascripts/playground.js").read_text(encoding="utf-8")
-    frame = '<iframe id="playground"></iframe>'
-    html = f'<body data-md-color-scheme="slate">{frame}<script>{script}</script></body>'
-    (site / "index.html").write_text(html, encoding="utf-8")
-    with browser_page() as browser:
-        browser.goto(f"{(site / 'index.html').as_uri()}#robots=5&steps=40")
-        inner = browser.frames[-1]
-        until(inner, IS_DONE)
-        assert inner.evaluate("view.film.robots") == 5
-        background = "getComputedStyle(document.body).backgroundColor"
-        until(inner, f"{background} === 'rgb(16, 20, 26)'")
-        browser.evaluate("document.body.dataset.mdColorScheme = 'default'")
-        until(inner, f"{background} === 'rgb(246, 247, 249)'")
-        inner.locator("[name=everybody]").check()
-        until(browser, "location.hash === '#robots=5&everybody=1&steps=40'")
-        assert browser.evaluate("document.getElementById('playground').offsetHeight") > 300
+    frame = f'<iframe id="playground"></iframe><script>{script}</script>'
+    index.write_text(f'<body data-md-color-scheme="slate">{frame}</body>', encoding="utf-8")
+    browser.goto(f"{index.as_uri()}#robots=5&steps=40")
+    inner = browser.frames[-1]
+    until(inner, IS_DONE)
+    assert inner.evaluate("view.film.robots") == 5
+    background = "getComputedStyle(document.body).backgroundColor"
+    until(inner, f"{background} === 'rgb(16, 20, 26)'")
+    browser.evaluate("document.body.dataset.mdColorScheme = 'default'")
+    until(inner, f"{background} === 'rgb(246, 247, 249)'")
+    inner.locator("[name=everybody]").check()
+    until(browser, "location.hash === '#robots=5&everybody=1&steps=40'")
+    assert browser.evaluate("document.getElementById('playground').offsetHeight") > 300
