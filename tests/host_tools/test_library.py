@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import can
 import numpy as np
@@ -17,10 +17,8 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf.reference import ReferenceRobot
-from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
 
 SHORT = m.Experiment(robots=4, steps=120, filter_period=20, trials=3, flawed=1)
@@ -53,11 +51,6 @@ def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
         m.simulate(m.grid(robots=3, steps=50, trials=1), output)
 
 
-def images(swarm: Swarm) -> list[bytes]:
-    robots = [node.robot for node in swarm.nodes]
-    return [robot.save() for robot in robots if isinstance(robot, FixedPointRobot)]
-
-
 def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
     with m.start_swarm(SETTINGS) as alone, m.start_swarm(SETTINGS, "library test") as heard:
         with can.Bus("library test", "virtual") as other:
@@ -66,10 +59,10 @@ def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
                 heard.tick()
             frame = other.recv(0)
             assert frame is not None and frame.timestamp < 1, "simulated time"
-        assert images(alone) == images(heard)
-        assert len(images(alone)) == 4
+        robots, others = ([cast(Any, node.robot) for node in swarm.nodes] for swarm in (alone, heard))
+        assert [each.save() for each in robots] == [each.save() for each in others]
         whole = m.emulate(SETTINGS)
-        assert [each["x"] for each in whole.results["robots"]] == [node.robot.x for node in alone.nodes]
+        assert [each["x"] for each in whole.results["robots"]] == [each.x for each in robots]
 
 
 # --- Objects in place of names ---
@@ -111,7 +104,7 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
     """Two that are called alike are told apart, and one has one name."""
     monkeypatch.setattr("mcp_asdf_tools.common.extensions._HERE", {})
     low, high = always(0.7), always(0.9)
-    common = replace(SHORT, trials=1, filter="asdf-plus", activation="always")
+    common = replace(SHORT, trials=1, activation="always")
     experiments = [replace(common, firmware=each) for each in (low, high, low)]
     assert experiments[0] == experiments[2] != experiments[1]
     for experiment, accuracy in zip(experiments, (0.7, 0.9, 0.7), strict=True):
@@ -121,37 +114,33 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
     def dazzled(settings: object, trial: int) -> object:
         return SimpleNamespace(advance=lambda steps: (np.ones((1, 1)), np.zeros((1, 1))))
 
-    sensor: Any = dazzled
-    blind = replace(SHORT, sensor=sensor)
-    (trials,) = m.experiments_in(m.simulate(blind))
-    assert blind.sensor.endswith("dazzled") and trials.errors.shape == (3, 4)
-
-
-LIBRARY: Any = m
-"""Without types, as in a notebook."""
+    given: Any = {"sensor": dazzled}
+    blind = replace(SHORT, **given)
+    assert blind.sensor.endswith("dazzled") and len(m.simulate(blind)) == 3
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda table: LIBRARY.Experiment(robot=3),
-        lambda table: LIBRARY.Experiment(7),
-        lambda table: LIBRARY.Experiment(firmware=7),
-        lambda table: LIBRARY.simulate([7]),
-        lambda table: LIBRARY.simulate(SHORT, workers=0),
-        lambda table: LIBRARY.simulate(SHORT, record=10**6),
-        lambda table: LIBRARY.plot([]),
-        lambda table: LIBRARY.plot(table, "curve", x="flawed", y=lambda trials: [1.0]),
-        lambda table: LIBRARY.plot(table, "boxes", facet="robots"),
-        lambda table: LIBRARY.plot(table, where={"filtr": "none"}),
-        lambda table: LIBRARY.show(table, trial=99),
-        lambda table: LIBRARY.show(SHORT, where={"robots": 99}, trial=-1),
-        lambda table: LIBRARY.read_experiments("none.toml"),
+        lambda m, table: m.Experiment(robot=3),
+        lambda m, table: m.Experiment(7),
+        lambda m, table: m.Experiment(firmware=7),
+        lambda m, table: m.simulate([7]),
+        lambda m, table: m.simulate(SHORT, workers=0),
+        lambda m, table: m.simulate(SHORT, record=10**6),
+        lambda m, table: m.plot([]),
+        lambda m, table: m.plot(table, "curve", x="flawed", y=lambda trials: [1.0]),
+        lambda m, table: m.plot(table, "boxes", facet="robots"),
+        lambda m, table: m.plot(table, where={"filtr": "none"}),
+        lambda m, table: m.show(table, trial=99),
+        lambda m, table: m.show(SHORT, where={"robots": 99}, trial=-1),
+        lambda m, table: m.read_experiments("none.toml"),
     ],
 )
-def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[object], object]) -> None:
+def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], object]) -> None:
+    """Without types, as in a notebook."""
     with pytest.raises(m.UsageError):
-        wrong(m.simulate(SHORT))
+        wrong(m, m.simulate(SHORT))
 
 
 # --- Pictures ---
@@ -161,13 +150,11 @@ def test_a_curve_goes_into_axes_of_ones_own_or_has_panels() -> None:
     """A function of the trials is as good as a measure, and a range is not called an interval."""
     table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=[4, 5], steps=60, trials=2))
     figure: Any = Figure()
-    axes = figure.subplots()
-    where = {"robots": 4, "filter": "none"}
-    assert (
-        m.plot(table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=axes) is figure
-    )
-    chosen = [each for each in m.experiments_in(table) if each.experiment.robots == 4][:1]
-    assert axes.lines[0].get_ydata()[0] == np.median(chosen[0].errors[:, 0])
+    axes, where = figure.subplots(), {"robots": 4, "filter": "none"}
+    drawn = m.plot(table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=axes)
+    assert drawn is figure
+    chosen = next(each for each in m.experiments_in(table) if each.experiment.robots == 4)
+    assert axes.lines[0].get_ydata()[0] == np.median(chosen.errors[:, 0])
     both: Any = m.plot(table, "curve", x="flawed", hue="filter", facet="robots")
     assert both._repr_png_().startswith(b"\x89PNG"), "a notebook shows it"
     assert [each.get_title() for each in both.axes] == ["robots 4", "robots 5"]
