@@ -55,10 +55,7 @@ def test_the_overview_has_every_command(capsys: Capture) -> None:
         ("swarm --fault los=0.1", "fault 'los=0.1': no kind is called 'los'; did you mean loss?"),
         ("swarm --fault loss,robot=1", "loss has no option 'robot'; did you mean robots?"),
         ("radio --id 3", "the bus virtual vcan0 is inside this process, where nothing else is"),
-        (
-            "replay run.log.events",
-            "run.log.events is what happened to the robots of a log; give the log, run.log",
-        ),
+        ("replay run.log.events", "is what happened to the robots of a log; give the log, run.log"),
         ("help", "no command is called 'help'; did you mean --help?"),
         ("--versoin", "no such option: --versoin; did you mean --version?"),
         ("swarm --robtos=3", "no such option: --robtos=3; did you mean --robots?"),
@@ -91,11 +88,7 @@ def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture
         (1, 1, ""),
         (UsageError("the value is 7; give 6"), 2, "error: the value is 7; give 6\n"),
         (FileNotFoundError(2, "No such file", "x"), 2, "error: cannot use x: No such file; give another\n"),
-        (
-            ImportError("no", name="pyarrow.lib"),
-            2,
-            "error: this needs pyarrow, which is not installed; run",
-        ),
+        (ImportError("no", name="pyarrow.lib"), 2, "error: this needs pyarrow, which is not installed;"),
         (KeyboardInterrupt(), 130, "interrupted\n"),
     ],
 )
@@ -200,15 +193,14 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
 
 
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
-    calls = (
-        ("m.simulate(m.Experiment(steps=1000, trials=1))", "study"),
-        ("m.plot([])", "study"),
-        ("m.read_table('x.parquet')", "study"),
-        ("m.emulate(m.SwarmSettings(firmware='reference', steps=10))", "study"),
-    )
-    for call, extra in calls:
+    for call in (
+        "m.simulate(m.Experiment(steps=1000, trials=1))",
+        "m.plot([])",
+        "m.read_table('x.parquet')",
+        "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
+    ):
         code = f"{HIDING}import mcp_asdf_tools as m\ntry: {call}\nexcept m.UsageError as error: print(error)"
-        assert f"run: pip install 'mcp-asdf[{extra}]'" in python("-c", code, cwd=tmp_path).stdout, call
+        assert "run: pip install 'mcp-asdf[study]'" in python("-c", code, cwd=tmp_path).stdout, call
 
 
 def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
