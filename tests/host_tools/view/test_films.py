@@ -169,15 +169,11 @@ def test_a_long_film_of_many_robots_stays_small() -> None:
         assert count * robots**2 <= 4_000_000 and count <= 10_000
 
 
-def state(tick: int) -> State:
-    return State(tick, np.full((4, 2), tick / 1e5), np.zeros((2, 2), np.bool_), None)
-
-
 def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(films, "MAX_STATES", 100)
     live, most = Film(Stage("endless", [0, 1])), 0
     for tick in range(1000):
-        live.add(state(tick))
+        live.add(State(tick, np.full((4, 2), tick / 1e5), np.zeros((2, 2), np.bool_), None))
         generation, _, taken = live.since()
         most = max(most, len(taken))
     assert (generation, most) == (4, 100)
@@ -208,14 +204,17 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     assert report is not None and [each["robot"] for each in report["robots"]] == [7]
     generation, stage, taken = watch.film.since()
     assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
-    unknown = [np.nan, np.nan]
-    first = [[0.5, np.nan], unknown, [0.5, np.nan], [0.9, np.nan]]
-    second = [first[0], [0.25, np.nan], *first[2:]]
-    third = [[0.5, 0.25], [0.25, np.nan], [0.5, 0.25], [0.9, 0.9]]
+    nan = np.nan
+    heard = (
+        (nan, nan, nan),
+        (nan, nan, nan),
+        (0.25, nan, nan),
+        (0.25, 0.25, 0.9),
+    )  # x_hat of 7, x and b of 3
+    expected = [[[0.5, x], [x_hat, nan], [0.5, x], [0.9, b]] for x_hat, x, b in heard]
     assert [each.tick for each in taken] == [0, 1, 2, 3]
-    for each, expected in zip(taken, (first, first, second, third), strict=True):
-        assert np.array_equal(each.values, expected, equal_nan=True)
+    assert np.array_equal([each.values for each in taken], expected, equal_nan=True)
     watch.record(lambda: now[0] >= 4.5)
-    silent = [*[[np.nan, np.nan]] * 3, [0.9, 0.9]]
+    silent = [*[[nan, nan]] * 3, [0.9, 0.9]]
     assert np.array_equal(watch.film.since()[2][-1].values, silent, equal_nan=True)
     assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])

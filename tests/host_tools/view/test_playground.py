@@ -28,8 +28,6 @@ FILTERS = ("none", "asdf-minus", "asdf-plus", "robust")
 IS_DONE = "window.view?.playground?.comparison.filters.every(({ trials }) => trials.length >= 2 && trials[0])"
 COMMAND = "document.querySelector('#command code').textContent"
 WORDS = "Array.from(view.playground.words)"
-
-
 ADDRESSES = (
     "seed=7&steps=1000",
     "filter=asdf-plus&robots=9&flawed=35&density=4&fill=0.3&steps=1000",
