@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SETTINGS = SwarmSettings(
     robots=8, flawed="50%", steps=300, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
 )
-STATE = "document.getElementById('state').textContent"
 IS_SHOWN = "window.view && view.arena.places.length > 0 && view.charts.drawn > 0"
 ALL = """[...Array(view.film.length).keys()].map((sample) => {
     const { film, film: { stage } } = view, robots = stage.robots.map((_, robot) => robot);
@@ -96,7 +95,7 @@ def follow_a_run(browser: Page, film: Film) -> None:
         assert browser.evaluate("Number.isNaN(view.film.value('x', 1, 0))")
         check_the_table(browser, bus)
         bus.has_ended = True
-        until(browser, f"{STATE} === 'the run has ended'")
+        until(browser, "document.getElementById('state').textContent === 'the run has ended'")
 
 
 def check_the_table(browser: Page, bus: Film) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,11 +49,8 @@ def filmed(**more: Any) -> Film:
 
 def logged(log: Path, **more: Any) -> Film:
     """The film of the log of the same swarm."""
-    options: list[str] = []
-    for name, value in (PARAMETERS | more).items():
-        options += (
-            ["--set", f"{name}={value}"] if "drift" in name else [f"--{name.replace('_', '-')}={value}"]
-        )
+    words = [f"{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | more).items()]
+    options = [f"--set={each}" if "drift" in each else f"--{each}" for each in words]
     assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
     return film_of_log(log)
 
@@ -85,14 +83,12 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     assert past.has_ended and trial.has_ended and not live.has_ended
     assert list(states(past)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
-    for other in (past, trial):
-        for tick, state in states(live).items():
-            assert all(map(np.array_equal, state, states(other)[tick])), tick
     monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 50)
-    for sparse in (film_of_log(log), film_of_trial(trials_of(**world), 0)):
-        assert list(states(sparse)) == [*range(0, 251, 5)]
-        for tick, state in states(sparse).items():
-            assert all(map(np.array_equal, state, states(past)[tick])), tick
+    sparse = [film_of_log(log), film_of_trial(trials_of(**world), 0)]
+    assert [list(states(each)) for each in sparse] == [[*range(0, 251, 5)]] * 2
+    for some, whole in ((live, past), (live, trial), *product(sparse, [past])):
+        for tick, state in states(some).items():
+            assert all(map(np.array_equal, state, states(whole)[tick])), tick
 
 
 def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,18 +104,13 @@ def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPat
 
 def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow step is not made up for."""
-    now, slept = [0.0], list[float]()
-
-    def sleep(seconds: float) -> None:
-        slept.append(seconds)
-        now[0] += seconds
-
+    worked, slept = [50.0], list[float]()
     camera: Any = SwarmCamera(SwarmSettings(**PARAMETERS | {"steps": 20_000}), 100)
-    monkeypatch.setattr(time, "monotonic", lambda: 50 + now[0])
-    monkeypatch.setattr(time, "sleep", sleep)
+    monkeypatch.setattr(time, "monotonic", lambda: sum(worked + slept))
+    monkeypatch.setattr(time, "sleep", slept.append)
     for work in (0.002, 0.0, 0.05, 0.0):
         camera(SimpleNamespace(ticks=1))
-        now[0] += work
+        worked.append(work)
     assert slept == pytest.approx([0.0, 0.008, 0.01, 0.0])
     with pytest.raises(UsageError, match="--pace is -1; give steps a second"):
         SwarmCamera(SwarmSettings(**PARAMETERS), -1)
@@ -137,9 +128,8 @@ def test_nothing_is_known_of_dead_robots_and_faults_are_named(tmp_path: Path) ->
 
 def test_results_that_do_not_come_out_again_are_refused() -> None:
     trials = trials_of()
-    wrong = replace(trials, errors=trials.errors + 1e-9)
     with pytest.raises(UsageError, match="trial 1 does not come out again"):
-        film_of_trial(wrong, 1)
+        film_of_trial(replace(trials, errors=trials.errors + 1e-9), 1)
     assert ", trial 1" in film_of_trial(trials, 1).stage.title
 
 
@@ -162,8 +152,7 @@ def test_the_floor_is_the_one_that_the_robots_see(floor: str) -> None:
 
 
 def test_a_long_film_of_many_robots_stays_small() -> None:
-    assert spacing_of(10_000, 20) == 1
-    assert spacing_of(40_000, 20) == 4
+    assert (spacing_of(10_000, 20), spacing_of(40_000, 20)) == (1, 4)
     for steps, robots in ((10**9, 1), (10**6, 128), (1, 128), (20_000, 60)):
         count = steps / spacing_of(steps, robots)
         assert count * robots**2 <= 4_000_000 and count <= 10_000
@@ -205,16 +194,12 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     generation, stage, taken = watch.film.since()
     assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
     nan = np.nan
-    heard = (
-        (nan, nan, nan),
-        (nan, nan, nan),
-        (0.25, nan, nan),
-        (0.25, 0.25, 0.9),
-    )  # x_hat of 7, x and b of 3
+    # x_hat of robot 7, x and b of robot 3, which comes last
+    heard = ((nan, nan, nan), (nan, nan, nan), (0.25, nan, nan), (0.25, 0.25, 0.9))
     expected = [[[0.5, x], [x_hat, nan], [0.5, x], [0.9, b]] for x_hat, x, b in heard]
     assert [each.tick for each in taken] == [0, 1, 2, 3]
     assert np.array_equal([each.values for each in taken], expected, equal_nan=True)
     watch.record(lambda: now[0] >= 4.5)
-    silent = [*[[nan, nan]] * 3, [0.9, 0.9]]
-    assert np.array_equal(watch.film.since()[2][-1].values, silent, equal_nan=True)
+    silent = watch.film.since()[2][-1].values
+    assert np.isnan(silent[:3]).all() and (silent[3] == 0.9).all()
     assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])

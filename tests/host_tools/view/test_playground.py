@@ -24,7 +24,6 @@ from support import ROOT, require, run
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-FILTERS = ("none", "asdf-minus", "asdf-plus", "robust")
 IS_DONE = "window.view?.playground?.comparison.filters.every(({ trials }) => trials.length >= 2 && trials[0])"
 COMMAND = "document.querySelector('#command code').textContent"
 WORDS = "Array.from(view.playground.words)"
@@ -86,7 +85,7 @@ def check_bits(browser: Page, args: Any) -> None:
         last = f"view.film.position(robot, {experiment.steps})"
         places = browser.evaluate(f"view.film.stage.robots.map((robot) => {last})")
         assert np.abs(places - motion.position[-1]).max() <= max(experiment.sides) / 65534
-    for number, name in enumerate(FILTERS):
+    for number, name in enumerate(("none", "asdf-minus", "asdf-plus", "robust")):
         other = type(experiment)(**experiment.parameters() | {"filter": name})
         x = native.run(other, 0, 2).x / 2.0**23
         errors = np.broadcast_to(abs(x - experiment.fill_ratio).mean(axis=1), (2, experiment.steps + 1))
@@ -118,8 +117,7 @@ def test_controls_presets_and_the_address_agree(path: Path) -> None:
         until(browser, "location.hash.includes('liars=1')")
         assert "--fault liar,robots=19-19,x=0,alpha=1e6" in browser.evaluate(COMMAND)
         browser.keyboard.press("Space")  # on a slider it does not play
-        for index in range(browser.locator("#presets button").count()):
-            button = browser.locator("#presets button").nth(index)
+        for index, button in enumerate(browser.locator("#presets button").all()):
             button.press("Enter")
             until(browser, f"document.querySelectorAll('#presets button')[{index}].ariaPressed === 'true'")
             assert browser.locator("#story").inner_text().endswith(".")
