@@ -47,12 +47,6 @@ extern const uint32_t mcp_asdf_t_table_omega05_q127[];
  *   positions  [samples + 1][robots][x, y] of trial 0
  *   links      [samples + 1] bits i robots + j: robot i hears j; each sample in whole bytes
  *   pixels     [rows][bytes] of the floor from the north, 1 for black, the first one in bit 7 */
-extern settings_t settings;
-extern mcp_asdf_record_t records[MAX_SAMPLES * MAX_ROBOTS];
-extern double errors[MAX_SAMPLES + 1];
-extern double positions[(MAX_SAMPLES + 1) * MAX_ROBOTS * 2];
-extern uint8_t links[(MAX_SAMPLES + 1) * ((MAX_ROBOTS * MAX_ROBOTS + 7) / 8)];
-extern uint8_t pixels[MAX_PIXELS * MAX_PIXELS / 8];
 settings_t settings;
 mcp_asdf_record_t records[MAX_SAMPLES * MAX_ROBOTS];
 double errors[MAX_SAMPLES + 1];
@@ -177,7 +171,8 @@ uint32_t film(void)
     }
     (void)mcp_asdf_arena_init(&arena, &config);
     for (uint32_t i = 0; i < size * size; ++i) {
-        const double across = (i % size + 0.5) / size - 0.5, up = 0.5 - (i / size + 0.5) / size;
+        const uint32_t row = i / size, column = i % size;
+        const double across = (column + 0.5) / size - 0.5, up = 0.5 - (row + 0.5) / size;
         const int black = mcp_asdf_arena_is_black(&arena, across * config.width, up * config.height);
         pixels[i / 8] = (uint8_t)(pixels[i / 8] << 1 | black);
     }
