@@ -46,6 +46,7 @@ RUN_ELSEWHERE = {
 NOT_RUN = {
     "^make ": "sets up or tests everything",
     r"can0\b|modprobe": "wants a CAN interface or root; tests/socketcan has both in a guest",
+    r"mcp_asdf_node --interface udp": "wants a robot; tests/targets/test_multicast.py",
     "udp_multicast": "wants two terminals; test_remote_robot.py and test_verification.py in tests/host_tools",
     r"robot\.c|\./robot": "test_the_c_program_of_the_readme_runs",
     "golden_vectors": "writes the project's own files; tests/targets/test_targets.py",

@@ -71,7 +71,8 @@ FOR_EACH_TARGET static void draw(block_t *block, uint32_t group)
 static void look(block_t *block, uint32_t k)
 {
     const mcp_asdf_experiment_t *const e = block->experiment;
-    for (uint32_t c = 0; c < e->robots * block->side; ++c) {
+    const uint32_t used = e->robots * block->side; /* at most count, which says so to the analyser */
+    for (uint32_t c = 0; c < used && c < block->count; ++c) {
         const uint32_t i = block->trial_of[c] - e->first_trial, j = block->robot_of[c];
         const uint32_t limit = e->black[i * e->trial_stride + k * e->step_stride + j * e->robot_stride];
         const bool is_black = e->arenas == NULL || block->arena.black[j] != 0;
