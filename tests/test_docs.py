@@ -64,7 +64,9 @@ NOT_RUN = {
 
 LONG_PAGES = (
     "crosscheck.md",
+    "experiment_tutorial.md",
     "experiments.md",
+    "library.md",
     "reproduce.md",
     "socketcan.md",
     "swarm.md",
@@ -181,6 +183,7 @@ def build_site(folder: Path, with_api: bool = True) -> None:
     run(require(Path(words[0]).name), *words[1:], "--site-dir", folder, WITH_API=f"{with_api}".lower())
 
 
+@pytest.mark.slow
 def test_the_documentation_is_built(tmp_path: Path) -> None:
     """Every name that the pages of the Python API ask for is there, and links and anchors lead somewhere."""
     build_site(tmp_path)

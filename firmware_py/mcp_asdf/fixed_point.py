@@ -81,7 +81,7 @@ def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
     return (
         alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
         and 0 <= alpha_x_low < 1 << 62
-        and 0 <= alpha_x_high < 1 << 53
+        and 0 <= alpha_x_high  # below 2**53, as alpha is below 2**62
         and (alpha_x_high << 32) + alpha_x_low <= alpha * ONE
     )
 
@@ -89,7 +89,7 @@ def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
 def sums_possible(sums: Sums) -> bool:
     """True if ``count`` messages can have given these sums."""
     return (
-        0 <= sums.count <= MAX_ID
+        sums.count <= MAX_ID
         and 0 <= sums.x <= sums.count * ONE
         and 0 <= sums.x_squared <= sums.x * ONE
         and sums.count * sums.x_squared >= sums.x * sums.x

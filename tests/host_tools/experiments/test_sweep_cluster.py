@@ -21,9 +21,9 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import read_table
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
-from support import ROOT, slow
+from support import ROOT
 
-distributed = pytest.importorskip("distributed", reason="distributed is not installed: make setup")
+pytestmark = pytest.mark.slow
 
 SLOW = Experiment(firmware="mirror", robots=4, flawed=1, steps=200, filter_period=50, trials=12)
 """Its jobs are single trials."""
@@ -57,6 +57,7 @@ def cluster_of(workers: int, folder: Path) -> Iterator[tuple[str, IO[str]]]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
+    pytest.importorskip("distributed", reason="distributed is not installed: make setup")
     return Store(tmp_path / "x.parquet", [SLOW])
 
 
@@ -88,7 +89,7 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
 
 @pytest.mark.parametrize(
     "address",
-    ["tcp://127.0.0.1:1", *slow(["nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"])],
+    ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
 )
 def test_no_scheduler_is_told(address: str, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE", 1)

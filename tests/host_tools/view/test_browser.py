@@ -47,6 +47,7 @@ def film() -> Film:
     return camera.film
 
 
+@pytest.mark.slow
 def test_the_page_shows_a_film_and_follows_a_run(film: Film, tmp_path: Path) -> None:
     """One browser for all that is tested always: starting it takes longer than the rest."""
     path, step = tmp_path / "run.html", 1 / 65534
