@@ -81,7 +81,7 @@ def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
     return (
         alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
         and 0 <= alpha_x_low < 1 << 62
-        and 0 <= alpha_x_high  # below 2**53, as alpha is below 2**62
+        and alpha_x_high >= 0  # below 2**53, as alpha is below 2**62
         and (alpha_x_high << 32) + alpha_x_low <= alpha * ONE
     )
 
