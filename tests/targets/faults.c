@@ -64,6 +64,7 @@ static void an_interrupted_stream_goes_on(void)
         }
         GIVEN(errors[i], blacks, ticks);
         CHECK(ticks < 1000 && (errors[i] == EIO ? blacks < 4 : blacks == 4));
+        CHECK_EQUAL(source.error, errors[i] == EIO ? EIO : 0);
     }
 }
 

@@ -6,10 +6,14 @@ The bus is a Unix socket here, so that the tests need no CAN; ``tests/socketcan`
 
 from __future__ import annotations
 
+import fcntl
+import json
+import os
 import random
 import re
 import signal
 import subprocess
+import termios
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -445,6 +449,51 @@ def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, 
         assert (process.returncode, printed) == (2, "")
         assert why in complaints
         assert held in (None, state.read_bytes())
+
+
+READING = ("openat:error=EACCES", "read:error=EIO", "read:error=EIO:when=2")
+
+
+@pytest.mark.parametrize("option", ["--state", "--observations"])
+def test_what_cannot_be_read_is_left_alone(
+    bus: UnixBus, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, option: str
+) -> None:
+    """One line tells, whichever system call of a state's load fails; the run ends where observations do."""
+    file, held = tmp_path / "file", saved(twin(ID)) if option == "--state" else b"1" * 256
+    file.write_bytes(held)
+    for fails in READING:
+        strace = [require("strace", "strace"), "-o", str(tmp_path / "trace"), "-P", str(file)]
+        words = [*strace, "-e", f"inject={fails}", *built(PLAIN, tmp_path_factory)]
+        clock = "--lockstep" if option == "--state" else "--steps-per-second=1000"
+        process = CNode(words, bus.channel_info, ID, clock, option, file).process
+        printed, complaint = process.communicate(timeout=PATIENCE)
+        has_begun = option != "--state" and fails.startswith("read")
+        assert process.returncode == 2 - has_begun and file.read_bytes() == held
+        why = "Permission denied" if "EACCES" in fails else "Input/output error"
+        assert re.fullmatch(
+            rf"mcp_asdf_node: cannot (use the state|read|open) {file}: {why}(; .*)?\n", complaint
+        )
+        if has_begun:
+            figures = json.loads(printed)
+            assert figures["ended"] == "observations not readable"
+            assert figures["t"] == (256 if fails.endswith("2") else 0)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["bus", "file", "trace"]
+
+
+def test_a_state_that_comes_in_pieces_is_whole(command: list[str], bus: UnixBus, tmp_path: Path) -> None:
+    state, expected = tmp_path / "state", twin(ID)
+    expected.robot.step(Observation.BLACK)
+    image = saved(expected)
+    os.mkfifo(state)
+    with CNode(command, bus.channel_info, ID, "--lockstep", "--state", state) as node:
+        with state.open("wb", buffering=0) as pipe:
+            for piece in (image[:50], image[50:51], image[51:]):
+                pipe.write(piece)
+                while fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)) != bytes(4):
+                    time.sleep(0.001)
+        bus.accept()
+        assert node.stop()["t"] == 1
+    assert state.read_bytes() == image
 
 
 SAVING = ("openat", "write", "fsync", "close", "rename", "openat", "fsync", "close")

@@ -125,7 +125,8 @@ static void set_up(run_t *run)
     if (options->state != NULL) {
         const char *why = state_load(options->state, &run->node.robot, &run->node.config);
         if (why != NULL) {
-            fail("cannot use the state", options->state, why, "choose another --state, or remove this one");
+            fail("cannot use the state", options->state, why,
+                 "choose another --state, or move this one away");
         }
     }
     if (!in_lockstep) {
@@ -242,6 +243,9 @@ static bool look(run_t *run, mcp_asdf_action_t *seen)
         (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
                       (unsigned long)source->taken + 1, source->path);
         end(run, "observations not valid", EXIT_FAILURE);
+    } else if (source->error != 0) {
+        (void)fprintf(stderr, "mcp_asdf_node: cannot read %s: %s\n", source->path, strerror(source->error));
+        end(run, "observations not readable", EXIT_FAILURE);
     } else if (source->has_ended && !has_come) {
         end(run, "observations", run->status);
     }

@@ -44,7 +44,8 @@ static bool fill(source_t *source)
         return false;
     }
     const ssize_t size = read(source->fd, source->buffer, sizeof source->buffer);
-    source->has_ended = size == 0 || (size < 0 && errno != EINTR && errno != EAGAIN);
+    source->error = size < 0 && errno != EINTR && errno != EAGAIN ? errno : 0;
+    source->has_ended = size == 0 || source->error != 0;
     source->at = 0;
     source->filled = size > 0 ? (size_t)size : 0;
     return size > 0;

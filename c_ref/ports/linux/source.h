@@ -13,6 +13,7 @@
  *               ignored
  *   has_ended   a stream has come to its end
  *   odd         a character of a stream that is none of these, or 0; the stream stops before it
+ *   error       what a read of the stream failed with, as an errno, or 0; the stream stops there
  *   taken       characters of the stream used so far
  *   missing     ticks without an observation: the stream had none ready, the sensor could not be read */
 typedef struct {
@@ -21,7 +22,7 @@ typedef struct {
     bool has_ended;
     char odd;
     uint32_t taken, missing;
-    int fd;
+    int error, fd;
     size_t at, filled;
     char buffer[256];
 } source_t;

@@ -8,6 +8,18 @@
 #include <string.h>
 #include <unistd.h>
 
+/* Read to the end, at most so many bytes: a read may bring fewer than there are. Returns how many, or -1. */
+static ssize_t read_file(int fd, uint8_t *bytes, size_t most)
+{
+    size_t filled = 0;
+    ssize_t size = 1;
+    while (size > 0 && filled < most) {
+        size = read(fd, bytes + filled, most - filled);
+        filled += size > 0 ? (size_t)size : 0;
+    }
+    return size < 0 ? -1 : (ssize_t)filled;
+}
+
 const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config)
 {
     uint8_t image[MCP_ASDF_IMAGE_SIZE + 1];
@@ -16,7 +28,7 @@ const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_confi
     if (fd < 0) {
         return errno == ENOENT ? NULL : strerror(errno);
     }
-    const ssize_t size = read(fd, image, sizeof image);
+    const ssize_t size = read_file(fd, image, sizeof image);
     const int error = errno;
     (void)close(fd);
     if (size < 0) {
