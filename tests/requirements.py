@@ -1,7 +1,7 @@
-"""Requirements: the numbered statements of docs/design.md, and the tests that show each.
+"""Requirements: the numbered statements of docs/design.md, and the tests and proofs that show each.
 
 A statement ends with its number, ``<sup>R7</sup>``. A comment ``design: R7, R8`` stands above each test, in
-Python or C, that fails if a statement does not hold.
+Python or C, and above each contract and set of claims, that fails if a statement does not hold.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from support import ROOT
 NUMBER = re.compile(r"<sup>(R\d+)</sup>")
 _BEGIN = re.compile(r"\n\s*\n|^\d\. |^- |</sup>", re.MULTILINE)
 _TAG = re.compile(r"(?:#|/\*) design: (R\d+(?:, R\d+)*)")
-_FUNCTION = re.compile(r"^(?:def|static void) (\w+)\(", re.MULTILINE)
+_SHOWN_BY = re.compile(r"^(?:def |static void )?(\w+)(?:\(| = Contract\()", re.MULTILINE)
 
 
 def statements(page: str) -> dict[str, str]:
@@ -28,12 +28,12 @@ def statements(page: str) -> dict[str, str]:
 
 
 def traced(files: Iterable[Path], folder: Path = ROOT / "tests") -> dict[str, list[str]]:
-    """The tests that name each number, as ``path: function``."""
+    """The tests and proofs that name each number, as ``path: name``."""
     found: dict[str, list[str]] = {}
     for path in files:
         text = path.read_text(encoding="utf-8")
         for tag in _TAG.finditer(text):
-            test = _FUNCTION.search(text, tag.end())
+            test = _SHOWN_BY.search(text, tag.end())
             for number in tag[1].split(", "):
                 place = f"{path.relative_to(folder)}: {test[1] if test else 'no test'}"
                 found.setdefault(number, []).append(place)
@@ -58,8 +58,11 @@ def here() -> tuple[dict[str, str], dict[str, list[str]]]:
 def table() -> str:
     """The trace in Markdown."""
     stated, shown = here()
-    rows = [
-        f"| {number} | {text.replace('|', '&#124;')} | {'<br>'.join(f'`{each}`' for each in shown[number])} |"
-        for number, text in stated.items()
-    ]
-    return "\n".join(["| | statement | tests |", "|---|---|---|", *rows, ""])
+    rows = ["| | statement | tests | proofs |", "|---|---|---|---|"]
+    for number, text in stated.items():
+        tests, proofs = (
+            "<br>".join(f"`{each}`" for each in shown[number] if each.startswith("proofs/") == is_proof)
+            for is_proof in (False, True)
+        )
+        rows.append(f"| {number} | {text.replace('|', '&#124;')} | {tests} | {proofs} |")
+    return "\n".join([*rows, ""])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 from requirements import NUMBER, here, problems, statements, table, traced
@@ -15,10 +16,28 @@ def test_each_requirement_is_traced() -> None:
     assert all(f"| {number} |" in table() for number in numbers)
 
 
+def test_each_proof_that_is_named_is_run() -> None:
+    named = {place for places in here()[1].values() for place in places if place.startswith("proofs/")}
+    run = set[str]()
+    for name in ("accuracy", "calls", "images", "robust", "sums"):
+        module = import_module(f"proofs.{name}")
+        claims = (*getattr(module, "OF_THE_CODE", ()), *getattr(module, "OF_THE_NUMBERS", ()))
+        contracts = {id(each) for each in getattr(module, "CONTRACTS", {}).values()}
+        names = [each.__name__ for each in claims]
+        names += [name for name, value in vars(module).items() if id(value) in contracts]
+        run |= {f"proofs/{name}.py: {each}" for each in names}
+    others = {place for place in named - run if ": test_" not in place}
+    assert others == {
+        "proofs/calls.py: of_a_message",
+        "proofs/images.py: of_the_way_back",
+    }  # tests of their own
+    assert len(named) > 25
+
+
 def test_what_is_not_traced_is_told(tmp_path: Path) -> None:
     page = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
     assert statements(page) == {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
-    text = "# design@: R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design@: R2\n".replace(
+    text = "# design@: R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design@: R2\nA = 1\n".replace(
         "@:", ":"
     )
     (tmp_path / "a.py").write_text(text)

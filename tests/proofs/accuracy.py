@@ -29,6 +29,7 @@ def half(word: Any) -> Any:
     return z3.LShR(word, 1)
 
 
+# design: R18
 def of_estimate(program: Program) -> Iterator[Claim]:
     """Eq. 3 and 4 as the second part writes them."""
     given, (found, _) = formed(program, "estimate")
@@ -82,6 +83,7 @@ def _alpha_at_an_end(given: dict[str, Any], common: Any, rare: Any) -> Any:
     return call("alpha_word", z3.LShR(call("upper", long, sum_shift), 8), exponent)
 
 
+# design: R17
 def of_set_b_hat(program: Program) -> Iterator[Claim]:
     """The squares are those of g / (1 - c) and of g / c."""
     given, (_, after) = formed(program, "set_b_hat")
@@ -126,6 +128,7 @@ def of_square_of_ratio(program: Program) -> Iterator[Claim]:
     yield "square", found == call("multiply_high", ratio, ratio), []
 
 
+# design: R25, R26
 def of_reestimate(program: Program) -> Iterator[Claim]:
     """Which quotient is b_hat, and when there is none."""
     given, (found, _) = formed(program, "reestimate")
@@ -143,6 +146,7 @@ def of_reestimate(program: Program) -> Iterator[Claim]:
     yield "N / D, in the range of b_hat", found == kept, [says_something]
 
 
+# design: R23
 def of_round_b_hat(program: Program) -> Iterator[Claim]:
     """The paper's filters re-estimate from the mean of the closed round."""
     given, (found, after) = formed(program, "round_b_hat")
@@ -155,6 +159,7 @@ def of_round_b_hat(program: Program) -> Iterator[Claim]:
     yield "tests", after["counters"]["tests"] == given["counters"]["tests"] + tests, [z3.ULE(mode, 2)]
 
 
+# design: R10, R23
 def of_filter(program: Program) -> Iterator[Claim]:
     """What the robot's own filter found becomes b_hat, unless it is 0."""
     given, (found, after) = formed(program, "filter")
@@ -174,6 +179,7 @@ BELOW = (Fraction(1, 2**28), Fraction(1, 2**27), Fraction(1, 2**31))
 DIVISOR_LOSES = Fraction(1, 2**30)
 
 
+# design: R33
 def of_x_hat() -> Iterator[Claim]:
     """x lies between the exact quotient N / D and what is (1 - 2 N / D) r 2^-31 nearer to 1/2."""
     p, total, least, c = z3.Ints("P T L c")
@@ -196,6 +202,7 @@ def of_x_hat() -> Iterator[Claim]:
     yield "1 / D is at most r 2^-31", 2**31 * g <= d, possible
 
 
+# design: R33
 def of_alpha() -> Iterator[Claim]:
     """Each number on the way to alpha, in parts of what it would be without the last rounding."""
     scale, exact, e, g, total = z3.Reals("scale exact e g T")
@@ -230,6 +237,7 @@ SUM_LOSES = Fraction(1, 2**28)
 SQUARE_GAINS = Fraction(1, 2**30)
 
 
+# design: R33
 def of_squares() -> Iterator[Claim]:
     """(g / p)^2 of an even g, and a p that is even or above 2^31 + 2^19."""
     g, p, half, r = z3.Ints("g p half r")
@@ -246,6 +254,7 @@ def of_squares() -> Iterator[Claim]:
     yield from _loses("square", SQUARE_LOSES[2], ratio * ratio, square, [ratio >= 2**30])
 
 
+# design: R33
 def of_alpha_at_an_end() -> Iterator[Claim]:
     """The sum of two positive terms, of which the second is rounded down."""
     first, second, moved = z3.Reals("first second moved")
@@ -296,6 +305,7 @@ def of_quotient() -> Iterator[Claim]:
     yield "and less than 4 x + 3 too small", 2**32 * x < q + 4 * x + 3, [*share, *floor]
 
 
+# design: R33
 def of_b_hat() -> Iterator[Claim]:
     """b_hat of eq. 8 is as far off as the cross-check allows, and by 2^-26 where |2 x_bar - 1| >= 0.1.
 

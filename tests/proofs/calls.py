@@ -108,6 +108,7 @@ def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
     )
 
 
+# design: R1, R2, R3, R29
 OBSERVE = Contract(_observed, requires=_may_observe, instead=opaque_all("estimate"))
 
 # --- receive ---------------------------------------------------------------------------------------------
@@ -180,6 +181,7 @@ def _added(sums: Any, x_hat: Any, alpha: Any) -> Any:
     return {name: each + terms[name] for name, each in sums.items()}
 
 
+# design: R4, R5, R6, R7, R13
 RECEIVE = Contract(
     _received,
     requires=_may_receive,
@@ -191,6 +193,7 @@ RECEIVE = Contract(
 )
 
 
+# design: R20
 def of_a_message() -> Iterator[Claim]:
     """One more message keeps the sums of a round possible, in their ranges and no more than senders."""
     own, sender, x_hat, low, high = z3.Ints("own sender x_hat low high")
@@ -232,6 +235,7 @@ def _filtered(status: Any, after: Any, robot: Any) -> Any:
     )
 
 
+# design: R10, R13, R23, R29
 FILTER = Contract(
     _filtered,
     instead=opaque_all(
@@ -261,6 +265,7 @@ def _settled(status: Any, after: Any, robot: Any) -> Any:
     )
 
 
+# design: R4, R8, R9, R10
 SETTLE = Contract(_settled, instead={"filter": opaque("filter", *FILTER_CHANGES)})
 
 # --- The test --------------------------------------------------------------------------------------------
@@ -306,6 +311,7 @@ def _decided(rejects: Any, _: Any, robot: Any) -> Any:
     return (rejects != 0) == (2**26 * square > k * spread)
 
 
+# design: R24
 TEST = Contract(_decided, Integers, requires=_may_test, steps=(_spread_is_small,), uses=("multiply",))
 CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,

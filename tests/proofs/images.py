@@ -72,6 +72,7 @@ def _saved(after: Any, image: Any, robot: Any, _: Any) -> Any:
     return z3.And(same(after, robot), bits_of(image) == said_by(robot))
 
 
+# design: R29
 SAVE = Contract(_saved, instead=opaque_all("hash_word"))
 
 
@@ -134,9 +135,11 @@ def is_whole(said: Any, config: Any) -> Any:
     return z3.And(first == z3.If(is_robust(config), MAGIC_OF_ROBUST, MAGIC), last == checksum(said))
 
 
+# design: R30, R31
 RESTORE = Contract(_restored, instead={**opaque_all("hash_word", "state_possible"), "mcp_asdf_init": _init})
 
 
+# design: R29, R30
 def of_the_way_back(program: Program) -> Iterator[Claim]:
     """What an image says of a robot whose filter does not use what the image leaves out (I4, I24) is that
     robot."""

@@ -109,6 +109,7 @@ def _stays_in_range(after: dict[str, Any], robot: dict[str, Any], _: Any, x_hat:
     return z3.And(in_range(after["crowd"]), z3.ULE(low, found), z3.ULE(found, high))
 
 
+# design: R35
 VOTE = Contract(
     _stays_in_range,
     requires=_may_vote,
@@ -119,6 +120,7 @@ VOTE = Contract(
 # --- The test ----------------------------------------------------------------------------------------------
 
 
+# design: R38
 def of_deviates(program: Program) -> Iterator[Claim]:
     """The section's test in words, of products and a quotient that may be any."""
     given, (found, _) = formed(program, "deviates")
@@ -143,6 +145,7 @@ def of_deviates(program: Program) -> Iterator[Claim]:
     yield "the test", (found == 1) == rejects, []
 
 
+# design: R37
 def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
     """What becomes of b_hat, which is 0 or in range, and of the crowd."""
     given, (found, after) = formed(program, "crowd_b_hat")
@@ -168,6 +171,7 @@ def _is_b_hat(found: Any) -> Any:
     return z3.Or(found == 0, z3.And(z3.UGE(found, B_HAT[0]), z3.ULE(found, B_HAT[1])))
 
 
+# design: R26
 REESTIMATE = Contract(
     lambda found, *_: _is_b_hat(found),
     instead={name: any_result(name) for name in ("multiply", "join", "quotient")},
@@ -235,6 +239,7 @@ def _real(value: Fraction) -> Any:
     return z3.Q(value.numerator, value.denominator)
 
 
+# design: R38
 def of_the_decision() -> Iterator[Claim]:
     """Rejected is D^2 > L = 12 (v w + h^2), h being g s and w 1 / t: right, with errors as above,
     wherever the sides differ by MARGIN of the larger. Where g^2 <= 1/2, v is not small, else h is not; where

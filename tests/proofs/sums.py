@@ -41,6 +41,7 @@ def of_mean(program: Program) -> Iterator[Claim]:
         yield f"{name}: quotient", found == call("quotient", *arguments), possible
 
 
+# design: R21
 def of_informed_estimate(program: Program) -> Iterator[Claim]:
     """Eq. 7, the own message included, and a correction by the rest of the division, modulo 2^64."""
     given, (found, _) = formed(program, "informed_estimate", ["mean", "multiply"])
@@ -68,6 +69,7 @@ def of_the_mean() -> Iterator[Claim]:
     yield "short", is_mean, short
 
 
+# design: R21
 def of_the_rest() -> Iterator[Claim]:
     """The upper 23 bits of the mean are right or one too small; the rest, below 2 alpha, shows which."""
     closed, low, high, own_high, own_low, x_hat = z3.Ints("closed L H own_high own_low x_hat")

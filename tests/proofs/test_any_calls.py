@@ -24,6 +24,7 @@ filter is built is there no choice."""
 FRAGILE = ("accuracy->g_shift & 31U", "accuracy->g_shift")
 
 
+# design: R34
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS, ids=str)
 def test_any_call_is_safe(variant: Variant) -> None:

@@ -70,6 +70,7 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
     prove_obligations(machine, name)
 
 
+# design: R34
 @pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
 def test_every_loop_ends(path: Path) -> None:
     """Whatever the variables beside the counter hold, in each turn anew; and nothing calls itself."""
