@@ -67,16 +67,19 @@ FOR_EACH_TARGET static void draw(block_t *block, uint32_t group)
     }
 }
 
-/* Limits of step k: the probability of black, on a white floor that of a mistake. */
+/* Limits of step k: the probability of black, on a white floor that of a mistake. The floor is chance, so a
+ * branch on it could not be predicted. */
 static void look(block_t *block, uint32_t k)
 {
     const mcp_asdf_experiment_t *const e = block->experiment;
-    const uint32_t used = e->robots * block->side; /* at most count, which says so to the analyser */
-    for (uint32_t c = 0; c < used && c < block->count; ++c) {
-        const uint32_t i = block->trial_of[c] - e->first_trial, j = block->robot_of[c];
-        const uint32_t limit = e->black[i * e->trial_stride + k * e->step_stride + j * e->robot_stride];
-        const bool is_black = e->arenas == NULL || block->arena.black[j] != 0;
-        block->limit[c] = is_black ? limit : MCP_ASDF_ENGINE_CERTAIN - limit;
+    const uint32_t used = block->used, side = block->side;
+    const uint32_t *const black = e->black + block->index * e->trial_stride + k * e->step_stride;
+    for (uint32_t j = 0; j < e->robots; ++j) {
+        const uint32_t is_white = e->arenas != NULL && block->arena.black[j] == 0;
+        for (uint32_t l = 0; l < used; ++l) {
+            const uint32_t limit = black[l * e->trial_stride + j * e->robot_stride];
+            block->limit[j * side + l] = limit + is_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * limit);
+        }
     }
 }
 
