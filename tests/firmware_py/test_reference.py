@@ -91,6 +91,15 @@ def run_step(robots: Sequence[ReferenceRobot], observations: Any) -> None:
         robot.settle()
 
 
+def test_observations_come_from_the_seed() -> None:
+    """As tests/data/README.md says, so that a trace can be made again."""
+    for name in (TRACE_A, TRACE_B):
+        data = trace(name)
+        draw, shape = np.random.Generator(np.random.PCG64(data["seed"])), data["observations"].shape
+        is_black, is_right = (draw.random(shape) < data[each] for each in ("fill_ratio", "true_b"))
+        assert np.array_equal(is_black == is_right, data["observations"])
+
+
 TRACE_A, TRACE_B = "A_f95_b55_flw95x3_plus", "B_f55_b95_flw55x5_minus"
 AUTHORS_PAPER_DOF = replace(AUTHORS, lost_degrees=1)
 
