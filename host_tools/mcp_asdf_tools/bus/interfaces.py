@@ -10,9 +10,11 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import can
+from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 from can.typechecking import CanFilters
 from can.util import load_environment_config, load_file_config
 
@@ -174,60 +176,67 @@ class AllReceived(Connection):
         return frame, is_filtered
 
 
-class WithoutEcho(Connection):
-    """Connection without its own frames, to a bus that returns every frame sent."""
-
-    def __init__(self, bus: can.BusABC) -> None:
-        super().__init__(bus)
-        # If a returned frame is lost, one from elsewhere with the same id and data is taken for it, once.
-        self._own: deque[tuple[int, bytes]] = deque(maxlen=_MOST_ECHOES)
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame, as ``can.BusABC.send``."""
-        self._own.append(_content(msg))
-        super().send(msg, timeout)
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        while True:
-            frame, is_filtered = self._bus._recv_internal(timeout)
-            if frame is None or _content(frame) not in self._own:
-                return frame, is_filtered
-            self._own.remove(_content(frame))
-            timeout = 0.0  # the caller waits again for the rest of its time
-
-
-class Multicast(WithoutEcho):
+class Multicast(Connection):
     """Connection to a multicast group, where any program of the network may send anything.
 
     A datagram that is no frame arrives as an error frame, like a frame that is damaged on its way on a CAN
     bus. It passes every filter.
+
+    Attributes:
+        returns_own: Whether ``recv`` returns own frames once they have been on the bus: the objects that were
+            sent, stamped anew. Other connections do not.
     """
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        try:
-            frame, is_filtered = super()._recv_internal(timeout)
-        except can.CanOperationError as error:
-            if error.__cause__ is None or isinstance(error.__cause__, OSError):  # not the datagram's fault
-                raise
-            return self._damaged(), True
-        if frame is None:
-            return None, is_filtered
-        if type(frame.arbitration_id) is not int or type(frame.dlc) is not int:
-            return self._damaged(), True
-        frame.channel = self.channel_info  # the sender may have written anything
-        return frame, is_filtered
+    def __init__(self, bus: can.BusABC) -> None:
+        super().__init__(bus)
+        self.returns_own = False
+        self._group = cast(UdpMulticastBus, bus)._multicast
+        # If an own datagram is lost, the same one from elsewhere is taken for it, once.
+        self._own: deque[tuple[bytes, can.Message]] = deque(maxlen=_MOST_ECHOES)
 
-    def _damaged(self) -> can.Message:
-        return can.Message(
-            time.time(), _PROTOCOL_ERROR, is_error_frame=True, channel=self.channel_info, dlc=0
-        )
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame, as ``can.BusABC.send``."""
+        datagram = pack_message(msg)
+        self._own.append((datagram, msg))
+        self._group.send(datagram, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while (came := self._group.recv(timeout)) is not None:
+            datagram, _, timestamp = came
+            own = self._take_own(datagram)
+            if own is None:
+                return self._frame_of(datagram, timestamp)
+            if self.returns_own:
+                own.timestamp, own.is_rx, own.channel = timestamp, True, self.channel_info
+                return own, True
+            timeout = 0.0  # the caller waits again for the rest of its time
+        return None, False
+
+    def _take_own(self, datagram: bytes) -> can.Message | None:
+        """The own frame that has come back, if it is one."""
+        for place, (sent, frame) in enumerate(self._own):
+            if sent == datagram:
+                del self._own[place]
+                return frame
+        return None
+
+    def _frame_of(self, datagram: bytes, timestamp: float) -> tuple[can.Message, bool]:
+        """Another's frame, and whether it passes any filter."""
+        try:
+            frame = unpack_message(
+                datagram, {"timestamp": timestamp, "channel": self.channel_info}, check=True
+            )
+        except Exception:  # the sender may have written anything
+            return self._damaged(timestamp), True
+        if type(frame.arbitration_id) is not int or type(frame.dlc) is not int:
+            return self._damaged(timestamp), True
+        return frame, False
+
+    def _damaged(self, timestamp: float) -> can.Message:
+        return can.Message(timestamp, _PROTOCOL_ERROR, is_error_frame=True, channel=self.channel_info, dlc=0)
 
 
 _WRAPPERS: dict[str, type[Connection]] = {"socketcan": AllReceived, "udp_multicast": Multicast}
-
-
-def _content(frame: can.Message) -> tuple[int, bytes]:
-    return frame.arbitration_id, bytes(frame.data)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,8 +3,8 @@
 ``Delivery`` decides which frames each robot hears, and when. The ``Carrier`` brings them there:
 
 - inside this process where no other program can listen;
-- over one bus: what robots send is on it, and the carrier listens with a connection of its own. Another
-  program on the bus sees the frames sent;
+- over one bus: what robots send is on it, and the carrier listens with a connection of its own, or
+  with theirs if that returns what it sends. Another program on the bus sees the frames sent;
 - over a bus for every robot: the carrier reads there what the robot sends, and writes what it hears. Another
   program on that bus sees what this robot sees.
 
@@ -17,7 +17,6 @@ from __future__ import annotations
 import os
 import select
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -30,10 +29,11 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import FrameFormat, decode_any
+from mcp_asdf_tools.bus.interfaces import Multicast
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.swarm.delivery import Content, Delivery, Paths, SentFrame, content_of
+from mcp_asdf_tools.swarm.delivery import Delivery, Paths, SentFrame, content_of
 
 TIMEOUT = 2.0
 """Seconds after which a frame that has not come counts as lost."""
@@ -106,36 +106,45 @@ class Connection:
         They are in the order given, after late ones of earlier calls. Raises SwarmError if one is missing
         after TIMEOUT seconds and ``patience`` is None. O(frames on the bus).
         """
-        wanted = [*self._late, *expected] if self._late else expected
-        left = Counter(each.content for each in wanted)
-        self._read(left, TIMEOUT if patience is None else patience)
-        self._late = []
-        if not left:
+        wanted = [*self._late, *expected]
+        self._late = self._read(wanted, TIMEOUT if patience is None else patience)
+        if not self._late:
             return wanted
         if patience is None:
-            raise self._error([each for each in wanted if each.content in left])
-        come: list[SentFrame] = []
-        for each in reversed(wanted):  # of frames that are the same those sent last are missing
-            (self._late if _took(left, each.content) else come).insert(0, each)
+            raise self._error(self._late)
         self.missed += sum(each in expected for each in self._late)
-        return come
+        return [each for each in wanted if each not in self._late]
 
-    def _read(self, left: Counter[Content], seconds: float) -> None:
-        """Take frames off ``left`` until it is empty or the time is over."""
-        deadline, late = time.monotonic() + seconds, 0
+    def _read(self, wanted: Sequence[SentFrame], seconds: float) -> list[SentFrame]:
+        """Read until all ``wanted`` have come or the time is over; returns those that are missing.
+
+        Of frames that are the same those sent last are.
+        """
+        left, deadline, late = list(wanted), time.monotonic() + seconds, 0
         while left and late < _MOST_LATE:
             seconds = max(0.0, deadline - time.monotonic())
             late += seconds == 0.0
             frame = self.bus.recv(seconds)
             if frame is None:
-                return
+                break
             self._sort(frame, left)
+        return left
+
+    def _sort(self, frame: can.Message, left: list[SentFrame]) -> None:
+        """Take a frame off ``left``, or hand over a stranger. It is mostly the first."""
+        if self._every is not None:
+            self._every(frame)
+        for place, each in enumerate(left):
+            if each.frame is frame or content_of(each.frame) == content_of(frame):
+                del left[place]
+                return
+        self._stranger(frame)
 
     def drain(self) -> None:
         """Read a frame that nothing waits for, if one has come, and the echoes of sent ones before it."""
         frame = self.bus.recv(0)
         if frame is not None:
-            self._sort(frame, Counter())
+            self._sort(frame, [])
 
     def discard(self) -> None:
         """Throw away what has come to a connection that only sends: undecoded, where it has a descriptor.
@@ -152,29 +161,12 @@ class Connection:
                 if not select.select([descriptor], [], [], 0)[0] or not os.read(descriptor, _LONGEST):
                     return
 
-    def _sort(self, frame: can.Message, left: Counter[Content]) -> None:
-        """Take a frame off ``left``, or hand over a stranger."""
-        if self._every is not None:
-            self._every(frame)
-        if not _took(left, content_of(frame)):
-            self._stranger(frame)
-
     def _error(self, missing: Sequence[SentFrame]) -> SwarmError:
         names = ", ".join(dict.fromkeys(f"frame {each.frame.arbitration_id:08X}" for each in missing[:8]))
         return SwarmError(
             f"{self._who} did not hear {names}{', ...' * (len(missing) > 8)} within {TIMEOUT:g} s on "
             f"{self.bus.channel_info}: the bus loses frames; use a faster bus or fewer robots"
         )
-
-
-def _took(left: Counter[Content], content: Content) -> bool:
-    """Take one of ``content`` off; False if none is left."""
-    if content not in left:
-        return False
-    left[content] -= 1
-    if not left[content]:
-        del left[content]
-    return True
 
 
 class Carrier:
@@ -213,12 +205,16 @@ class Carrier:
         with ExitStack() as stack:
             for members in [everyone] if wiring.is_shared else [[robot] for robot in everyone]:
                 first = members[0]
-                if first not in wiring.remote:
-                    radio = Connection(stack.enter_context(wiring.open_bus(first)), f"robot {first}")
-                    self._radios |= dict.fromkeys(members, radio)
                 bus = stack.enter_context(wiring.open_bus(first))
                 end = Connection(bus, "the carrier", partial(self._meet, members), log)
                 self.ends |= dict.fromkeys(members, end)
+                if first in wiring.remote:
+                    continue
+                if wiring.is_shared and isinstance(bus, Multicast):
+                    bus.returns_own, radio = True, end
+                else:
+                    radio = Connection(stack.enter_context(wiring.open_bus(first)), f"robot {first}")
+                self._radios |= dict.fromkeys(members, radio)
             self._stack = stack.pop_all()
 
     def _meet(self, robots: Sequence[int], stranger: can.Message) -> None:
@@ -238,8 +234,13 @@ class Carrier:
         self._sent.append(sent)
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
-            if radio is not None:
-                radio.discard()
+            self._discard(sent.sender)
+
+    def _discard(self, robot: int) -> None:
+        """Throw away what has come to the robot's connection, if that only sends."""
+        radio = self._radios.get(robot)
+        if radio is not None and radio is not self.ends[robot]:
+            radio.discard()
 
     def _read(self, tick: int) -> None:
         """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
@@ -261,8 +262,8 @@ class Carrier:
         Raises SwarmError if a bus loses a frame and the clock waits for it.
         """
         self._read(tick)
-        if self._radios and not self._has_own_buses:
-            self._radios[0].discard()
+        if not self._has_own_buses:
+            self._discard(0)
         come, self._come = self._come, []
         arrivals = self._delivery.arrivals(tick, come)
         if not self._has_own_buses:

@@ -6,7 +6,6 @@ import copy
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import can
@@ -15,9 +14,6 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 """One value for each frame of a tick and each receiver, by id, shape (frames, receivers)."""
-
-Content = tuple[int, bytes]
-"""Identifier and data of a frame."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +32,9 @@ class SentFrame:
     tick: int
     number: int = 0
 
-    @cached_property
-    def content(self) -> Content:
-        """What tells the frame from others; it must not change any more."""
-        return content_of(self.frame)
 
-
-def content_of(frame: can.Message) -> Content:
-    """What tells a frame on a bus from others."""
+def content_of(frame: can.Message) -> tuple[int, bytes]:
+    """What tells a frame on a bus from others: identifier and data."""
     return frame.arbitration_id, bytes(frame.data)
 
 

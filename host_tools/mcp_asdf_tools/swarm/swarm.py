@@ -120,7 +120,9 @@ class Swarm:
         if self.clock is not None:
             self.clock.begin(self.ticks)
         seen = self.world.step()
-        alive = [node for node in self._here if self.faults.survives(node, self.ticks)]
+        alive = self._here
+        if self.faults.faults:
+            alive = [node for node in alive if self.faults.survives(node, self.ticks)]
         frames: list[tuple[BusRobot, can.Message]] = [*self._reports(alive)]
         estimates = [*self._estimates(alive, seen), *self._commanded(seen)]
         # The robust filter hears by rising id, wherever the robots run.
@@ -178,7 +180,7 @@ class Swarm:
     def _babble(self, is_early: bool) -> list[SentFrame]:
         """Let nodes send what they send besides their own frames."""
         leaving: list[SentFrame] = []
-        for node in (node for node in self.nodes if node.is_alive):
+        for node in (node for node in self.nodes if node.is_alive and self.faults.faults):
             for frame in self.faults.babble(node.id, self.ticks, self._now, is_early):
                 for sent in self.faults.leave(frame, node.id, self.ticks):
                     if self._input_log is not None and node.id not in self._remote:

@@ -20,7 +20,7 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
-from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, WithoutEcho, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, Multicast, add_arguments, choose_bus
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
@@ -82,18 +82,20 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
 
 
 def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
-    echoing: dict[str, Any] = {"receive_own_messages": True, "ignore_config": True}
-    connections = [WithoutEcho(can.Bus("echo", "virtual", **echoing)) for _ in range(3)]
-    draw = random.Random(2)
+    """But one that asks for it, which gets back what it has sent."""
+    choice, draw = multicast(GROUP), random.Random(2)
+    connections = [choice.open() for _ in range(3)]
+    assert isinstance(connections[2], Multicast)
+    connections[2].returns_own = True
     heard: list[list[tuple[int, bytes]]] = [[], [], []]
     due: list[list[tuple[int, bytes]]] = [[], [], []]
-    for step in range(2000):
-        place = draw.randrange(3) if step < 1800 else step % 3
-        if step < 1800 and draw.random() < 0.5:
+    for step in range(800):
+        place = draw.randrange(3) if step < 700 else step % 3
+        if step < 700 and draw.random() < 0.5:
             # Contents come again and again, also from others at the same time.
             frame = can.Message(arbitration_id=draw.randrange(2), data=bytes([draw.randrange(2)]))
             connections[place].send(frame, timeout=1)
-            for other in {0, 1, 2} - {place}:
+            for other in {0, 1, 2} - {place} | {2}:
                 due[other].append((frame.arbitration_id, bytes(frame.data)))
         while (came := connections[place].recv(0)) is not None:
             heard[place].append((came.arbitration_id, bytes(came.data)))

@@ -20,7 +20,7 @@ from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, 
 from host_tools.swarm.test_faults import any_fault
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
-from mcp_asdf_tools.bus.interfaces import WithoutEcho
+from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
@@ -46,7 +46,7 @@ MIX = (
 def udp(port: int) -> can.BusABC:
     """Join a multicast group; skips the test where there are none."""
     multicast(250)
-    return WithoutEcho(can.Bus(interface="udp_multicast", port=port, hop_limit=0, ignore_config=True))
+    return BusChoice("udp_multicast", {"port": port, "hop_limit": 0, "ignore_config": True}).open()
 
 
 MEDIA = {
