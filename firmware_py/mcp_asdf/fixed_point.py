@@ -77,21 +77,20 @@ def sums_add(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def mean_possible(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """True if sums of alpha and of alpha x_hat are in range and give a mean of at most 1."""
+    """True if sums of alpha and of alpha x_hat, from 0 on, are in range and give a mean of at most 1."""
     return (
         alpha <= MAX_ID * MANTISSA_MAX << SHIFT_MAX
-        and 0 <= alpha_x_low < 1 << 62
-        and alpha_x_high >= 0  # below 2**53, as alpha is below 2**62
+        and alpha_x_low < 1 << 62
         and (alpha_x_high << 32) + alpha_x_low <= alpha * ONE
     )
 
 
 def sums_possible(sums: Sums) -> bool:
-    """True if ``count`` messages can have given these sums."""
+    """True if ``count`` messages can have given these sums, of which none is below 0."""
     return (
         sums.count <= MAX_ID
-        and 0 <= sums.x <= sums.count * ONE
-        and 0 <= sums.x_squared <= sums.x * ONE
+        and sums.x <= sums.count * ONE
+        and sums.x_squared <= sums.x * ONE
         and sums.count * sums.x_squared >= sums.x * sums.x
         and sums.count <= sums.alpha <= sums.count * MANTISSA_MAX << SHIFT_MAX
         and sums.alpha_x_low <= sums.x * MAX_WORD

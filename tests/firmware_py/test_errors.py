@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Robot, Status
+from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, checksum
 from robots import (
     ALPHA_MOST,
@@ -107,6 +108,24 @@ def test_raw_messages_that_no_c_type_holds_are_refused(kind: FixedPointType) -> 
     for alpha in (-1, 2**32):
         with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
             robot.receive_raw(4, 0, alpha)
+
+
+@of_fixed_point
+def test_messages_in_an_array_are_received_in_order_and_the_accepted_ones_counted(
+    kind: FixedPointType,
+) -> None:
+    robot, other = (kind(PLAIN, OWN_ID, 0.7) for _ in range(2))
+    messages = [
+        (1, HALF, 0x80000001),
+        (1, ONE, 0x80000003),
+        (OWN_ID, 0, 0x80000001),
+        (2, ONE + 1, 0),
+        (3, 5, 0),
+    ]
+    assert robot.receive_all(np.array(messages, np.uint32)) == 2
+    receive_all(other, messages)
+    assert robot.save() == other.save()
+    assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
 
 
 # design: R1, R11
