@@ -33,7 +33,8 @@ class Motion:
         black: 1 if the floor under the ground sensor is black, shape (ticks, N).
         wheels: 0 straight, 1 soft turn, 2 hard turn in the coming tick, shape (ticks, N).
         avoids: 1 if heading away from an obstacle, shape (ticks, N).
-        linked: Links as bits, shape (ticks, N, 2): bit j % 64 of word j // 64 is set if j is heard.
+        linked: Links as bits, shape (ticks, N, words), 2 words up to 128 robots: bit j % 64 of word j // 64
+            is set if j is heard.
     """
 
     position: NDArray[np.float64]
@@ -60,7 +61,9 @@ class Arena:
         self._arena = _arena.ffi.new("mcp_asdf_arena_t *")
         values, self._image = config_values(settings, trial, _arena.ffi)
         config = _arena.ffi.new("mcp_asdf_arena_config_t *", values)
-        if not _arena.lib.mcp_asdf_arena_init(self._arena, config):
+        self._memory = memory_of(_arena.lib.mcp_asdf_arena_bytes(config))
+        memory = _arena.ffi.from_buffer(self._memory)
+        if not _arena.lib.mcp_asdf_arena_init(self._arena, config, memory):
             width, height = settings.sides  # all else has been checked
             where = f"{settings.robots} robots found no room in {width} x {height} m"
             raise UsageError(f"{where}; take fewer or a larger arena")
@@ -68,8 +71,9 @@ class Arena:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        columns = (np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name))) for name in "xy")
-        return np.stack([*columns], axis=1)[: self.settings.robots]
+        size = 8 * self.settings.robots
+        columns = (np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name), size)) for name in "xy")
+        return np.stack([*columns], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
         """The colour of the floor. Raises UsageError if (x, y) is not on it."""
@@ -91,13 +95,15 @@ class Arena:
         self._run(ticks, {})
 
     def record(self, ticks: int) -> Motion:
-        """Let time pass and say what each tick left. Raises as ``step``. Takes 51 bytes a robot and tick."""
+        """Let time pass and say what each tick left. Raises as ``step``. Takes 51 bytes a robot and
+        tick; of more than 128 robots also one for every 8 of them."""
         shape = (_check_ticks(ticks), self.settings.robots)
         columns: dict[str, NDArray[Any]] = {
             name: np.empty(shape, np.uint8) for name in ("black", "wheels", "avoids")
         }
         columns |= {name: np.empty((*shape, 2), np.float64) for name in ("position", "heading")}
-        columns["linked"] = np.empty((*shape, 2), np.uint64)
+        words = _arena.lib.mcp_asdf_arena_words(self.settings.robots)
+        columns["linked"] = np.empty((*shape, words), np.uint64)
         self._run(ticks, columns)
         return Motion(**columns)
 
@@ -105,6 +111,11 @@ class Arena:
         pointers = {name: _arena.ffi.cast("void *", values.ctypes.data) for name, values in columns.items()}
         record = _arena.ffi.new("mcp_asdf_arena_record_t *", pointers)
         _arena.lib.mcp_asdf_arena_run(self._arena, _check_ticks(ticks), record)
+
+
+def memory_of(size: int) -> NDArray[np.float64]:
+    """Memory of at least ``size`` bytes, as C code takes it: aligned for doubles."""
+    return np.empty(-(-size // 8))
 
 
 def _check_ticks(ticks: int) -> int:

@@ -70,6 +70,78 @@ static void see_floor(mcp_asdf_arena_t *arena)
     }
 }
 
+/* ---- Memory -----------------------------------------------------------------------------------------------
+ */
+
+/* The next `count` entries of `size` bytes, and room to a multiple of 64 bytes, so that vectors of them can
+ * be read to their end. */
+static void *take(uint8_t *memory, size_t *used, size_t count, size_t size)
+{
+    void *const taken = memory == NULL ? NULL : memory + *used;
+    *used += (count * size + 63) / 64 * 64;
+    return taken;
+}
+
+/* Most centres of other bodies within `distance` of one. A disc that holds them all has room for the area of
+ * each; bodies fill nine tenths of it at most, so the little by which they may overlap does no harm. */
+static uint32_t most_within(const mcp_asdf_arena_config_t *config, double distance)
+{
+    const double bodies = (distance / BODY_RADIUS + 1) * (distance / BODY_RADIUS + 1) - 1;
+    return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
+}
+
+static void lay_out_neighbours(mcp_asdf_neighbours_t *neighbours, uint32_t robots, uint32_t most,
+                               uint8_t *memory, size_t *used)
+{
+    neighbours->most = most;
+    neighbours->count = take(memory, used, robots, sizeof *neighbours->count);
+    neighbours->row = take(memory, used, (size_t)robots * most, sizeof *neighbours->row);
+}
+
+static mcp_asdf_pair_t *take_pairs(const mcp_asdf_arena_config_t *config, double distance, uint8_t *memory,
+                                   size_t *used)
+{
+    const size_t most = (size_t)config->robots * most_within(config, distance) / 2;
+    return take(memory, used, most + 1, sizeof(mcp_asdf_pair_t)); /* one that is written and not kept */
+}
+
+/* Point the arena's arrays into its memory, or to nowhere if that is NULL; returns the bytes that it takes.
+ */
+static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, uint8_t *memory)
+{
+    const uint32_t robots = config->robots;
+    mcp_asdf_bodies_t *const crowd = &arena->crowd;
+    double **const numbers[] = {&arena->x,           &arena->y,        &arena->cx,       &arena->cy,
+                                &arena->vx,          &arena->vy,       &arena->spin,     &arena->wanted_speed,
+                                &arena->wanted_spin, &crowd->wanted_x, &crowd->wanted_y, &crowd->given_x,
+                                &crowd->given_y};
+    uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids, &arena->may_touch};
+    size_t used = 0;
+    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
+        *numbers[k] = take(memory, &used, robots, sizeof(double));
+    }
+    for (size_t k = 0; k < sizeof flags / sizeof *flags; ++k) {
+        *flags[k] = take(memory, &used, robots, 1);
+    }
+    lay_out_neighbours(&arena->in_range, robots, most_within(config, config->range), memory, &used);
+    lay_out_neighbours(&arena->near, robots, most_within(config, SEEING_DISTANCE), memory, &used);
+    arena->links = take_pairs(config, config->range, memory, &used);
+    arena->close = take_pairs(config, touching_distance(config), memory, &used);
+    arena->watched = take_pairs(config, watching_distance(config), memory, &used);
+    arena->grid.first = take(memory, &used, (size_t)robots + 1, sizeof *arena->grid.first);
+    arena->grid.robots = take(memory, &used, robots, sizeof *arena->grid.robots);
+    arena->grid.cell = take(memory, &used, robots, sizeof *arena->grid.cell);
+    crowd->member = take(memory, &used, robots, sizeof *crowd->member);
+    crowd->contacts = take(memory, &used, (size_t)robots * CONTACTS_OF_A_BODY, sizeof *crowd->contacts);
+    return used;
+}
+
+size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
+{
+    mcp_asdf_arena_t arena;
+    return lay_out(&arena, config, NULL);
+}
+
 /* ---- The start ----------------------------------------------------------------------------------------- */
 
 static void look(mcp_asdf_arena_t *arena)
@@ -122,9 +194,10 @@ static void face_anywhere(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter
 }
 
 /* Everything that follows from the settings alone. */
-static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
+static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     memset(arena, 0, sizeof *arena);
+    memset(memory, 0, lay_out(arena, config, memory));
     arena->config = *config;
     arena->colours = splitmix(config->seed ^ COLOURS);
     arena->colour_limit = config->fill_ratio * 0x1p53;
@@ -133,10 +206,10 @@ static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *conf
     arena->motor = ACCELERATION * arena->part;
 }
 
-int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config)
+int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     uint64_t counter = splitmix(config->seed ^ PLACES);
-    prepare(arena, config);
+    prepare(arena, config, memory);
     for (uint32_t i = 0; i < config->robots; ++i) {
         if (!place(arena, i, &counter)) {
             return 0;
@@ -157,13 +230,18 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arena)
     look(arena);
 }
 
+uint32_t mcp_asdf_arena_words(uint32_t robots) { return robots <= 128 ? 2 : (robots + 63) / 64; }
+
+static inline void set_bit(uint64_t *mask, uint32_t bit) { mask[bit >> 6] |= (uint64_t)1 << (bit & 63); }
+
 static void write_links(const mcp_asdf_arena_t *arena, uint64_t *linked)
 {
-    memset(linked, 0, 2 * sizeof *linked * arena->config.robots);
+    const size_t words = mcp_asdf_arena_words(arena->config.robots);
+    memset(linked, 0, words * sizeof *linked * arena->config.robots);
     for (uint32_t p = 0; p < arena->link_count; ++p) {
         const mcp_asdf_pair_t pair = arena->links[p];
-        set_bit(linked + (size_t)2 * pair.a, pair.b);
-        set_bit(linked + (size_t)2 * pair.b, pair.a);
+        set_bit(linked + words * pair.a, pair.b);
+        set_bit(linked + words * pair.b, pair.a);
     }
 }
 
@@ -193,7 +271,7 @@ static void write_record(const mcp_asdf_arena_t *arena, const mcp_asdf_arena_rec
     write_flags(record->wheels, first, arena->wheels, robots);
     write_flags(record->avoids, first, arena->avoids, robots);
     if (record->linked != NULL) {
-        write_links(arena, record->linked + 2 * first);
+        write_links(arena, record->linked + mcp_asdf_arena_words(robots) * first);
     }
 }
 

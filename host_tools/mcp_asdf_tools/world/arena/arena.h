@@ -11,16 +11,16 @@
  * The same settings give the same bits on every machine with IEEE 754 doubles: only + - * / and square roots
  * are used, and no compiler may fuse a * b + c. With gcc that takes -std=c99; clang is told by a pragma.
  *
- * Nothing is allocated and nothing is static. The caller owns the arena and may copy it, and any number of
- * threads may run arenas of their own.
+ * Nothing is allocated and nothing is static. The caller owns the arena and its memory, which grows linearly
+ * with the robots, and any number of threads may run arenas of their own.
  */
 #ifndef MCP_ASDF_ARENA_H
 #define MCP_ASDF_ARENA_H
 
+#include <stddef.h>
 #include <stdint.h>
 
-#define MCP_ASDF_ARENA_MAX_ROBOTS 128
-#define MCP_ASDF_ARENA_MAX_PAIRS 8128 /* 128 * 127 / 2 */
+#define MCP_ASDF_ARENA_MAX_ROBOTS 65536 /* ids of 16 bits */
 
 /* Modes of the wheels: both at full speed, the inner one slower, or turning on the spot. */
 typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN = 2 } mcp_asdf_wheels_t;
@@ -31,7 +31,8 @@ typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN
  *   width        inner side along x: above 0.1408, the diameter of a body, up to 1000
  *   height       inner side along y, same range
  *   speed        maximum speed of a wheel: above 0, up to 0.814, the limit of the Khepera IV
- *   range        of communication, between centres: above 0, up to 1000
+ *   range        of communication, between centres: above 0, up to 1000. Memory grows with its square until
+ *                all robots have room within it
  *   tick         seconds: above 0, and short enough that a robot turning on the spot turns by at most 1.6,
  *                which is 0.0843 m divided by the speed
  *   tile         side of a tile, at least 1/100000 of the longer side
@@ -58,11 +59,65 @@ typedef struct {
 
 /* Two robots, a < b. */
 typedef struct {
-    uint8_t a;
-    uint8_t b;
+    uint16_t a;
+    uint16_t b;
 } mcp_asdf_pair_t;
 
-/* A world after a tick. Entries 0 .. robots - 1 of the arrays are in use; read, but do not write.
+/* Private: some of the other robots for each robot, in rows.
+ *   most    length of a row
+ *   count   how many entries of each row are in use
+ *   row     [robots][most] */
+typedef struct {
+    uint32_t most;
+    uint32_t *count;
+    uint16_t *row;
+} mcp_asdf_neighbours_t;
+
+/* Private: a grid of at most as many cells as robots, row by row from the south-west.
+ *   columns, rows   of cells
+ *   first           [cells + 1] where the robots of each cell begin
+ *   robots          by cells, and in each in ascending order
+ *   cell            of each robot */
+typedef struct {
+    uint32_t columns;
+    uint32_t rows;
+    uint32_t *first;
+    uint16_t *robots;
+    uint32_t *cell;
+} mcp_asdf_grid_t;
+
+/* Private: a place where a body may touch something within a part of a tick.
+ *   a, b        bodies; b is -1 for a wall
+ *   nx, ny      normal, away from a
+ *   gap         distance that is left
+ *   push, rub   changes of velocity so far along the normal and across it */
+typedef struct {
+    int a;
+    int b;
+    double nx;
+    double ny;
+    double gap;
+    double push;
+    double rub;
+} mcp_asdf_contact_t;
+
+/* Private: bodies that may touch something, and their contacts in the present part.
+ *   member             the bodies' numbers in the arena
+ *   wanted_x, wanted_y velocities that the wheels ask for, by member
+ *   given_x, given_y   changes of velocity by the motors so far, by member */
+typedef struct {
+    uint32_t count;
+    uint32_t contact_count;
+    uint16_t *member;
+    double *wanted_x;
+    double *wanted_y;
+    double *given_x;
+    double *given_y;
+    mcp_asdf_contact_t *contacts;
+} mcp_asdf_bodies_t;
+
+/* A world after a tick. Entries 0 .. robots - 1 of the arrays are in use, and up to the next multiple of 8
+ * may be read; do not write.
  *   x, y         centres
  *   cx, cy       headings: cosine and sine, of length 1 up to rounding
  *   black        1 if the floor under the ground sensor is black
@@ -73,10 +128,11 @@ typedef struct {
  * Private, below links:
  *   vx, vy, spin                velocities now
  *   wanted_speed, wanted_spin   what the wheels ask for
- *   in_range, near              robots within range, and those close enough to be seen: bit j % 64 of word
- *                               j / 64 stands for robot j
+ *   in_range, near              robots within range of each, and those close enough to be seen
  *   may_touch, close            robots and pairs that could touch something within a tick
  *   watched, ticks_to_watch     pairs that could matter in the coming ticks, and how many ticks that holds
+ *   grid                        robots by cells of the floor, to find the pairs to watch
+ *   crowd                       the robots that may touch something, as motion.c needs them
  *   tiles_per_metre             number of tiles per metre
  *   colours                     base of the hashes that decide the tiles' colours
  *   colour_limit                a tile is black if its 53-bit hash is below this
@@ -85,30 +141,32 @@ typedef struct {
 typedef struct {
     mcp_asdf_arena_config_t config;
     uint64_t ticks;
-    double x[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double y[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double cx[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double cy[MCP_ASDF_ARENA_MAX_ROBOTS];
-    uint8_t black[MCP_ASDF_ARENA_MAX_ROBOTS];
-    uint8_t wheels[MCP_ASDF_ARENA_MAX_ROBOTS];
-    uint8_t avoids[MCP_ASDF_ARENA_MAX_ROBOTS];
+    double *x;
+    double *y;
+    double *cx;
+    double *cy;
+    uint8_t *black;
+    uint8_t *wheels;
+    uint8_t *avoids;
     uint32_t link_count;
-    mcp_asdf_pair_t links[MCP_ASDF_ARENA_MAX_PAIRS];
+    mcp_asdf_pair_t *links;
 
     /* Private. */
-    double vx[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double vy[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double spin[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double wanted_speed[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double wanted_spin[MCP_ASDF_ARENA_MAX_ROBOTS];
-    uint64_t in_range[MCP_ASDF_ARENA_MAX_ROBOTS][2];
-    uint64_t near[MCP_ASDF_ARENA_MAX_ROBOTS][2];
-    uint8_t may_touch[MCP_ASDF_ARENA_MAX_ROBOTS];
+    double *vx;
+    double *vy;
+    double *spin;
+    double *wanted_speed;
+    double *wanted_spin;
+    mcp_asdf_neighbours_t in_range;
+    mcp_asdf_neighbours_t near;
+    uint8_t *may_touch;
     uint32_t close_count;
     uint32_t watched_count;
     uint32_t ticks_to_watch;
-    mcp_asdf_pair_t close[MCP_ASDF_ARENA_MAX_PAIRS];
-    mcp_asdf_pair_t watched[MCP_ASDF_ARENA_MAX_PAIRS];
+    mcp_asdf_pair_t *close;
+    mcp_asdf_pair_t *watched;
+    mcp_asdf_grid_t grid;
+    mcp_asdf_bodies_t crowd;
     double tiles_per_metre;
     uint64_t colours;
     double colour_limit;
@@ -117,8 +175,8 @@ typedef struct {
 } mcp_asdf_arena_t;
 
 /* Where mcp_asdf_arena_run() writes the state after each tick: arrays of [ticks][robots], or NULL where not
- * wanted. position (x, y), heading (cx, cy) and linked have a last axis of 2: bit j % 64 of word j / 64 is
- * set if robots i and j hear each other. */
+ * wanted. position (x, y) and heading (cx, cy) have a last axis of 2, linked one of `words`, from
+ * mcp_asdf_arena_words(): bit j % 64 of word j / 64 is set if robots i and j hear each other. */
 typedef struct {
     double *position;
     double *heading;
@@ -128,14 +186,21 @@ typedef struct {
     uint64_t *linked;
 } mcp_asdf_arena_record_t;
 
+/* Words of linked for each robot: room for all, and for 128 at least. */
+uint32_t mcp_asdf_arena_words(uint32_t robots);
+
+/* Bytes of memory that an arena needs: about 1.7 KB a robot with a range of 0.7 at the usual speed, less for
+ * few robots. O(1). */
+size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config);
+
 /* Place the robots at random without overlap, with headings uniform too, and let them look around: tick 0,
- * everybody at rest. Returns 1, or 0 if they find no room: the arena must then not be used. O(robots^2) where
- * there is room to spare, otherwise up to 10^5 attempts per robot. */
-int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config);
+ * everybody at rest. `memory`, of mcp_asdf_arena_bytes() and aligned for doubles, belongs to the arena from
+ * now on. Returns 1, or 0 if they find no room: the arena must then not be used. O(robots^2) where there is
+ * room to spare, otherwise up to 10^5 attempts per robot. */
+int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory);
 
 /* One tick: bodies move as their wheels were set; then, from their new places, robots find their neighbours,
- * sense obstacles and floor, and set their wheels. O(robots + pairs in range), and O(robots^2) every few
- * ticks. */
+ * sense obstacles and floor, and set their wheels. O(robots + pairs nearby). */
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arena);
 
 /* Run `ticks` ticks and record each. */

@@ -34,24 +34,34 @@ static inline double clamp(double value, double low, double high)
     return larger(low, smaller(high, value));
 }
 
-/* Sets of robots: bit j % 64 of word j / 64 stands for robot j. */
-static inline void set_bit(uint64_t mask[2], uint32_t bit) { mask[bit >> 6] |= (uint64_t)1 << (bit & 63); }
+/* Below these distances of their centres one robot may see another, two may meet within a tick, or a pair may
+ * do either or hear each other within so many ticks. */
+#define SEEING_DISTANCE (DIAMETER + SENSOR_REACH)
+#define TICKS_BETWEEN_LOOKS 12
 
-/* Remove the lowest bit and return its number; -1 if the set is empty. No index depends on the set, so that a
- * loop over a set can keep it in registers. */
-static inline int take_bit(uint64_t mask[2])
+static inline double touching_distance(const mcp_asdf_arena_config_t *config)
 {
-    if (mask[0] != 0) {
-        const int bit = __builtin_ctzll(mask[0]);
-        mask[0] &= mask[0] - 1;
-        return bit;
-    }
-    if (mask[1] != 0) {
-        const int bit = __builtin_ctzll(mask[1]);
-        mask[1] &= mask[1] - 1;
-        return 64 + bit;
-    }
-    return -1;
+    return DIAMETER + 2 * config->speed * config->tick;
+}
+
+static inline double watching_distance(const mcp_asdf_arena_config_t *config)
+{
+    const double matters = larger(config->range, larger(touching_distance(config), SEEING_DISTANCE));
+    return matters + 2 * config->speed * config->tick * TICKS_BETWEEN_LOOKS;
+}
+
+/* A body has room for six others around it, which makes three pairs, and two walls. */
+#define CONTACTS_OF_A_BODY 5
+
+/* The robots near robot i: the first count[i] of these. */
+static inline const uint16_t *row_of(const mcp_asdf_neighbours_t *neighbours, uint32_t i)
+{
+    return neighbours->row + (size_t)i * neighbours->most;
+}
+
+static inline void add_neighbour(const mcp_asdf_neighbours_t *neighbours, uint32_t i, uint16_t j)
+{
+    neighbours->row[(size_t)i * neighbours->most + neighbours->count[i]++] = j;
 }
 
 static inline double squared_distance(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)

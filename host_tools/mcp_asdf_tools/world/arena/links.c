@@ -1,42 +1,127 @@
 /* Who is near whom: links between robots that hear each other, bodies near enough to be seen or touched. All
  * pairs are compared once in a while only; a pair too far apart to matter until the next time is skipped,
- * because no robot is faster than its wheels.
+ * because no robot is faster than its wheels. Where robots are many, a grid finds the pairs to compare.
  */
 #include "arena_private.h"
 
-#define TICKS_BETWEEN_LOOKS 12
+#define FEW 128 /* robots up to which comparing all pairs is fastest */
 
-/* Below these distances of their centres one robot may see another, or two may meet within a tick. */
-#define SEEING_DISTANCE (DIAMETER + SENSOR_REACH)
-
-static double touching_distance(const mcp_asdf_arena_t *arena)
+/* Pairs of all robots near enough, in ascending order. */
+static uint32_t watch_all(mcp_asdf_arena_t *arena, double limit)
 {
-    return DIAMETER + 2 * arena->config.speed * arena->config.tick;
-}
-
-/* List the pairs that could matter before the next look at all of them. */
-static void watch(mcp_asdf_arena_t *arena)
-{
-    const double matters = larger(arena->config.range, larger(touching_distance(arena), SEEING_DISTANCE));
-    const double limit = matters + 2 * arena->config.speed * arena->config.tick * TICKS_BETWEEN_LOOKS;
     uint32_t count = 0;
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         for (uint32_t j = i + 1; j < arena->config.robots; ++j) {
             /* Written always, kept if near: a branch here could not be predicted. */
-            arena->watched[count].a = (uint8_t)i;
-            arena->watched[count].b = (uint8_t)j;
+            arena->watched[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
             count += squared_distance(arena, i, j) < limit * limit;
         }
     }
-    arena->watched_count = count;
+    return count;
+}
+
+/* ---- A grid for many robots ------------------------------------------------------------------------------
+ */
+
+static uint32_t cells_along(double side, double cell, uint32_t most)
+{
+    const double cells = side / cell;
+    return cells < 1 ? 1 : cells < most ? (uint32_t)cells : most;
+}
+
+/* Cell of a place among `cells` along a side whose middle is 0. */
+static uint32_t cell_at(double place, double side, uint32_t cells)
+{
+    const double cell = (place / side + 0.5) * cells;
+    return cell < 1 ? 0 : cell < cells ? (uint32_t)cell : cells - 1;
+}
+
+/* Sort the robots into cells whose sides are above `limit`, by counting. The cells are no more than robots.
+ */
+static void fill_grid(mcp_asdf_arena_t *arena, double limit)
+{
+    mcp_asdf_grid_t *const grid = &arena->grid;
+    const double width = arena->config.width, height = arena->config.height;
+    const uint32_t robots = arena->config.robots;
+    const double cell = larger(1.000001 * limit, sqrt(width * height / robots));
+    grid->columns = cells_along(width, cell, robots);
+    grid->rows = cells_along(height, cell, robots);
+    const uint32_t cells = grid->columns * grid->rows;
+    memset(grid->first, 0, cells * sizeof *grid->first);
+    for (uint32_t i = 0; i < robots; ++i) {
+        const uint32_t row = cell_at(arena->y[i], height, grid->rows);
+        grid->cell[i] = row * grid->columns + cell_at(arena->x[i], width, grid->columns);
+        ++grid->first[grid->cell[i]];
+    }
+    for (uint32_t c = 1; c < cells; ++c) {
+        grid->first[c] += grid->first[c - 1]; /* the end of each cell */
+    }
+    grid->first[cells] = robots;
+    for (uint32_t i = robots; i-- > 0;) { /* which moves to its beginning as it fills */
+        grid->robots[--grid->first[grid->cell[i]]] = (uint16_t)i;
+    }
+}
+
+/* List robot i's pairs with higher robots near enough of three cells or, at a wall, two in a row; returns how
+ * many pairs there are now. */
+static uint32_t watch_row(mcp_asdf_arena_t *arena, uint32_t i, uint32_t row, double limit, uint32_t count)
+{
+    const mcp_asdf_grid_t *const grid = &arena->grid;
+    const uint32_t column = grid->cell[i] % grid->columns, start = row * grid->columns;
+    const uint32_t from = column == 0 ? 0 : column - 1,
+                   last = column + 1 < grid->columns ? column + 1 : column;
+    for (uint32_t k = grid->first[start + from]; k < grid->first[start + last + 1]; ++k) {
+        const uint32_t j = grid->robots[k];
+        arena->watched[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
+        count += (j > i) & (squared_distance(arena, i, j) < limit * limit);
+    }
+    return count;
+}
+
+/* Bring pairs of one robot into ascending order: they are few. */
+static void sort_pairs(mcp_asdf_pair_t *pairs, uint32_t count)
+{
+    for (uint32_t p = 1; p < count; ++p) {
+        const mcp_asdf_pair_t pair = pairs[p];
+        uint32_t place = p;
+        for (; place > 0 && pairs[place - 1].b > pair.b; --place) {
+            pairs[place] = pairs[place - 1];
+        }
+        pairs[place] = pair;
+    }
+}
+
+/* The same pairs as watch_all(), found by cells. */
+static uint32_t watch_cells(mcp_asdf_arena_t *arena, double limit)
+{
+    const mcp_asdf_grid_t *const grid = &arena->grid;
+    uint32_t count = 0;
+    fill_grid(arena, limit);
+    for (uint32_t i = 0; i < arena->config.robots; ++i) {
+        const uint32_t row = grid->cell[i] / grid->columns, before = count;
+        for (uint32_t r = row == 0 ? 0 : row - 1; r <= row + 1 && r < grid->rows; ++r) {
+            count = watch_row(arena, i, r, limit, count);
+        }
+        sort_pairs(arena->watched + before, count - before);
+    }
+    return count;
+}
+
+/* ---- Links -----------------------------------------------------------------------------------------------
+ */
+
+/* List the pairs that could matter before the next look at all of them. */
+static void watch(mcp_asdf_arena_t *arena)
+{
+    const double limit = watching_distance(&arena->config);
+    arena->watched_count = arena->config.robots <= FEW ? watch_all(arena, limit) : watch_cells(arena, limit);
     arena->ticks_to_watch = TICKS_BETWEEN_LOOKS;
 }
 
 static void forget_pairs(mcp_asdf_arena_t *arena)
 {
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        arena->in_range[i][0] = arena->in_range[i][1] = 0;
-        arena->near[i][0] = arena->near[i][1] = 0;
+        arena->in_range.count[i] = arena->near.count[i] = 0;
         arena->may_touch[i] = wall_within(arena, i, arena->config.speed * arena->config.tick);
     }
     arena->link_count = arena->close_count = 0;
@@ -44,10 +129,10 @@ static void forget_pairs(mcp_asdf_arena_t *arena)
 
 static void note_near(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
 {
-    const double touching = touching_distance(arena);
+    const double touching = touching_distance(&arena->config);
     if (squared < SEEING_DISTANCE * SEEING_DISTANCE) {
-        set_bit(arena->near[pair.a], pair.b);
-        set_bit(arena->near[pair.b], pair.a);
+        add_neighbour(&arena->near, pair.a, pair.b);
+        add_neighbour(&arena->near, pair.b, pair.a);
     }
     if (squared < touching * touching) {
         arena->may_touch[pair.a] = arena->may_touch[pair.b] = 1;
@@ -57,13 +142,14 @@ static void note_near(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squa
 
 static void note_pairs(mcp_asdf_arena_t *arena)
 {
-    const double range = arena->config.range, matters = larger(touching_distance(arena), SEEING_DISTANCE);
+    const double range = arena->config.range;
+    const double matters = larger(touching_distance(&arena->config), SEEING_DISTANCE);
     for (uint32_t p = 0; p < arena->watched_count; ++p) {
         const mcp_asdf_pair_t pair = arena->watched[p];
         const double squared = squared_distance(arena, pair.a, pair.b);
         if (squared < range * range) {
-            set_bit(arena->in_range[pair.a], pair.b);
-            set_bit(arena->in_range[pair.b], pair.a);
+            add_neighbour(&arena->in_range, pair.a, pair.b);
+            add_neighbour(&arena->in_range, pair.b, pair.a);
             arena->links[arena->link_count++] = pair;
         }
         if (squared < matters * matters) {
@@ -85,10 +171,9 @@ static bool stands_between(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j
  * range of both. */
 static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
-    uint64_t both[2] = {arena->in_range[i][0] & arena->in_range[j][0],
-                        arena->in_range[i][1] & arena->in_range[j][1]};
-    for (int k = take_bit(both); k >= 0; k = take_bit(both)) {
-        if (stands_between(arena, i, j, (uint32_t)k)) {
+    const uint16_t *const others = row_of(&arena->in_range, i);
+    for (uint32_t k = 0; k < arena->in_range.count[i]; ++k) {
+        if (stands_between(arena, i, j, others[k])) {
             return true;
         }
     }

@@ -10,39 +10,6 @@
 #define FRICTION_ROBOTS 0.49
 #define FRICTION_WALL 0.07
 
-/* A body has room for six others around it, which makes three pairs, and two walls. */
-#define MAX_CONTACTS (5 * MCP_ASDF_ARENA_MAX_ROBOTS)
-
-/* A place where a body may touch something within a part.
- *   a, b        bodies; b is -1 for a wall
- *   nx, ny      normal, away from a
- *   gap         distance that is left
- *   push, rub   changes of velocity so far along the normal and across it */
-typedef struct {
-    int a;
-    int b;
-    double nx;
-    double ny;
-    double gap;
-    double push;
-    double rub;
-} contact_t;
-
-/* The bodies, and their contacts in the present part.
- *   member             the bodies' numbers in the arena
- *   wanted_x, wanted_y velocities that the wheels ask for, by member
- *   given_x, given_y   changes of velocity by the motors so far, by member */
-typedef struct {
-    uint32_t count;
-    uint32_t contact_count;
-    uint8_t member[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double wanted_x[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double wanted_y[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double given_x[MCP_ASDF_ARENA_MAX_ROBOTS];
-    double given_y[MCP_ASDF_ARENA_MAX_ROBOTS];
-    contact_t contacts[MAX_CONTACTS];
-} crowd_t;
-
 /* Move body i for `time` at its present velocity. */
 static void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
 {
@@ -61,26 +28,26 @@ static void turn(mcp_asdf_arena_t *arena, uint32_t i)
     }
 }
 
-static void gather(const mcp_asdf_arena_t *arena, crowd_t *crowd)
+static void gather(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd)
 {
     crowd->count = 0;
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         if (arena->may_touch[i]) {
             crowd->wanted_x[crowd->count] = arena->wanted_speed[i] * arena->cx[i];
             crowd->wanted_y[crowd->count] = arena->wanted_speed[i] * arena->cy[i];
-            crowd->member[crowd->count++] = (uint8_t)i;
+            crowd->member[crowd->count++] = (uint16_t)i;
         }
     }
 }
 
-static void add_contact(crowd_t *crowd, contact_t contact)
+static void add_contact(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd, mcp_asdf_contact_t contact)
 {
-    if (crowd->contact_count < MAX_CONTACTS) {
+    if (crowd->contact_count < CONTACTS_OF_A_BODY * arena->config.robots) {
         crowd->contacts[crowd->contact_count++] = contact;
     }
 }
 
-static void touch_robots(const mcp_asdf_arena_t *arena, crowd_t *crowd, double margin)
+static void touch_robots(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd, double margin)
 {
     const double limit = (DIAMETER + margin) * (DIAMETER + margin);
     for (uint32_t p = 0; p < arena->close_count; ++p) {
@@ -88,26 +55,27 @@ static void touch_robots(const mcp_asdf_arena_t *arena, crowd_t *crowd, double m
         const double squared = squared_distance(arena, a, b);
         if (squared < limit) {
             const double d = sqrt(squared), dx = arena->x[b] - arena->x[a], dy = arena->y[b] - arena->y[a];
-            add_contact(crowd, (contact_t){(int)a, (int)b, dx / d, dy / d, d - DIAMETER, 0, 0});
+            add_contact(arena, crowd,
+                        (mcp_asdf_contact_t){(int)a, (int)b, dx / d, dy / d, d - DIAMETER, 0, 0});
         }
     }
 }
 
-static void touch_walls(const mcp_asdf_arena_t *arena, crowd_t *crowd, uint32_t i, double margin)
+static void touch_walls(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd, uint32_t i, double margin)
 {
     const double x = arena->x[i], y = arena->y[i];
     const double gap_x = arena->config.width / 2 - BODY_RADIUS - fabs(x);
     const double gap_y = arena->config.height / 2 - BODY_RADIUS - fabs(y);
     if (gap_x < margin) {
-        add_contact(crowd, (contact_t){(int)i, -1, x > 0 ? 1 : -1, 0, gap_x, 0, 0});
+        add_contact(arena, crowd, (mcp_asdf_contact_t){(int)i, -1, x > 0 ? 1 : -1, 0, gap_x, 0, 0});
     }
     if (gap_y < margin) {
-        add_contact(crowd, (contact_t){(int)i, -1, 0, y > 0 ? 1 : -1, gap_y, 0, 0});
+        add_contact(arena, crowd, (mcp_asdf_contact_t){(int)i, -1, 0, y > 0 ? 1 : -1, gap_y, 0, 0});
     }
 }
 
 /* Walls come last, so that no wall gives way where the passes end before everything has settled. */
-static void find_contacts(const mcp_asdf_arena_t *arena, crowd_t *crowd)
+static void find_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd)
 {
     const double margin = 2 * arena->config.speed * arena->part;
     crowd->contact_count = 0;
@@ -119,7 +87,7 @@ static void find_contacts(const mcp_asdf_arena_t *arena, crowd_t *crowd)
 
 /* One pass of the motors: towards the wanted velocities. Over all passes together they change a velocity by
  * at most what they can give in a part. */
-static void drive_crowd(mcp_asdf_arena_t *arena, crowd_t *crowd)
+static void drive_crowd(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd)
 {
     const double limit = arena->motor;
     for (uint32_t m = 0; m < crowd->count; ++m) {
@@ -138,7 +106,7 @@ static void drive_crowd(mcp_asdf_arena_t *arena, crowd_t *crowd)
 
 /* One pass of a contact: take away the approach that would close more than the gap, and rub against sliding
  * within the cone of friction. Two robots share each change, a wall takes none. */
-static void resolve(mcp_asdf_arena_t *arena, contact_t *c)
+static void resolve(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *c)
 {
     const int a = c->a, b = c->b;
     const double share = b < 0 ? 1 : 0.5, friction = b < 0 ? FRICTION_WALL : FRICTION_ROBOTS;
@@ -175,10 +143,10 @@ static void limit_speed(mcp_asdf_arena_t *arena, uint32_t i)
 /* Contacts come after motors: what has not settled after the last pass leaves a body slow, not inside
  * another.
  */
-static void settle_velocities(mcp_asdf_arena_t *arena, crowd_t *crowd)
+static void settle_velocities(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd)
 {
-    memset(crowd->given_x, 0, sizeof crowd->given_x);
-    memset(crowd->given_y, 0, sizeof crowd->given_y);
+    memset(crowd->given_x, 0, crowd->count * sizeof *crowd->given_x);
+    memset(crowd->given_y, 0, crowd->count * sizeof *crowd->given_y);
     for (int pass = 0; pass < PASSES; ++pass) {
         drive_crowd(arena, crowd);
         for (uint32_t c = 0; c < crowd->contact_count; ++c) {
@@ -192,17 +160,17 @@ static void settle_velocities(mcp_asdf_arena_t *arena, crowd_t *crowd)
 
 static void move_crowd(mcp_asdf_arena_t *arena)
 {
-    crowd_t crowd;
-    gather(arena, &crowd);
+    mcp_asdf_bodies_t *const crowd = &arena->crowd;
+    gather(arena, crowd);
     for (int part = 0; part < PARTS; ++part) {
-        for (uint32_t m = 0; m < crowd.count; ++m) {
-            advance(arena, crowd.member[m], arena->part);
+        for (uint32_t m = 0; m < crowd->count; ++m) {
+            advance(arena, crowd->member[m], arena->part);
         }
-        find_contacts(arena, &crowd);
-        settle_velocities(arena, &crowd);
+        find_contacts(arena, crowd);
+        settle_velocities(arena, crowd);
     }
-    for (uint32_t m = 0; m < crowd.count; ++m) {
-        turn(arena, crowd.member[m]);
+    for (uint32_t m = 0; m < crowd->count; ++m) {
+        turn(arena, crowd->member[m]);
     }
 }
 
