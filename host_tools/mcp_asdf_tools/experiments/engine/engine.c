@@ -5,6 +5,8 @@
  * reaches the memory, and the last one, are the firmware's own: before them the lanes hand over what they
  * changed. Without lanes every step is its own.
  */
+#include <string.h>
+
 #include "lanes.h"
 #include "philox.h"
 #include "trial.h"
@@ -16,16 +18,13 @@
  *   columns   series of x in a trial
  *   index     of the first trial
  *   used      trials in use, of `side` side by side
- *   count     lanes in use: lane j side + l is robot j of trial l, here and in all arrays below
- *   trial_of, robot_of  whose draws a lane has
- *   words     draws of four steps
- *   limit     of a draw for black; 0 for idle lanes, whose n must not pass t
- *   ticks     steps since the last one of the firmware, and
- *   observed  how many of them had observations, and
- *   messages  how many messages each robot heard in them in its arena
- *   t         observations of each robot
- *   said      sums of each message
- *   heard     sums of each round; in a fully connected swarm that of robot 0 stands for all */
+ *   count     lanes in use: lane j side + l is robot first + j of trial l, here and in all arrays below
+ *   first     robots of the blocks before this one: those of a swarm of more than LANES, which all move or
+ * are in a graph, are in `blocks` blocks in a row trial_of, robot_of  whose draws a lane has words     draws
+ * of four steps limit     of a draw for black; 0 for idle lanes, whose n must not pass t ticks     steps
+ * since the last one of the firmware, and observed  how many of them had observations, and messages  how many
+ * messages each robot heard in them from its neighbours t         observations of each robot said      sums
+ * of each message heard     sums of each round; in a fully connected swarm that of robot 0 stands for all */
 typedef struct {
     const mcp_asdf_experiment_t *experiment;
     bool has_lanes;
@@ -35,16 +34,18 @@ typedef struct {
     uint32_t side;
     uint32_t used;
     uint32_t count;
+    uint32_t first;
+    uint32_t blocks;
     trial_t trials[LANES_OF_TRIALS];
-    mcp_asdf_arena_t arena;
+    mcp_asdf_arena_t *arena;
     uint32_t trial_of[LANES];
     uint32_t robot_of[LANES];
     uint32_t words[4][LANES];
     uint32_t limit[LANES];
-    uint32_t black[LANES];
+    uint32_t *black;
     uint32_t ticks;
     uint32_t observed;
-    uint32_t messages[MCP_ASDF_ENGINE_MAX_ROBOTS];
+    uint32_t messages[LANES];
     uint32_t t;
     lanes_t lanes;
     lanes_sums_t said;
@@ -72,12 +73,12 @@ FOR_EACH_TARGET static void draw(block_t *block, uint32_t group)
 static void look(block_t *block, uint32_t k)
 {
     const mcp_asdf_experiment_t *const e = block->experiment;
-    const uint32_t used = block->used, side = block->side;
+    const uint32_t used = block->used, side = block->side, first = block->first, left = e->robots - first;
     const uint32_t *const black = e->black + block->index * e->trial_stride + k * e->step_stride;
-    for (uint32_t j = 0; j < e->robots; ++j) {
-        const uint32_t is_white = e->arenas != NULL && block->arena.black[j] == 0;
+    for (uint32_t j = 0; j < left && j < LANES / side; ++j) {
+        const uint32_t is_white = block->arena != NULL && block->arena->black[first + j] == 0;
         for (uint32_t l = 0; l < used; ++l) {
-            const uint32_t limit = black[l * e->trial_stride + j * e->robot_stride];
+            const uint32_t limit = black[l * e->trial_stride + (first + j) * e->robot_stride];
             block->limit[j * side + l] = limit + is_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * limit);
         }
     }
@@ -85,10 +86,11 @@ static void look(block_t *block, uint32_t k)
 
 FOR_EACH_TARGET static void see(block_t *block, uint32_t k)
 {
+    uint32_t *const restrict black = block->black;
     const uint32_t *const words = block->words[k % 4];
     const uint32_t count = block->count;
     for (uint32_t c = 0; c < count; ++c) {
-        block->black[c] = words[c] >> 1 < block->limit[c];
+        black[c] = words[c] >> 1 < block->limit[c];
     }
 }
 
@@ -101,25 +103,35 @@ static void hear_nobody(block_t *block)
     }
 }
 
-static void hear_one(block_t *block, uint32_t receiver, uint32_t sender)
+static void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
 {
-    ++block->messages[receiver];
+    block_t *const block = &blocks[receiver / LANES];
+    const block_t *const other = &blocks[sender / LANES];
+    const uint32_t to = receiver % LANES, from = sender % LANES;
+    ++block->messages[to];
     if (block->is_robust) {
-        lanes_vote(&block->lanes, receiver, sender);
+        lanes_vote(&block->lanes, to, &other->lanes, from);
         return;
     }
-    block->heard.alpha[receiver] += block->said.alpha[sender];
-    block->heard.alpha_x_low[receiver] += block->said.alpha_x_low[sender];
-    block->heard.alpha_x_high[receiver] += block->said.alpha_x_high[sender];
+    block->heard.alpha[to] += other->said.alpha[from];
+    block->heard.alpha_x_low[to] += other->said.alpha_x_low[from];
+    block->heard.alpha_x_high[to] += other->said.alpha_x_high[from];
 }
 
-/* Each robot hears its neighbours in ascending order, as the links are. */
-static void hear_linked(block_t *block)
+/* Each robot hears its neighbours in ascending order, as links and arcs are. */
+static void hear_linked(block_t *blocks)
 {
-    hear_nobody(block);
-    for (uint32_t p = 0; p < block->arena.link_count; ++p) {
-        hear_one(block, block->arena.links[p].a, block->arena.links[p].b);
-        hear_one(block, block->arena.links[p].b, block->arena.links[p].a);
+    const mcp_asdf_experiment_t *const e = blocks->experiment;
+    const mcp_asdf_arena_t *const arena = blocks->arena;
+    for (uint32_t b = 0; b < blocks->blocks; ++b) {
+        hear_nobody(&blocks[b]);
+    }
+    for (uint32_t p = 0; arena != NULL && p < arena->link_count; ++p) {
+        hear_one(blocks, arena->links[p].a, arena->links[p].b);
+        hear_one(blocks, arena->links[p].b, arena->links[p].a);
+    }
+    for (size_t p = 0; e->arcs != NULL && p < e->arc_count; ++p) {
+        hear_one(blocks, e->arcs[p].b, e->arcs[p].a);
     }
 }
 
@@ -146,20 +158,21 @@ FOR_EACH_TARGET static void hear_all(block_t *block)
     add_up(robots, block->said.alpha_x_high, block->heard.alpha_x_high);
 }
 
-static void hear(block_t *block)
+static void hear(block_t *blocks)
 {
-    if (block->experiment->arenas != NULL) {
-        hear_linked(block);
-    } else if (block->is_robust) {
-        lanes_vote_all(&block->lanes, block->experiment->robots);
+    if (trial_is_linked(blocks->experiment)) {
+        hear_linked(blocks);
+    } else if (blocks->is_robust) {
+        lanes_vote_all(&blocks->lanes, blocks->experiment->robots);
     } else {
-        hear_all(block);
+        hear_all(blocks);
     }
 }
 
 static void inform(block_t *block, uint32_t step)
 {
-    const uint32_t columns = block->columns, side = block->side;
+    const uint32_t rest = block->columns - block->first, side = block->side;
+    const uint32_t columns = rest < LANES ? rest : LANES;
     const size_t length = (size_t)block->experiment->steps + 1;
     uint32_t x[LANES];
     if (block->is_robust) {
@@ -169,29 +182,31 @@ static void inform(block_t *block, uint32_t step)
     }
     for (uint32_t j = 0; j < columns; ++j) {
         for (uint32_t l = 0; l < block->used; ++l) {
-            block->trials[l].x[j * length + step] = x[j * side + l];
+            block->trials[l].x[(block->first + j) * length + step] = x[j * side + l];
         }
     }
 }
 
 /* Step k (from 0), in an arena that has moved. Until robots observe, their messages are still those of the
  * step before; before step 0 there were none. */
-static void run_lanes(block_t *block, uint32_t k)
+static void run_lanes(block_t *blocks, uint32_t k)
 {
-    const bool is_late = block->experiment->latency != 0;
+    const bool is_late = blocks->experiment->latency != 0;
     if (is_late && k > 0) {
-        hear(block);
+        hear(blocks);
     }
-    if (trial_observes(block->experiment, k)) {
-        lanes_observe(&block->lanes, block->count, ++block->t, block->black);
-        lanes_say(&block->lanes, block->count, &block->said);
-        ++block->observed;
+    for (block_t *b = blocks; b < blocks + blocks->blocks && trial_observes(b->experiment, k); ++b) {
+        lanes_observe(&b->lanes, b->count, ++b->t, b->black);
+        lanes_say(&b->lanes, b->count, &b->said);
+        ++b->observed;
     }
     if (!is_late) {
-        hear(block);
+        hear(blocks);
     }
-    inform(block, k + 1);
-    ++block->ticks;
+    for (block_t *b = blocks; b < blocks + blocks->blocks; ++b) {
+        inform(b, k + 1);
+        ++b->ticks;
+    }
 }
 
 /* --- Steps of the firmware --- */
@@ -200,7 +215,7 @@ static void run_lanes(block_t *block, uint32_t k)
 static void hand_over(const block_t *block, mcp_asdf_t *robot, uint32_t lane)
 {
     const uint32_t all = block->ticks * (block->experiment->robots - 1);
-    const uint32_t messages = block->experiment->arenas == NULL ? all : block->messages[lane];
+    const uint32_t messages = trial_is_linked(block->experiment) ? block->messages[lane] : all;
     robot->t = block->t;
     robot->n = block->lanes.n[lane];
     robot->x_hat = block->lanes.x_hat[lane];
@@ -217,12 +232,10 @@ static void load(block_t *block)
     block->t = mcp_asdf_t_count(&block->trials[0].robots[0]);
     block->ticks = block->observed = 0;
     for (uint32_t c = 0; c < block->count; ++c) {
-        const uint32_t j = c / side, l = c % side;
+        const uint32_t j = block->first + c / side, l = c % side;
         lanes_load(&block->lanes, c, &block->trials[l < block->used ? l : 0].robots[j < robots ? j : 0]);
     }
-    for (uint32_t j = 0; j < robots; ++j) {
-        block->messages[j] = 0;
-    }
+    memset(block->messages, 0, sizeof *block->messages * block->count);
     lanes_say(&block->lanes, block->count, &block->said);
 }
 
@@ -234,73 +247,91 @@ static bool needs_firmware(const block_t *block, uint32_t k)
            (block->t + 1 == config->memory && trial_observes(experiment, k));
 }
 
-static void run_firmware(block_t *block, uint32_t k)
+static void run_firmware(block_t *blocks, uint32_t k)
 {
-    const mcp_asdf_experiment_t *const experiment = block->experiment;
-    const mcp_asdf_arena_t *const arena = experiment->arenas == NULL ? NULL : &block->arena;
-    for (uint32_t l = 0; l < block->used; ++l) {
-        const trial_t *const trial = &block->trials[l];
-        for (uint32_t j = 0; j < experiment->robots && block->has_lanes; ++j) {
-            hand_over(block, &trial->robots[j], j * block->side + l);
+    const mcp_asdf_experiment_t *const experiment = blocks->experiment;
+    const uint32_t side = blocks->side;
+    for (uint32_t l = 0; l < blocks->used; ++l) {
+        const trial_t *const trial = &blocks->trials[l];
+        for (uint32_t j = 0; j < experiment->robots && blocks->has_lanes; ++j) {
+            const uint32_t lane = j * side + l;
+            hand_over(&blocks[lane / LANES], &trial->robots[j], lane % LANES);
         }
-        trial_tick(experiment, trial, arena, k, (trial_tiles_t){block->black + l, block->side});
+        trial_tick(experiment, trial, blocks->arena, k, (trial_tiles_t){blocks->black + l, side});
         trial_keep(experiment, trial, k + 1);
     }
-    if (block->has_lanes) {
-        load(block);
+    for (uint32_t b = 0; b < blocks->blocks && blocks->has_lanes; ++b) {
+        load(&blocks[b]);
     }
 }
 
 /* --- Blocks --- */
 
-static mcp_asdf_status_t start(block_t *block, const mcp_asdf_outcome_t *outcome)
+/* Prepare lanes of a block for the trials that have started. */
+static void fill(block_t *block)
 {
     const mcp_asdf_experiment_t *const e = block->experiment;
-    const uint32_t rest = e->trials - block->index, side = block->side;
-    block->used = rest < side ? rest : side;
-    block->count = (e->robots * side + MULTIPLE - 1) / MULTIPLE * MULTIPLE;
+    const uint32_t side = block->side, lanes = (e->robots - block->first) * side;
+    block->count = lanes < LANES ? (lanes + MULTIPLE - 1) / MULTIPLE * MULTIPLE : LANES;
     for (uint32_t c = 0; c < block->count; ++c) {
         block->trial_of[c] = e->first_trial + block->index + (c % side < block->used ? c % side : 0);
-        block->robot_of[c] = c / side;
+        block->robot_of[c] = block->first + c / side;
         block->limit[c] = 0;
-    }
-    for (uint32_t l = 0; l < block->used; ++l) {
-        block->trials[l] = trial_part(e, outcome, block->index + l);
-        const mcp_asdf_status_t status = trial_start(e, &block->trials[l]);
-        if (status != MCP_ASDF_OK) {
-            return status;
-        }
-    }
-    if (e->arenas != NULL && (e->arenas[block->index].robots != e->robots ||
-                              !mcp_asdf_arena_init(&block->arena, &e->arenas[block->index]))) {
-        return MCP_ASDF_ERR_CONFIG;
     }
     look(block, 0);
     hear_nobody(block);
     load(block);
+}
+
+static mcp_asdf_status_t start(block_t *blocks, const mcp_asdf_outcome_t *outcome, uint32_t index)
+{
+    const mcp_asdf_experiment_t *const e = blocks->experiment;
+    const uint32_t rest = e->trials - index, side = blocks->side;
+    mcp_asdf_arena_t *const arena = blocks->arena;
+    for (uint32_t b = 0; b < blocks->blocks; ++b) {
+        blocks[b].index = index;
+        blocks[b].used = rest < side ? rest : side;
+        for (uint32_t l = 0; l < blocks[b].used; ++l) {
+            blocks[b].trials[l] = trial_part(e, outcome, index + l);
+        }
+    }
+    for (uint32_t l = 0; l < blocks->used; ++l) {
+        const mcp_asdf_status_t status = trial_start(e, &blocks->trials[l]);
+        if (status != MCP_ASDF_OK) {
+            return status;
+        }
+    }
+    if (arena != NULL && !mcp_asdf_arena_init(arena, &e->arenas[index], arena + 1)) {
+        return MCP_ASDF_ERR_CONFIG;
+    }
+    for (uint32_t b = 0; b < blocks->blocks; ++b) {
+        fill(&blocks[b]);
+    }
     return MCP_ASDF_OK;
 }
 
-static mcp_asdf_status_t run_block(block_t *block, const mcp_asdf_outcome_t *outcome)
+static mcp_asdf_status_t run_blocks(block_t *blocks, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
-    const mcp_asdf_experiment_t *const experiment = block->experiment;
+    const mcp_asdf_experiment_t *const experiment = blocks->experiment;
     const bool is_moving = experiment->arenas != NULL;
-    const mcp_asdf_status_t status = start(block, outcome);
+    const mcp_asdf_status_t status = start(blocks, outcome, index);
     for (uint32_t k = 0; k < experiment->steps && status == MCP_ASDF_OK; ++k) {
-        if (k % 4 == 0) {
-            draw(block, k / 4);
-        }
         if (is_moving) {
-            mcp_asdf_arena_step(&block->arena);
+            mcp_asdf_arena_step(blocks->arena);
         }
-        if (is_moving || experiment->step_stride != 0) {
-            look(block, k);
+        for (block_t *b = blocks; b < blocks + blocks->blocks; ++b) {
+            if (k % 4 == 0) {
+                draw(b, k / 4);
+            }
+            if (is_moving || experiment->step_stride != 0) {
+                look(b, k);
+            }
+            see(b, k);
         }
-        see(block, k);
-        if (needs_firmware(block, k)) {
-            run_firmware(block, k);
+        if (needs_firmware(blocks, k)) {
+            run_firmware(blocks, k);
         } else {
-            run_lanes(block, k);
+            run_lanes(blocks, k);
         }
     }
     return status;
@@ -309,14 +340,19 @@ static mcp_asdf_status_t run_block(block_t *block, const mcp_asdf_outcome_t *out
 static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
 {
     const mcp_asdf_config_t *const first = experiment->configs[0];
-    bool is_valid = experiment->robots >= 1 && experiment->robots <= MCP_ASDF_ENGINE_MAX_ROBOTS &&
-                    experiment->steps >= 1 && experiment->steps < INT32_MAX &&
-                    experiment->comms_period >= 1 && experiment->observation_period >= 1 &&
-                    (experiment->latency == 0 || experiment->arenas != NULL) &&
-                    experiment->liars <= experiment->robots;
+    bool is_valid =
+        experiment->robots >= 1 &&
+        experiment->robots <=
+            (trial_is_linked(experiment) ? MCP_ASDF_ENGINE_MAX_ROBOTS : MCP_ASDF_ENGINE_MAX_CONNECTED) &&
+        experiment->steps >= 1 && experiment->steps < INT32_MAX && experiment->comms_period >= 1 &&
+        experiment->observation_period >= 1 && (experiment->latency == 0 || trial_is_linked(experiment)) &&
+        experiment->liars <= experiment->robots;
     for (uint32_t j = 1; j < experiment->robots && is_valid; ++j) {
         const mcp_asdf_config_t *const config = experiment->configs[j];
         is_valid = config->filter_period == first->filter_period && config->memory == first->memory;
+    }
+    for (uint32_t i = 0; i < experiment->trials && is_valid && experiment->arenas != NULL; ++i) {
+        is_valid = experiment->arenas[i].robots == experiment->robots;
     }
     return is_valid ? MCP_ASDF_OK : MCP_ASDF_ERR_CONFIG;
 }
@@ -331,19 +367,57 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
     return has_lanes;
 }
 
+static uint32_t blocks_of(const mcp_asdf_experiment_t *experiment)
+{
+    return trial_is_linked(experiment) ? (experiment->robots + LANES - 1) / LANES : 1;
+}
+
+/* Bytes of the blocks, and of their `black`, in an experiment's memory. The arena comes last. */
+static size_t bytes_of_blocks(const mcp_asdf_experiment_t *experiment)
+{
+    return blocks_of(experiment) * (sizeof(block_t) + LANES * sizeof(uint32_t));
+}
+
+size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
+{
+    size_t of_arena = 0;
+    for (uint32_t i = 0; i < experiment->trials && experiment->arenas != NULL; ++i) {
+        const size_t bytes = sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(&experiment->arenas[i]);
+        of_arena = bytes > of_arena ? bytes : of_arena;
+    }
+    return bytes_of_blocks(experiment) + of_arena;
+}
+
+static block_t *make_blocks(const mcp_asdf_experiment_t *experiment, bool lanes, void *memory)
+{
+    block_t *const made = memory;
+    const uint32_t count = blocks_of(experiment);
+    const bool is_linked = trial_is_linked(experiment);
+    uint32_t *const black = (void *)(made + count);
+    for (uint32_t b = 0; b < count; ++b) {
+        made[b].experiment = experiment;
+        made[b].has_lanes = lanes;
+        made[b].is_robust = mcp_asdf_is_robust(experiment->configs[0]);
+        made[b].columns = mcp_asdf_engine_columns(experiment);
+        made[b].side = lanes && !is_linked ? LANES_OF_TRIALS : 1;
+        made[b].first = b * LANES;
+        made[b].blocks = count;
+        made[b].black = black + (size_t)b * LANES;
+        made[b].arena = experiment->arenas == NULL ? NULL : (void *)(black + (size_t)count * LANES);
+    }
+    return made;
+}
+
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
-                                      const mcp_asdf_outcome_t *outcome)
+                                      const mcp_asdf_outcome_t *outcome, void *memory)
 {
     mcp_asdf_status_t status = check(experiment);
-    block_t block;
-    block.experiment = experiment;
-    block.has_lanes = lanes;
-    block.is_robust = mcp_asdf_is_robust(experiment->configs[0]);
-    block.columns = mcp_asdf_engine_columns(experiment);
-    block.side = lanes && experiment->arenas == NULL ? LANES_OF_TRIALS : 1;
-    for (block.index = 0; block.index < experiment->trials && status == MCP_ASDF_OK;
-         block.index += block.side) {
-        status = run_block(&block, outcome);
+    if (status != MCP_ASDF_OK) {
+        return status;
+    }
+    block_t *const blocks = make_blocks(experiment, lanes, memory);
+    for (uint32_t i = 0; i < experiment->trials && status == MCP_ASDF_OK; i += blocks->side) {
+        status = run_blocks(blocks, outcome, i);
     }
     return status;
 }

@@ -2,9 +2,14 @@
  *
  * A trial is N robots that take T steps together: all observe, each hears others, all settle. In a fully
  * connected swarm each hears all others (latency 0 of Algorithm 1); in a moving world, arena.h, those that
- * are linked in this step. A trial depends on the experiment, the seed and its number alone, not on the other
- * trials of a call or on how they are run; docs/experiments.md describes the draws. Nothing here is static or
- * shared: any number of threads may run trials at once.
+ * are linked in this step; in a graph, those from which an arc leads to it. A trial depends on the
+ * experiment, the seed and its number alone, not on the other trials of a call or on how they are run;
+ * docs/experiments.md describes the draws. Nothing here is static or shared: any number of threads may run
+ * trials at once.
+ *
+ * Ids have 16 bits here, 7 in the firmware, whose rounds end at 127 messages: no robot may hear more than 127
+ * others in a step. Where there are more than 128 robots, one hears another under its id modulo 128, without
+ * the check for repeats, as nothing arrives twice; the robust filter looks at the id modulo 32 alone.
  *
  * The engine draws observations, carries messages and keeps results. All estimates come from the core, which
  * is compiled into it (lanes.c).
@@ -17,13 +22,14 @@
 #include "arena.h"
 #include "mcp_asdf.h"
 
-#define MCP_ASDF_ENGINE_MAX_ROBOTS 128
+#define MCP_ASDF_ENGINE_MAX_ROBOTS MCP_ASDF_ARENA_MAX_ROBOTS
+#define MCP_ASDF_ENGINE_MAX_CONNECTED 128           /* robots, where each hears all others */
 #define MCP_ASDF_ENGINE_CERTAIN (UINT32_C(1) << 31) /* probability 1 of an observation */
 
 /* A run of trials.
  *   seed          of all draws
  *   first_trial   number of the first of `trials` trials
- *   robots        N, 1 .. 128
+ *   robots        N, 1 .. MCP_ASDF_ENGINE_MAX_ROBOTS, fully connected MCP_ASDF_ENGINE_MAX_CONNECTED
  *   steps         T, 1 .. 2^31 - 2
  *   configs       [N] settings by robot, all with the same filter_period, in rounds, and memory
  *   comms_period  steps between broadcasts, the first in step `comms_period`; 1 or more. Every robot
@@ -35,9 +41,10 @@
  *                 on a white one the robot observes white with it
  *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
- *   arenas        NULL for a fully connected swarm; otherwise [trials] worlds of `robots` robots, and
- *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Without
- *                 arenas 0
+ *   arenas        NULL where nobody moves; otherwise [trials] worlds of `robots` robots
+ *   arcs          NULL unless a graph says who hears whom: `arc_count` pairs, b hears a, by rising a
+ *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Fully
+ *                 connected 0
  *   liars         number of robots that broadcast a lie in place of their estimates, 0 .. N: the last ones
  *   lie           x_hat and alpha that they broadcast, as mcp_asdf_receive() takes them */
 typedef struct {
@@ -56,6 +63,8 @@ typedef struct {
     uint32_t sampling_interval;
     uint32_t observation_period;
     const mcp_asdf_arena_config_t *arenas;
+    const mcp_asdf_pair_t *arcs;
+    size_t arc_count;
     uint32_t latency;
     uint32_t liars;
     uint32_t lie[2];
@@ -94,13 +103,17 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment);
  * all robots or in none. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
+/* Bytes of memory that a run needs, for any number of trials: linear in robots, from 2048 on. O(1). */
+size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment);
+
 /* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same
  * to the bit, faster: between filter steps several fully connected trials are computed side by side, or the
  * robots of one that move. O(trials steps robots).
  * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number or period out of range, settings
  * that differ between robots where they must not, or an arena that cannot be. With `lanes` it needs
- * mcp_asdf_engine_has_lanes(). */
+ * mcp_asdf_engine_has_lanes(). `memory`, of mcp_asdf_engine_bytes() and aligned for doubles, is free again
+ * afterwards. */
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
-                                      const mcp_asdf_outcome_t *outcome);
+                                      const mcp_asdf_outcome_t *outcome, void *memory);
 
 #endif

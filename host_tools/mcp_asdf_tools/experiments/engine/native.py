@@ -13,7 +13,7 @@ from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.arena import Arena, config_values
+from mcp_asdf_tools.world.arena import Arena, config_values, memory_of
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
 
 RECORD = np.dtype(
@@ -82,7 +82,9 @@ def run(
     engine = _engine.lib
     outcome = _allocate(experiment, trials, call, sampling_interval)
     use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
-    status = Status(engine.mcp_asdf_engine_run(call.experiment, use_lanes, _pointers(outcome)))
+    memory = memory_of(engine.mcp_asdf_engine_bytes(call.experiment))
+    pointers, free = _pointers(outcome), _engine.ffi.from_buffer(memory)
+    status = Status(engine.mcp_asdf_engine_run(call.experiment, use_lanes, pointers, free))
     if status is not Status.OK:
         for index in range(trials if experiment.is_dynamic else 0):
             Arena(experiment, first + index)  # says so where robots find no room

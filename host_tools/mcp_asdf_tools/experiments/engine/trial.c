@@ -9,7 +9,7 @@ static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
 
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
-    bool is_same = experiment->arenas == NULL && experiment->comms_period == 1 && experiment->liars == 0;
+    bool is_same = !trial_is_linked(experiment) && experiment->comms_period == 1 && experiment->liars == 0;
     for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
         is_same = !mcp_asdf_is_robust(experiment->configs[j]);
     }
@@ -50,23 +50,29 @@ static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
     return all;
 }
 
-/* A robot takes what another one broadcasts: its estimate, or, from one of the last robots, a lie. */
-static void receive(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robot, const mcp_asdf_t *sender)
+/* A robot takes what robot `from` broadcasts: its estimate, or, from one of the last robots, a lie. Among
+ * many robots ids repeat, so the firmware must take none for its own or for one that it heard already. */
+static void receive(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
+                    uint32_t from)
 {
-    const uint8_t id = mcp_asdf_id(sender);
-    if (id >= experiment->robots - experiment->liars) {
-        (void)mcp_asdf_receive(robot, id, experiment->lie[0], experiment->lie[1]);
-    } else {
-        (void)mcp_asdf_receive(robot, id, mcp_asdf_x_hat(sender), mcp_asdf_alpha(sender));
+    const uint8_t own = robot->id, id = mcp_asdf_id(&robots[from]);
+    const bool lies = from >= experiment->robots - experiment->liars;
+    if (experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
+        robot->heard.all[0] = robot->heard.all[1] = 0;
+        robot->id = id ^ 1;
     }
+    (void)mcp_asdf_receive(robot, id, lies ? experiment->lie[0] : mcp_asdf_x_hat(&robots[from]),
+                           lies ? experiment->lie[1] : mcp_asdf_alpha(&robots[from]));
+    robot->id = own;
 }
 
 /* The sums of a robot's message alone: the round of a neighbour that hears nothing else. */
-static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robot)
+static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
+                                  uint32_t from)
 {
     const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
-    mcp_asdf_t neighbour = {.id = mcp_asdf_id(robot) ^ 1, .config = &sums};
-    receive(experiment, &neighbour, robot);
+    mcp_asdf_t neighbour = {.id = mcp_asdf_id(&robots[from]) ^ 1, .config = &sums};
+    receive(experiment, robots, &neighbour, from);
     return neighbour.open;
 }
 
@@ -76,16 +82,16 @@ static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const
 static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
     const uint32_t count = experiment->robots;
-    mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_ROBOTS], all = {0};
+    mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_CONNECTED], all = {0};
     for (uint32_t j = 0; j < count; ++j) {
-        own[j] = message_of(experiment, &robots[j]);
+        own[j] = message_of(experiment, robots, j);
         add(&all, &own[j]);
     }
     for (uint32_t j = 0; j < count; ++j) {
         if (mcp_asdf_is_robust(experiment->configs[j])) {
             for (uint32_t i = 0; i < count; ++i) {
                 if (i != j) {
-                    receive(experiment, &robots[j], &robots[i]);
+                    receive(experiment, robots, &robots[j], i);
                 }
             }
             continue;
@@ -96,23 +102,25 @@ static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots
 }
 
 /* The last message of each robot reaches the robots that are linked to it now: in ascending order of ids,
- * which is that of the links, as votes of the robust filter do not commute. */
+ * which is that of links and arcs, as votes of the robust filter do not commute. */
 static void deliver(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                     const mcp_asdf_arena_t *arena)
 {
-    for (uint32_t p = 0; p < arena->link_count; ++p) {
-        mcp_asdf_t *const a = &robots[arena->links[p].a], *const b = &robots[arena->links[p].b];
-        receive(experiment, a, b);
-        receive(experiment, b, a);
+    for (uint32_t p = 0; arena != NULL && p < arena->link_count; ++p) {
+        receive(experiment, robots, &robots[arena->links[p].a], arena->links[p].b);
+        receive(experiment, robots, &robots[arena->links[p].b], arena->links[p].a);
+    }
+    for (size_t p = 0; experiment->arcs != NULL && p < experiment->arc_count; ++p) {
+        receive(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
     }
 }
 
 static void hear(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
 {
-    if (arena == NULL) {
-        exchange(experiment, robots);
-    } else {
+    if (trial_is_linked(experiment)) {
         deliver(experiment, robots, arena);
+    } else {
+        exchange(experiment, robots);
     }
 }
 
@@ -164,7 +172,8 @@ mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const tri
 {
     for (uint32_t j = 0; j < experiment->robots; ++j) {
         const mcp_asdf_status_t status =
-            mcp_asdf_init(&trial->robots[j], experiment->configs[j], (uint8_t)j, experiment->b_hat[j]);
+            mcp_asdf_init(&trial->robots[j], experiment->configs[j],
+                          (uint8_t)(j % MCP_ASDF_ENGINE_MAX_CONNECTED), experiment->b_hat[j]);
         if (status != MCP_ASDF_OK) {
             return status;
         }

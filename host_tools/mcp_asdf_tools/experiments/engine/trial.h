@@ -11,6 +11,12 @@ typedef struct {
     size_t stride;
 } trial_tiles_t;
 
+/* Whether robots hear some of the others: those linked in the arena, or by arcs. */
+static inline bool trial_is_linked(const mcp_asdf_experiment_t *experiment)
+{
+    return experiment->arenas != NULL || experiment->arcs != NULL;
+}
+
 /* Whether robots broadcast and close their rounds in step k, from 0. */
 static inline bool trial_closes(const mcp_asdf_experiment_t *experiment, uint32_t k)
 {

@@ -62,6 +62,7 @@ static mcp_asdf_t robots[MAX_ROBOTS];
 static uint32_t x[MAX_ROBOTS * (MAX_STEPS + 1)];
 static uint32_t b_hat[MAX_STEPS / FILTER_PERIOD * MAX_ROBOTS];
 static mcp_asdf_arena_t arena;
+static double memory[1 << 17]; /* of an engine or an arena: 1 MiB */
 
 /* Side of the arena in metres. */
 double side(void) { return RADIO_RANGE * __builtin_sqrt((double)settings.robots * PI / settings.density); }
@@ -140,7 +141,10 @@ int run(filtering_t filtering, uint32_t trial, bool is_recorded)
                                               .liars = settings.liars,
                                               .lie = {0, UINT32_C(16000000) << 8 | 20}};
     const mcp_asdf_outcome_t outcome = {robots, x, b_hat, records};
-    const mcp_asdf_status_t status = mcp_asdf_engine_run(&experiment, false, &outcome);
+    if (mcp_asdf_engine_bytes(&experiment) > sizeof memory) {
+        return MCP_ASDF_ERR_CONFIG;
+    }
+    const mcp_asdf_status_t status = mcp_asdf_engine_run(&experiment, false, &outcome, memory);
     measure(mcp_asdf_engine_columns(&experiment));
     return status;
 }
@@ -169,7 +173,7 @@ uint32_t film(void)
     for (size_t i = 0; i < sizeof links; ++i) {
         links[i] = 0;
     }
-    (void)mcp_asdf_arena_init(&arena, &config);
+    (void)mcp_asdf_arena_init(&arena, &config, memory); /* which is less than its engine has */
     for (uint32_t i = 0; i < size * size; ++i) {
         const uint32_t row = i / size, column = i % size;
         const double across = (column + 0.5) / size - 0.5, up = 0.5 - (row + 0.5) / size;

@@ -90,14 +90,6 @@ static uint32_t most_within(const mcp_asdf_arena_config_t *config, double distan
     return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
 }
 
-static void lay_out_neighbours(mcp_asdf_neighbours_t *neighbours, uint32_t robots, uint32_t most,
-                               uint8_t *memory, size_t *used)
-{
-    neighbours->most = most;
-    neighbours->count = take(memory, used, robots, sizeof *neighbours->count);
-    neighbours->row = take(memory, used, (size_t)robots * most, sizeof *neighbours->row);
-}
-
 static mcp_asdf_pair_t *take_pairs(const mcp_asdf_arena_config_t *config, double distance, uint8_t *memory,
                                    size_t *used)
 {
@@ -123,11 +115,16 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
     for (size_t k = 0; k < sizeof flags / sizeof *flags; ++k) {
         *flags[k] = take(memory, &used, robots, 1);
     }
-    lay_out_neighbours(&arena->in_range, robots, most_within(config, config->range), memory, &used);
-    lay_out_neighbours(&arena->near, robots, most_within(config, SEEING_DISTANCE), memory, &used);
+    arena->in_range = take(memory, &used, robots, sizeof *arena->in_range);
+    arena->most_near = most_within(config, SEEING_DISTANCE);
+    arena->near_count = take(memory, &used, robots, sizeof *arena->near_count);
+    arena->near = take(memory, &used, (size_t)robots * arena->most_near, sizeof *arena->near);
     arena->links = take_pairs(config, config->range, memory, &used);
     arena->close = take_pairs(config, touching_distance(config), memory, &used);
     arena->watched = take_pairs(config, watching_distance(config), memory, &used);
+    const size_t most_around = (size_t)robots * most_within(config, watching_distance(config));
+    arena->first_around = take(memory, &used, (size_t)robots + 1, sizeof *arena->first_around);
+    arena->around = take(memory, &used, most_around, sizeof *arena->around);
     arena->grid.first = take(memory, &used, (size_t)robots + 1, sizeof *arena->grid.first);
     arena->grid.robots = take(memory, &used, robots, sizeof *arena->grid.robots);
     arena->grid.cell = take(memory, &used, robots, sizeof *arena->grid.cell);

@@ -63,16 +63,6 @@ typedef struct {
     uint16_t b;
 } mcp_asdf_pair_t;
 
-/* Private: some of the other robots for each robot, in rows.
- *   most    length of a row
- *   count   how many entries of each row are in use
- *   row     [robots][most] */
-typedef struct {
-    uint32_t most;
-    uint32_t *count;
-    uint16_t *row;
-} mcp_asdf_neighbours_t;
-
 /* Private: a grid of at most as many cells as robots, row by row from the south-west.
  *   columns, rows   of cells
  *   first           [cells + 1] where the robots of each cell begin
@@ -128,10 +118,12 @@ typedef struct {
  * Private, below links:
  *   vx, vy, spin                velocities now
  *   wanted_speed, wanted_spin   what the wheels ask for
- *   in_range, near              robots within range of each, and those close enough to be seen
+ *   in_range                    a set of those in range of each: bit j % 64 if robot j is among them
+ *   near, near_count, most_near the robots that each is close enough to see, in rows of most_near
  *   may_touch, close            robots and pairs that could touch something within a tick
  *   watched, ticks_to_watch     pairs that could matter in the coming ticks, and how many ticks that holds
- *   grid                        robots by cells of the floor, to find the pairs to watch
+ *   first_around, around        the robots watched with robot i: around[first_around[i]] and on, up to those
+ * of the next robot grid                        robots by cells of the floor, to find the pairs to watch
  *   crowd                       the robots that may touch something, as motion.c needs them
  *   tiles_per_metre             number of tiles per metre
  *   colours                     base of the hashes that decide the tiles' colours
@@ -157,14 +149,18 @@ typedef struct {
     double *spin;
     double *wanted_speed;
     double *wanted_spin;
-    mcp_asdf_neighbours_t in_range;
-    mcp_asdf_neighbours_t near;
+    uint64_t *in_range;
+    uint32_t most_near;
+    uint32_t *near_count;
+    uint16_t *near;
     uint8_t *may_touch;
     uint32_t close_count;
     uint32_t watched_count;
     uint32_t ticks_to_watch;
     mcp_asdf_pair_t *close;
     mcp_asdf_pair_t *watched;
+    uint32_t *first_around;
+    uint16_t *around;
     mcp_asdf_grid_t grid;
     mcp_asdf_bodies_t crowd;
     double tiles_per_metre;

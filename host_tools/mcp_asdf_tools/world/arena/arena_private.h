@@ -53,15 +53,10 @@ static inline double watching_distance(const mcp_asdf_arena_config_t *config)
 /* A body has room for six others around it, which makes three pairs, and two walls. */
 #define CONTACTS_OF_A_BODY 5
 
-/* The robots near robot i: the first count[i] of these. */
-static inline const uint16_t *row_of(const mcp_asdf_neighbours_t *neighbours, uint32_t i)
+/* The robots that robot i may see: near_count[i] of them. */
+static inline uint16_t *near_of(const mcp_asdf_arena_t *arena, uint32_t i)
 {
-    return neighbours->row + (size_t)i * neighbours->most;
-}
-
-static inline void add_neighbour(const mcp_asdf_neighbours_t *neighbours, uint32_t i, uint16_t j)
-{
-    neighbours->row[(size_t)i * neighbours->most + neighbours->count[i]++] = j;
+    return arena->near + (size_t)i * arena->most_near;
 }
 
 static inline double squared_distance(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)

@@ -110,19 +110,42 @@ static uint32_t watch_cells(mcp_asdf_arena_t *arena, double limit)
 /* ---- Links -----------------------------------------------------------------------------------------------
  */
 
+/* The watched robots of each, from the pairs. */
+static void list_watched(mcp_asdf_arena_t *arena)
+{
+    const mcp_asdf_pair_t *const pairs = arena->watched;
+    uint32_t *const first = arena->first_around, robots = arena->config.robots;
+    memset(first, 0, (robots + 1) * sizeof *first);
+    for (uint32_t p = 0; p < arena->watched_count; ++p) {
+        ++first[pairs[p].a];
+        ++first[pairs[p].b];
+    }
+    for (uint32_t i = 0; i < robots; ++i) {
+        first[i + 1] += first[i]; /* the end of each list, which moves to its beginning */
+    }
+    for (uint32_t p = 0; p < arena->watched_count; ++p) {
+        arena->around[--first[pairs[p].a]] = pairs[p].b;
+        arena->around[--first[pairs[p].b]] = pairs[p].a;
+    }
+}
+
 /* List the pairs that could matter before the next look at all of them. */
 static void watch(mcp_asdf_arena_t *arena)
 {
     const double limit = watching_distance(&arena->config);
     arena->watched_count = arena->config.robots <= FEW ? watch_all(arena, limit) : watch_cells(arena, limit);
+    list_watched(arena);
     arena->ticks_to_watch = TICKS_BETWEEN_LOOKS;
 }
 
 static void forget_pairs(mcp_asdf_arena_t *arena)
 {
-    for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        arena->in_range.count[i] = arena->near.count[i] = 0;
-        arena->may_touch[i] = wall_within(arena, i, arena->config.speed * arena->config.tick);
+    const uint32_t robots = arena->config.robots;
+    uint8_t *const restrict may_touch = arena->may_touch;
+    memset(arena->near_count, 0, robots * sizeof *arena->near_count);
+    memset(arena->in_range, 0, robots * sizeof *arena->in_range);
+    for (uint32_t i = 0; i < robots; ++i) {
+        may_touch[i] = wall_within(arena, i, arena->config.speed * arena->config.tick);
     }
     arena->link_count = arena->close_count = 0;
 }
@@ -131,8 +154,8 @@ static void note_near(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squa
 {
     const double touching = touching_distance(&arena->config);
     if (squared < SEEING_DISTANCE * SEEING_DISTANCE) {
-        add_neighbour(&arena->near, pair.a, pair.b);
-        add_neighbour(&arena->near, pair.b, pair.a);
+        near_of(arena, pair.a)[arena->near_count[pair.a]++] = pair.b;
+        near_of(arena, pair.b)[arena->near_count[pair.b]++] = pair.a;
     }
     if (squared < touching * touching) {
         arena->may_touch[pair.a] = arena->may_touch[pair.b] = 1;
@@ -144,18 +167,23 @@ static void note_pairs(mcp_asdf_arena_t *arena)
 {
     const double range = arena->config.range;
     const double matters = larger(touching_distance(&arena->config), SEEING_DISTANCE);
-    for (uint32_t p = 0; p < arena->watched_count; ++p) {
-        const mcp_asdf_pair_t pair = arena->watched[p];
-        const double squared = squared_distance(arena, pair.a, pair.b);
+    const mcp_asdf_pair_t *const watched = arena->watched;
+    mcp_asdf_pair_t *const links = arena->links;
+    const uint32_t count = arena->watched_count;
+    uint64_t *const in_range = arena->in_range;
+    uint32_t linked = 0;
+    for (uint32_t p = 0; p < count; ++p) {
+        const double squared = squared_distance(arena, watched[p].a, watched[p].b);
         if (squared < range * range) {
-            add_neighbour(&arena->in_range, pair.a, pair.b);
-            add_neighbour(&arena->in_range, pair.b, pair.a);
-            arena->links[arena->link_count++] = pair;
+            links[linked++] = watched[p];
+            in_range[watched[p].a] |= UINT64_C(1) << watched[p].b % 64;
+            in_range[watched[p].b] |= UINT64_C(1) << watched[p].a % 64;
         }
         if (squared < matters * matters) {
-            note_near(arena, pair, squared);
+            note_near(arena, watched[p], squared);
         }
     }
+    arena->link_count = linked;
 }
 
 /* Whether body k reaches into the line from i to j. */
@@ -167,13 +195,15 @@ static bool stands_between(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j
     return along > 0 && along < squared && across * across < BODY_RADIUS * BODY_RADIUS * squared;
 }
 
-/* Bodies do not overlap, so one between two others is closer to each than they are to each other: it is in
- * range of both. */
+/* Bodies do not overlap, so one between two others is closer to each than they are to each other: it is
+ * in range of both, which the sets show without a doubt where they have no robot in common. */
 static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
-    const uint16_t *const others = row_of(&arena->in_range, i);
-    for (uint32_t k = 0; k < arena->in_range.count[i]; ++k) {
-        if (stands_between(arena, i, j, others[k])) {
+    if ((arena->in_range[i] & arena->in_range[j]) == 0) {
+        return false;
+    }
+    for (uint32_t k = arena->first_around[i]; k < arena->first_around[i + 1]; ++k) {
+        if (stands_between(arena, i, j, arena->around[k])) { /* j itself does not */
             return true;
         }
     }

@@ -87,10 +87,10 @@ static void add_readings(const rays_t *rays, double *ahead, double *left)
 void mcp_asdf_arena_obstacle(const mcp_asdf_arena_t *arena, uint32_t robot, double *ahead, double *left)
 {
     const double x = arena->x[robot], y = arena->y[robot];
-    const uint16_t *const near = row_of(&arena->near, robot);
+    const uint16_t *const near = near_of(arena, robot);
     rays_t rays;
     point_rays(&rays, arena->cx[robot], arena->cy[robot]);
-    for (uint32_t k = 0; k < arena->near.count[robot]; ++k) {
+    for (uint32_t k = 0; k < arena->near_count[robot]; ++k) {
         meet_body(&rays, arena->x[near[k]] - x, arena->y[near[k]] - y);
     }
     meet_walls(rays.clear, rays.dx, arena->config.width / 2, x);
@@ -138,7 +138,7 @@ void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead,
 static void set_wheels(mcp_asdf_arena_t *arena, uint32_t i)
 {
     double ahead = 0, left = 0;
-    if (arena->near.count[i] != 0 || wall_within(arena, i, SENSOR_REACH)) {
+    if (arena->near_count[i] != 0 || wall_within(arena, i, SENSOR_REACH)) {
         mcp_asdf_arena_obstacle(arena, i, &ahead, &left);
     } else if (arena->wheels[i] == MCP_ASDF_STRAIGHT && !arena->avoids[i]) {
         return; /* the usual case: the wheels are set already */
