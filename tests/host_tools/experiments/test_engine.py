@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError
+from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
@@ -292,7 +292,7 @@ def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
     call.experiment.liars, call.experiment.lie = 2, [0, 16_000_000 << 8 | 20]  # alpha 10^6
     assert not engine.mcp_asdf_engine_has_lanes(call.experiment)
     outcome = native._allocate(experiment, 1, call, 0)
-    assert engine.mcp_asdf_engine_run(call.experiment, False, native._pointers(outcome)) == 0
+    assert native._execute(call, False, outcome) is Status.OK
     fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
     plain = experiment.parameters()
     kept = {name: plain[name] for name in plain if name not in ("trials", "conventions")}
@@ -300,4 +300,4 @@ def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
         run_swarm(swarm, [])
         assert outcome.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
     call.experiment.liars = experiment.robots + 1
-    assert engine.mcp_asdf_engine_run(call.experiment, False, native._pointers(outcome)) != 0
+    assert native._execute(call, False, outcome) is Status.ERR_CONFIG

@@ -82,9 +82,7 @@ def run(
     engine = _engine.lib
     outcome = _allocate(experiment, trials, call, sampling_interval)
     use_lanes = engine.mcp_asdf_engine_has_lanes(call.experiment) if lanes is None else lanes
-    memory = memory_of(engine.mcp_asdf_engine_bytes(call.experiment))
-    pointers, free = _pointers(outcome), _engine.ffi.from_buffer(memory)
-    status = Status(engine.mcp_asdf_engine_run(call.experiment, use_lanes, pointers, free))
+    status = _execute(call, use_lanes, outcome)
     if status is not Status.OK:
         for index in range(trials if experiment.is_dynamic else 0):
             Arena(experiment, first + index)  # says so where robots find no room
@@ -95,6 +93,12 @@ def run(
         for name, values in counters.items():
             values.flat[index] = getattr(of_robot, name)
     return outcome
+
+
+def _execute(call: _Call, lanes: bool, outcome: EngineResults) -> Status:
+    engine = _engine.lib
+    memory = _engine.ffi.from_buffer(memory_of(engine.mcp_asdf_engine_bytes(call.experiment)))
+    return Status(engine.mcp_asdf_engine_run(call.experiment, lanes, _pointers(outcome), memory))
 
 
 class _Call:
