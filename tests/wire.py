@@ -9,8 +9,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
+from types import SimpleNamespace
 from typing import Any
-from unittest.mock import Mock
 
 import can
 import pytest
@@ -27,9 +27,8 @@ from support import PATIENCE
 TABLE = generate(parse_omega("0.05"), 20)
 
 
-CLOCK = Mock(now=0.0)
+CLOCK: Any = SimpleNamespace(now=0.0, monotonic=lambda: CLOCK.now)
 """Time that stands still unless somebody waits."""
-CLOCK.monotonic.side_effect = lambda: CLOCK.now
 
 
 @contextmanager

@@ -143,10 +143,12 @@ def not_checked(record: RobotRecord) -> list[str]:
         (filters and config.filter_period == 1, "rounds without a test: all have one"),
         (record.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
         (not is_halved(record), f"forgetting: its memory is {config.memory}, too long for a run"),
+        (filters and config.filter is not Filter.ROBUST, "a re-estimate before its first white tile"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
         (True, "its behaviour on a bus with error frames, CAN FD frames or a bus-off of its own"),
         (True, "vendor status and spare bits of heartbeats, and frames of other subjects"),
+        (True, "the largest alpha of its own, which takes 46,341 observations or more"),
     )
     return [text for holds, text in limits if holds]
 
