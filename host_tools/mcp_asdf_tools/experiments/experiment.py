@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
 from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000
@@ -37,6 +38,19 @@ class Experiment(Population):
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
+        if self.robots > MAX_ON_BUS and not self.runs_in_c:
+            key = "firmware" if self.firmware != "native" else "sensor" if self.sensor else "white_offset"
+            why = f"{key} is {getattr(self, key)}, which runs message by message, with ids of 7 bits"
+            raise ParameterError(key, f"robots is {self.robots}, but {why}; take at most {MAX_ON_BUS}")
+
+    @property
+    def runs_in_c(self) -> bool:
+        """True if the engine in C has all that is asked for; other trials run message by message."""
+        if self.firmware != "native":
+            return False
+        if self.topology == "dynamic":
+            return not self.sensor and self.white_offset == 0
+        return self.topology == "graph" or (self.topology == "fully-connected" and self.latency == 0)
 
 
 def grid(**parameters: Any) -> list[Experiment]:

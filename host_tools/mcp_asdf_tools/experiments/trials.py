@@ -36,10 +36,10 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
     """
     numbers = range(first, first + trials)
-    if experiment.firmware == "native" and _engine().can_run(experiment):
-        if not experiment.is_dynamic:
+    if experiment.runs_in_c:
+        if experiment.topology == "fully-connected":
             return _run_native(experiment, first, trials, sampling_interval)
-        # A trial of robots that move has a series of x for each: one at a time bounds the memory.
+        # Elsewhere a trial has a series of x for each robot: one at a time bounds the memory.
         return _joined([_run_native(experiment, number, 1, sampling_interval) for number in numbers])
     return _joined([_run_by_message(experiment, number, sampling_interval) for number in numbers])
 

@@ -12,6 +12,7 @@ from mcp_asdf.robot import (
     B_HAT_MARGIN,
     DEFAULT_FILTER_PERIOD,
     DEFAULT_MEMORY,
+    MAX_ID,
     MIN_MEMORY,
     Config,
     Filter,
@@ -139,13 +140,14 @@ class Population(WorldSettings):
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> Config:
-        """Settings of a robot's firmware. The table covers N - 1 neighbours."""
+        """Settings of a robot's firmware. The table covers N - 1 neighbours, 127 at most."""
         kind = Filter.OFF
         if self.filter == "robust":
             kind = Filter.ROBUST
         elif self.filters(robot):
             kind = Filter.ADAPTIVE if self.activation == "adaptive" else Filter.ALWAYS
-        table = generate(self.omega, max(2, self.robots - 1)) if kind is Filter.ADAPTIVE else None
+        neighbours = min(max(2, self.robots - 1), MAX_ID)
+        table = generate(self.omega, neighbours) if kind is Filter.ADAPTIVE else None
         return Config(table, kind, self.filter_period // self.comms_period, self.memory)
 
     def record(self, robot: int) -> RobotRecord:

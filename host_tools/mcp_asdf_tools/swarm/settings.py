@@ -12,6 +12,7 @@ from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord, ids_of, text_of_ids
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.world.settings import MAX_PERIOD
+from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""
@@ -29,6 +30,7 @@ class SwarmSettings(Population):
         clock: Clock that ends steps.
     """
 
+    robots: int = parameter("number of robots N", 1, MAX_ON_BUS, default=20)
     telemetry_period: int = parameter(
         "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD, default=0
     )

@@ -21,7 +21,6 @@ from mcp_asdf.robot import Robot
 from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
-from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -74,7 +73,7 @@ def _twin(settings: Population, trial: int) -> list[float]:
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
-    if not native.can_run(experiment):
+    if not experiment.runs_in_c:
         return []
     x = run_trials(experiment, trial, 1, spacing_of(settings.steps, settings.robots)).records["x"][0]
     errors = abs(x - settings.fill_ratio).mean(axis=1)

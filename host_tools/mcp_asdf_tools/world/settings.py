@@ -16,10 +16,8 @@ from mcp_asdf_tools.common.parameters import (
     value_of,
 )
 from mcp_asdf_tools.world.floor_code import code
-from mcp_asdf_tools.world.topology import Graph, graph_of
+from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, graph_of
 
-MAX_ROBOTS = 128
-"""Largest number of robots: ids are 0 .. 127."""
 MAX_STEPS = 10**9
 MAX_PERIOD = 2**32 - 1
 """Steps."""
@@ -34,6 +32,10 @@ _LARGEST_TURN = 1.6
 """Radians in one step."""
 _MOST_TILES = 100_000
 """Most tiles along a side."""
+_FARTHEST = 1.42
+"""Radio range in metres with which a robot hears at most 127 others, a round of the firmware. Of two that it
+hears, the nearer one must not stand in the other's way, so their directions differ by arcsin(radius / range)
+at least."""
 
 
 TOPOLOGIES = ("fully-connected", "dynamic", "graph")
@@ -134,6 +136,8 @@ class WorldSettings:
             _check_sides(self)
             _check_arena(self)
             _check_floor(self)
+        if self.robots > MAX_ON_BUS:
+            _check_many(self)
 
     @property
     def is_dynamic(self) -> bool:
@@ -180,6 +184,23 @@ class WorldSettings:
             lowest, start = self.lowest_accuracy, self.true_accuracy
             message = f"lowest_accuracy is {lowest}; it must be at most true_accuracy, {start}"
             raise ParameterError("lowest_accuracy", message)
+
+
+def _check_many(settings: WorldSettings) -> None:
+    """Refuse worlds in which a robot could hear more than 127 others."""
+    if settings.topology == "fully-connected":
+        others = settings.robots - 1
+        why = f"each would hear {others} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
+    elif settings.topology not in TOPOLOGIES:
+        why = "an extension says who hears whom by a matrix of them for every step"
+    elif settings.is_dynamic and settings.radio_range > _FARTHEST:
+        why = f"with radio_range {settings.radio_range:g} some could hear more than {MAX_ON_BUS - 1} others"
+        message = f"robots is {settings.robots}, but {why}; give at most {_FARTHEST}"
+        raise ParameterError("radio_range", message)
+    else:
+        return
+    fix = f"choose topology dynamic or graph, or at most {MAX_ON_BUS} robots"
+    raise ParameterError("robots", f"robots is {settings.robots}, but {why}; {fix}")
 
 
 _OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "tile")

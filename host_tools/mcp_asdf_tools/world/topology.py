@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from operator import index
@@ -17,7 +18,12 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import read_at_most
 
 _EDGES = re.compile(r"[0-9>;\s]*")
-_EDGE = re.compile(r"\s*([0-9]{1,3})(?:\s*(>)\s*|\s+)([0-9]{1,3})\s*")
+_EDGE = re.compile(r"\s*([0-9]{1,5})(?:\s*(>)\s*|\s+)([0-9]{1,5})\s*")
+
+MAX_ROBOTS = 2**16
+"""Largest number of robots without a bus: ids have 16 bits."""
+MAX_ON_BUS = MAX_ID + 1
+"""Largest number of robots on a bus, and of those that can all hear each other."""
 
 
 class Topology(Protocol):
@@ -92,13 +98,21 @@ class Graph:
         )
 
     def check(self, robots: int) -> None:
-        """Raises UsageError unless all ids are among ``0 .. robots - 1``. O(links)."""
+        """Raises UsageError unless all ids are among ``0 .. robots - 1``, and no robot hears more others than
+        a round of the firmware holds. O(links)."""
         unknown = sorted({robot for link in self.links for robot in link if robot >= robots})
         if unknown:
             raise UsageError(
                 f"{self.source} names robot {unknown[0]}, but the ids of {robots} robots are 0 to "
                 f"{robots - 1}; take more robots or remove the edge"
             )
+        heard = Counter(receiver for _, receiver in self.links)
+        for receiver, count in heard.most_common(1):
+            if count > MAX_ID:
+                raise UsageError(
+                    f"in {self.source} robot {receiver} hears {count} others, but a round of the firmware "
+                    f"holds {MAX_ID}; remove edges"
+                )
 
 
 def graph_of(given: Any) -> Graph:
@@ -107,7 +121,7 @@ def graph_of(given: Any) -> Graph:
 
     An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file it is a line;
     empty lines and everything after a ``#`` are ignored. Raises UsageError, naming the line, for anything
-    else, for ids outside 0 .. 127 and for repeated links. O(lines).
+    else, for ids outside 0 .. 65535 and for repeated links. O(lines).
     """
     if not isinstance(given, str | Path):
         return _graph(_edges_of(given), "edge", "graph")
@@ -156,8 +170,8 @@ def _links_of(text: str, place: str) -> list[tuple[int, int]]:
     if not text.strip():
         return []
     edge = _EDGE.fullmatch(text)
-    if edge is None or max(first := int(edge[1]), second := int(edge[3])) > MAX_ID:
-        fix = f"write two ids, 0 to {MAX_ID}, such as '3 5' or '3 > 5'"
+    if edge is None or max(first := int(edge[1]), second := int(edge[3])) >= MAX_ROBOTS:
+        fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
         raise UsageError(f"{place}: {text.strip()!r} is not an edge; {fix}")
     if first == second:
         raise UsageError(f"{place}: robot {first} cannot be its own neighbour; remove the edge")

@@ -290,7 +290,7 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ("simulate --robots 0", "--robots is 0; it must be 1 to 128"),
+        ("simulate --robots 0", "--robots is 0; it must be 1 to 65536"),
         ("simulate --filter none --omega 0.1", "--omega would do nothing: filter is none"),
         ("simulate --workers 0", "--workers is 0"),
         ("simulate --record -1", "--record is -1"),

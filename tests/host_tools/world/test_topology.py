@@ -47,14 +47,14 @@ def test_any_graph_reads_back(
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("0 1\n2\n", "line 2: '2' is not an edge; write two ids, 0 to 127, such as '3 5' or '3 > 5'"),
+        ("0 1\n2\n", "line 2: '2' is not an edge; write two ids, 0 to 65535, such as '3 5' or '3 > 5'"),
         ("0 1 2", "line 1: '0 1 2' is not an edge"),
         ("\n0 > 1 > 2", "line 2: '0 > 1 > 2' is not an edge"),
         ("0 >", "line 1: '0 >' is not an edge"),
         ("> 0 1", "line 1: '> 0 1' is not an edge"),
         ("0 one", "line 1: '0 one' is not an edge"),
-        ("0 128", "line 1: '0 128' is not an edge"),
-        ("128 > 0", "line 1: '128 > 0' is not an edge"),
+        ("0 65536", "line 1: '0 65536' is not an edge"),
+        ("65536 > 0", "line 1: '65536 > 0' is not an edge"),
         ("0 -1", "line 1: '0 -1' is not an edge"),
         ("4 4", "line 1: robot 4 cannot be its own neighbour; remove the edge"),
         ("0 1\n# again\n1 0", "line 3: that robot 0 hears 1 is in line 1 already; remove one of them"),

@@ -15,6 +15,7 @@ from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.world.arena import Arena, config_values, memory_of
 from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
+from mcp_asdf_tools.world.topology import Graph
 
 RECORD = np.dtype(
     [("beta", "u8"), *((name, "u4") for name in ("t", "n", "x_hat", "alpha", "x_bar", "x", "b_hat"))],
@@ -57,26 +58,17 @@ class EngineResults:
         return images
 
 
-def can_run(experiment: Experiment) -> bool:
-    """True if the engine has all that an experiment asks for; other trials run message by message."""
-    if experiment.firmware != "native":
-        return False
-    if experiment.topology == "dynamic":
-        return not experiment.sensor and experiment.white_offset == 0
-    return experiment.topology == "fully-connected" and experiment.latency == 0
-
-
 def run(
     experiment: Experiment, first: int, trials: int, sampling_interval: int = 0, lanes: bool | None = None
 ) -> EngineResults:
     """Run trials ``first`` .. ``first + trials - 1`` of a native experiment.
 
     Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
-    two engines with equal results, by default where it can run. Raises UsageError if ``can_run`` is false or
-    as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for each
-    estimate.
+    two engines with equal results, by default where it can run. Raises UsageError unless ``runs_in_c`` is
+    true or as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for
+    each estimate.
     """
-    if not can_run(experiment):
+    if not experiment.runs_in_c:
         raise UsageError("the engine in C lacks this firmware, topology, latency or sensor; use run_trials")
     call = _Call(experiment, first, trials, sampling_interval)
     engine = _engine.lib
@@ -130,6 +122,10 @@ class _Call:
             arenas = [config_values(experiment, first + index, ffi) for index in range(trials)]
             self._kept.append(arenas)
             members["arenas"] = self._array("mcp_asdf_arena_config_t[]", [values for values, _ in arenas])
+        if isinstance(experiment.graph, Graph):
+            arcs = np.array(sorted(experiment.graph.links), np.uint16).reshape(-1, 2)
+            self._kept.append(arcs)
+            members |= {"arcs": ffi.cast("mcp_asdf_pair_t *", arcs.ctypes.data), "arc_count": len(arcs)}
         self.experiment = ffi.new("mcp_asdf_experiment_t *", members)
 
     def _array(self, kind: str, values: list[Any]) -> Any:

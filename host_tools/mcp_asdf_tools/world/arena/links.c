@@ -174,11 +174,11 @@ static void note_pairs(mcp_asdf_arena_t *arena)
     uint32_t linked = 0;
     for (uint32_t p = 0; p < count; ++p) {
         const double squared = squared_distance(arena, watched[p].a, watched[p].b);
-        if (squared < range * range) {
-            links[linked++] = watched[p];
-            in_range[watched[p].a] |= UINT64_C(1) << watched[p].b % 64;
-            in_range[watched[p].b] |= UINT64_C(1) << watched[p].a % 64;
-        }
+        const uint64_t is_linked = squared < range * range;
+        links[linked] = watched[p]; /* kept if so: half of them are, which no branch could predict */
+        linked += (uint32_t)is_linked;
+        in_range[watched[p].a] |= is_linked << watched[p].b % 64;
+        in_range[watched[p].b] |= is_linked << watched[p].a % 64;
         if (squared < matters * matters) {
             note_near(arena, watched[p], squared);
         }
@@ -192,7 +192,7 @@ static bool stands_between(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];
     const double mx = arena->x[k] - arena->x[i], my = arena->y[k] - arena->y[i];
     const double squared = dx * dx + dy * dy, along = mx * dx + my * dy, across = mx * dy - my * dx;
-    return along > 0 && along < squared && across * across < BODY_RADIUS * BODY_RADIUS * squared;
+    return (along > 0) & (along < squared) & (across * across < BODY_RADIUS * BODY_RADIUS * squared);
 }
 
 /* Bodies do not overlap, so one between two others is closer to each than they are to each other: it is
