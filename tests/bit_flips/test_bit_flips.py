@@ -41,7 +41,12 @@ def test_the_published_table_is_true(tmp_path: Path) -> None:
     found = {kind: members(tmp_path, FLIPS, kind) for kind in FILTERS}
     for kind, counts in found.items():
         check(kind, counts, FLIPS)
-    assert table(found) in PAGE.read_text(encoding="utf-8"), "PYTHONPATH=tests python -m bit_flips.flips"
+    page = PAGE.read_text(encoding="utf-8")
+    assert table(found) in page, "PYTHONPATH=tests python -m bit_flips.flips"
+    assert f"none of these {len(FILTERS) * FLIPS * BITS:,} did" in page
+    robust = found[Filter.ROBUST]
+    for name in ("first", "voices", "trend"):  # as the page says
+        assert robust[f"crowd.{name}"]["no_effect"] == robust[f"crowd.{name}"]["flips"]
     sanitizers = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     for kind in FILTERS:
         assert members(tmp_path, 2, kind, *sanitizers) == members(tmp_path, 2, kind)

@@ -10,7 +10,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from proofs.source import Variant
-from support import CORE, require
+from support import CORE, ROOT, require
 
 RECORD = Path(__file__).with_name("misra.toml")
 ON_AN_AVR = ("-D__AVR__", "--platform=avr8", "-DMCP_ASDF_ROM=", "-DMCP_ASDF_READ_BYTE(at)=(*(at))")
@@ -85,3 +85,5 @@ def test_misra_finds_what_the_record_lists_and_nothing_else(tmp_path: Path) -> N
     required, advisory = record()
     assert {rule: places for rule, places in found.items() if rule not in ADVISORY} == required
     assert found.keys() & ADVISORY == advisory
+    page = (ROOT / "docs/trust.md").read_text(encoding="utf-8").partition("## MISRA")[2].partition("\n## ")[0]
+    assert set(re.findall(r"\b\d+\.\d+\b", page)) == required.keys()

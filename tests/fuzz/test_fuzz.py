@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 from fuzz.harnesses import CHECKED, FAST, HARNESSES, PORTS
-from support import slow
+from support import ROOT, slow
+
+MORE = 300_000
 
 
-@pytest.mark.parametrize(("flags", "more"), [(CHECKED, 0), *slow([(FAST, 300_000)])], ids=["kept", "more"])
+@pytest.mark.parametrize(("flags", "more"), [(CHECKED, 0), *slow([(FAST, MORE)])], ids=["kept", "more"])
 @pytest.mark.parametrize("name", HARNESSES)
 def test_inputs_find_nothing(
     name: str, flags: tuple[str, ...], more: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -25,6 +27,12 @@ def test_inputs_find_nothing(
     HARNESSES[name].run(inputs, flags, f"-runs={more}")
     done = re.search(r"^Done (\d+) runs", capfd.readouterr().err, re.MULTILINE)
     assert done and int(done[1]) > max(more - 1, kept)
+
+
+def test_the_page_lists_the_harnesses() -> None:
+    page = (ROOT / "docs/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
+    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)
+    assert f"tries {MORE:,} more of each" in page
 
 
 def test_a_mistake_is_found(tmp_path: Path) -> None:

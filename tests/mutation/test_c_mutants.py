@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
 from mutation.killers import CORE_TESTS, FRAME_TESTS, THIRD, VARIANTS, killer, passes, same_code
 from proofs.source import SOURCES
-from support import require
+from support import ROOT, require
 
 EQUIVALENTS = equivalents("c")
 PARTS = 16
@@ -52,6 +53,8 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
     assert set(EQUIVALENTS) <= set(everything())
     assert all(len(reason) > 20 for reason in EQUIVALENTS.values())
     assert len(EQUIVALENTS) < len(everything()) / 20
+    (said,) = re.findall(r"Each of some ([\d,]+) small ones", (ROOT / "docs/trust.md").read_text("utf-8"))
+    assert abs(int(said.replace(",", "")) - len(everything())) < 100
 
 
 @pytest.mark.slow
