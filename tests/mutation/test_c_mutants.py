@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import re
 from functools import cache
 from pathlib import Path
@@ -11,13 +10,12 @@ import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
-from mutation.killers import CORE_TESTS, FRAME_TESTS, THIRD, VARIANTS, killer, passes, same_code
+from mutation.killers import CORE_TESTS, FRAME_TESTS, VARIANTS, killer, passes, same_code
 from proofs.source import SOURCES
 from support import ROOT, require
 
 EQUIVALENTS = equivalents("c")
-PARTS = 16
-SAMPLE = 20
+PARTS = 8
 
 
 @pytest.fixture(autouse=True)
@@ -59,19 +57,6 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
 
 @pytest.mark.slow
 def test_the_firmware_itself_passes() -> None:
-    for variant in VARIANTS:
-        assert passes(SOURCES, THIRD, variant), variant
-
-
-@pytest.mark.slow
-def test_some_mistakes_fail_a_test(tmp_path: Path) -> None:
-    seed = random.randrange(1 << 32)
-    print(f"{SAMPLE} mutants of seed {seed}")
-    assert survivors(random.Random(seed).sample(mistakes(), SAMPLE), tmp_path) == []
-
-
-@pytest.mark.slow
-def test_the_firmware_itself_passes_everything() -> None:
     there = set(SOURCES.iterdir())
     for variant in VARIANTS:
         for test in (*CORE_TESTS, *FRAME_TESTS):
@@ -90,6 +75,7 @@ def test_equivalent_mutants_are_no_mistakes(tmp_path: Path) -> None:
     """As far as a compiler knows, or the tests of the first target that has the line."""
     for name, reason in EQUIVALENTS.items():
         mutant = everything()[name]
-        found = killer(mutant, tmp_path, most=1)
-        assert found == "", f"{name} fails {found}"
-        assert reason != SAME_CODE or same_code(mutant, tmp_path), f"{name} makes a difference"
+        if reason == SAME_CODE:
+            assert same_code(mutant, tmp_path), f"{name} makes a difference"
+        else:
+            assert killer(mutant, tmp_path, most=1) == "", name

@@ -15,7 +15,7 @@ from proofs.source import ARITHMETIC, HEADER, HERE, LANES, LANES_HEADER, VARIANT
 from support import ROOT, require, run, slow
 
 LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
-LONG = ("divide_by_bits", "ratio")
+LONG = ("divide_by_bits", "ratio", "shift_right_64")
 DEFINITION = re.compile(r"(?!#|typedef)[A-Za-z_].*?(\w+)\(.*\)( \{.*)?$")
 """The first line of one, which begins in the first column."""
 
