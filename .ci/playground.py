@@ -17,7 +17,7 @@ _OWN, _ENGINE, _ARENA = TOOLS / "view/playground", TOOLS / "experiments/engine",
 _SOURCES = (
     _OWN / "playground.c",
     *(_ENGINE / f"{name}.c" for name in ("engine", "lanes", "trial")),
-    *(_ARENA / f"{name}.c" for name in ("arena", "elementary", "links", "motion", "steering")),
+    *(_ARENA / f"{name}.c" for name in ("arena", "links", "motion", "steering")),
     ROOT / "tables/t_table_omega05_q127.c",
     ROOT / "c_ref/ports/memory.c",
 )

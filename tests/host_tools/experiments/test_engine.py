@@ -176,7 +176,15 @@ def engine_for(architecture: str, folder: Path) -> Any:
     run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
     includes = [f"-I{path}" for path in (core, arena, engine, sysconfig.get_path("include"))]
     sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), core / "mcp_asdf_image.c")
-    options = ("-std=gnu99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", "-fno-trapping-math")
+    options = (
+        "-std=gnu99",
+        "-O3",
+        "-ffp-contract=off",
+        "-fPIC",
+        "-shared",
+        "-fno-trapping-math",
+        "-fno-math-errno",
+    )
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
     run(require("gcc", "gcc"), *options, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)

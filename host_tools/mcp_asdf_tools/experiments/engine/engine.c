@@ -317,7 +317,7 @@ static mcp_asdf_status_t run_blocks(block_t *blocks, const mcp_asdf_outcome_t *o
     const mcp_asdf_status_t status = start(blocks, outcome, index);
     for (uint32_t k = 0; k < experiment->steps && status == MCP_ASDF_OK; ++k) {
         if (is_moving) {
-            mcp_asdf_arena_step(blocks->arena);
+            mcp_asdf_arena_step(blocks->arena, 1);
         }
         for (block_t *b = blocks; b < blocks + blocks->blocks; ++b) {
             if (k % 4 == 0) {

@@ -5,16 +5,7 @@
 #define MCP_ASDF_LANES_H
 
 #include "engine.h"
-
-/* Compiles a function for several vector sizes; the one for the processor at hand is chosen when the program
- * starts. Results are the same. Tests and benchmarks set it to compile for one of them. */
-#ifndef FOR_EACH_TARGET
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
-#define FOR_EACH_TARGET __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
-#else
-#define FOR_EACH_TARGET
-#endif
-#endif
+#include "targets.h"
 
 #define LANES_OF_TRIALS 16 /* trials of a fully connected swarm side by side */
 #define LANES (LANES_OF_TRIALS * MCP_ASDF_ENGINE_MAX_CONNECTED)

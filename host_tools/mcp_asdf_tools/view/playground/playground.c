@@ -182,7 +182,7 @@ uint32_t film(void)
     }
     keep(0);
     for (uint32_t step = 1; step <= settings.steps; ++step) {
-        mcp_asdf_arena_step(&arena);
+        mcp_asdf_arena_step(&arena, 1);
         if (step % settings.interval == 0) {
             keep(step / settings.interval);
         }

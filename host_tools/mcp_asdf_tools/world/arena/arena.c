@@ -5,15 +5,16 @@
  *   motion.c       bodies move as their motors and contacts drive them
  *   links.c        which pairs are near, and which hear each other
  *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
- *   elementary.c   sines, angles and exponentials without a mathematics library
+ *   elementary.h   sines, angles and exponentials without a mathematics library
+ *   targets.h      loops that become vector instructions
  *
- * They share arena_private.h. Units are metres, seconds and radians throughout.
+ * The C files share arena_private.h. Units are metres, seconds and radians throughout.
  */
 #include "arena_private.h"
 
 /* splitmix64: random numbers from a counter and a mixing function that is also a good hash. G. L. Steele,
  * D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014. */
-static inline uint64_t splitmix(uint64_t z)
+IN_LOOPS uint64_t splitmix(uint64_t z)
 {
     z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9U;
     z = (z ^ (z >> 27)) * 0x94D049BB133111EBU;
@@ -47,12 +48,12 @@ static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, doub
     return config->image[line * config->columns + (column < last_column ? column : last_column)] != 0;
 }
 
-static inline bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
+IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
     /* Processors have an instruction for signed numbers. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
-    return (double)(splitmix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
+    return (double)(int64_t)(splitmix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
 }
 
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
@@ -60,13 +61,38 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
     return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
 }
 
-static void see_floor(mcp_asdf_arena_t *arena)
+/* Place of robot i's ground sensor. */
+IN_LOOPS double sensor_x(const mcp_asdf_arena_t *arena, uint32_t i)
 {
-    for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        const double cx = arena->cx[i], cy = arena->cy[i];
-        const double x = arena->x[i] + SENSOR_FORWARD * cx + SENSOR_RIGHT * cy;
-        const double y = arena->y[i] + SENSOR_FORWARD * cy - SENSOR_RIGHT * cx;
-        arena->black[i] = (uint8_t)mcp_asdf_arena_is_black(arena, x, y);
+    return arena->x[i] + SENSOR_FORWARD * arena->cx[i] + SENSOR_RIGHT * arena->cy[i];
+}
+
+IN_LOOPS double sensor_y(const mcp_asdf_arena_t *arena, uint32_t i)
+{
+    return arena->y[i] + SENSOR_FORWARD * arena->cy[i] - SENSOR_RIGHT * arena->cx[i];
+}
+
+/* Whether tiles are black under `count` robots from `first` on, AT_ONCE at most. */
+FOR_EACH_TARGET static void see_tiles(const mcp_asdf_arena_t *arena, uint32_t first, uint32_t count)
+{
+    uint64_t is_black[AT_ONCE] = {0};
+    SIDE_BY_SIDE
+    for (uint32_t i = 0; i < WHOLE_VECTORS(count); ++i) {
+        is_black[i] = tile_is_black(arena, sensor_x(arena, first + i), sensor_y(arena, first + i)) ? 1 : 0;
+    }
+    for (uint32_t i = 0; i < count; ++i) {
+        arena->black[first + i] = (uint8_t)is_black[i];
+    }
+}
+
+static void see_floor(const mcp_asdf_arena_t *arena)
+{
+    const uint32_t robots = arena->config.robots;
+    for (uint32_t i = 0; i < robots && arena->config.image != NULL; ++i) {
+        arena->black[i] = pixel_is_black(&arena->config, sensor_x(arena, i), sensor_y(arena, i));
+    }
+    for (uint32_t i = 0; i < robots && arena->config.image == NULL; i += AT_ONCE) {
+        see_tiles(arena, i, robots - i < AT_ONCE ? robots - i : AT_ONCE);
     }
 }
 
@@ -107,7 +133,7 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
                                 &arena->vx,          &arena->vy,       &arena->spin,     &arena->wanted_speed,
                                 &arena->wanted_spin, &crowd->wanted_x, &crowd->wanted_y, &crowd->given_x,
                                 &crowd->given_y};
-    uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids, &arena->may_touch};
+    uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
     size_t used = 0;
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = take(memory, &used, robots, sizeof(double));
@@ -115,6 +141,8 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
     for (size_t k = 0; k < sizeof flags / sizeof *flags; ++k) {
         *flags[k] = take(memory, &used, robots, 1);
     }
+    arena->may_touch = take(memory, &used, robots, sizeof *arena->may_touch);
+    arena->unsettled = take(memory, &used, robots, sizeof *arena->unsettled);
     arena->in_range = take(memory, &used, robots, sizeof *arena->in_range);
     arena->most_near = most_within(config, SEEING_DISTANCE);
     arena->near_count = take(memory, &used, robots, sizeof *arena->near_count);
@@ -141,11 +169,15 @@ size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
 
 /* ---- The start ----------------------------------------------------------------------------------------- */
 
-static void look(mcp_asdf_arena_t *arena)
+static void look(mcp_asdf_arena_t *arenas, uint32_t count)
 {
-    arena_find_links(arena);
-    arena_set_wheels(arena);
-    see_floor(arena);
+    for (uint32_t a = 0; a < count; ++a) {
+        arena_find_links(&arenas[a]);
+    }
+    arena_set_wheels(arenas, count);
+    for (uint32_t a = 0; a < count; ++a) {
+        see_floor(&arenas[a]);
+    }
 }
 
 #define PLACING_ATTEMPTS 100000
@@ -214,17 +246,19 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
         face_anywhere(arena, i, &counter);
         mcp_asdf_arena_steer(arena, i, 0, 0);
     }
-    look(arena);
+    look(arena, 1);
     return 1;
 }
 
 /* ---- Ticks --------------------------------------------------------------------------------------------- */
 
-void mcp_asdf_arena_step(mcp_asdf_arena_t *arena)
+void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
 {
-    ++arena->ticks;
-    arena_move(arena);
-    look(arena);
+    for (uint32_t a = 0; a < count; ++a) {
+        ++arenas[a].ticks;
+        arena_move(&arenas[a]);
+    }
+    look(arenas, count);
 }
 
 uint32_t mcp_asdf_arena_words(uint32_t robots) { return robots <= 128 ? 2 : (robots + 63) / 64; }
@@ -275,7 +309,7 @@ static void write_record(const mcp_asdf_arena_t *arena, const mcp_asdf_arena_rec
 void mcp_asdf_arena_run(mcp_asdf_arena_t *arena, uint32_t ticks, const mcp_asdf_arena_record_t *record)
 {
     for (uint32_t tick = 0; tick < ticks; ++tick) {
-        mcp_asdf_arena_step(arena);
+        mcp_asdf_arena_step(arena, 1);
         write_record(arena, record, tick);
     }
 }

@@ -121,6 +121,7 @@ typedef struct {
  *   in_range                    a set of those in range of each: bit j % 64 if robot j is among them
  *   near, near_count, most_near the robots that each is close enough to see, in rows of most_near
  *   may_touch, close            robots and pairs that could touch something within a tick
+ *   unsettled                   robots that turn or avoid something
  *   watched, ticks_to_watch     pairs that could matter in the coming ticks, and how many ticks that holds
  *   first_around, around        the robots watched with robot i: around[first_around[i]] and on, up to those
  * of the next robot grid                        robots by cells of the floor, to find the pairs to watch
@@ -153,7 +154,8 @@ typedef struct {
     uint32_t most_near;
     uint32_t *near_count;
     uint16_t *near;
-    uint8_t *may_touch;
+    uint64_t *may_touch;
+    uint64_t *unsettled;
     uint32_t close_count;
     uint32_t watched_count;
     uint32_t ticks_to_watch;
@@ -195,23 +197,16 @@ size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config);
  * room to spare, otherwise up to 10^5 attempts per robot. */
 int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory);
 
-/* One tick: bodies move as their wheels were set; then, from their new places, robots find their neighbours,
- * sense obstacles and floor, and set their wheels. O(robots + pairs nearby). */
-void mcp_asdf_arena_step(mcp_asdf_arena_t *arena);
+/* One tick of `count` arenas side by side, which is faster than one by one: bodies move as their wheels were
+ * set; then, from their new places, robots find their neighbours, sense obstacles and floor, and set their
+ * wheels. O(robots + pairs nearby). */
+void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count);
 
 /* Run `ticks` ticks and record each. */
 void mcp_asdf_arena_run(mcp_asdf_arena_t *arena, uint32_t ticks, const mcp_asdf_arena_record_t *record);
 
 /* 1 if the floor is black at (x, y), which must be on the floor; otherwise 0. O(1). */
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y);
-
-/* Reading, 0 .. 1, of a proximity sensor whose ray meets something at `distance` from the edge of the body.
- * O(1). */
-double mcp_asdf_arena_reading(double distance);
-
-/* The obstacle vector of robot `robot`, in its own frame: the sum of its sensors' directions, each weighted
- * by its reading. O(robots close enough to be seen). */
-void mcp_asdf_arena_obstacle(const mcp_asdf_arena_t *arena, uint32_t robot, double *ahead, double *left);
 
 /* Set the wheels of robot `robot` so that it turns away from an obstacle vector. O(1). */
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left);

@@ -3,6 +3,7 @@
 #define MCP_ASDF_ARENA_PRIVATE_H
 
 #include "arena.h"
+#include "elementary.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -20,10 +21,9 @@
 #define WHEEL_DISTANCE 0.1054
 #define SENSOR_REACH 0.12        /* of a proximity sensor, from the edge of the body */
 #define ACCELERATION (1.5 / 0.4) /* of the motors: 1.5 N on 0.4 kg */
-#define PI 3.14159265358979323846
 
-#define PARTS 10         /* of a tick; in each, bodies move by the velocities of the part before */
-#define LARGEST_TURN 1.6 /* in a tick; arena_rotate() takes no more */
+#define AT_ONCE 32 /* robots side by side: a multiple of the 8 that memory has room for */
+#define PARTS 10   /* of a tick; in each, bodies move by the velocities of the part before */
 
 static inline double larger(double a, double b) { return a > b ? a : b; }
 
@@ -65,26 +65,16 @@ static inline double squared_distance(const mcp_asdf_arena_t *arena, uint32_t i,
     return dx * dx + dy * dy;
 }
 
-/* Whether a wall is less than `distance` from the edge of body i. */
-static inline bool wall_within(const mcp_asdf_arena_t *arena, uint32_t i, double distance)
+/* A body this far from the middle between two walls, `side` apart, has its edge `distance` from one. */
+static inline double place_before_wall(double side, double distance)
 {
-    const double margin = BODY_RADIUS + distance;
-    return fabs(arena->x[i]) > arena->config.width / 2 - margin ||
-           fabs(arena->y[i]) > arena->config.height / 2 - margin;
+    return side / 2 - (BODY_RADIUS + distance);
 }
 
-/* Rotate (*cx, *cy), of length 1, by at most LARGEST_TURN either way. Error up to 1e-13. */
-void arena_rotate(double *cx, double *cy, double angle);
-
-/* Unsigned angle between (x, y) and straight ahead, in [0, pi]. */
-double arena_bearing(double x, double y);
-
-/* exp(-x) for x in [0, 4]. Relative error below 1e-12. */
-double arena_fading(double x);
-
-/* The steps of a tick: move all bodies; find who is near and who hears whom; set wheels from the sensors. */
+/* The steps of a tick: move all bodies; find who is near and who hears whom; set wheels from the sensors, in
+ * several arenas. */
 void arena_move(mcp_asdf_arena_t *arena);
 void arena_find_links(mcp_asdf_arena_t *arena);
-void arena_set_wheels(mcp_asdf_arena_t *arena);
+void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count);
 
 #endif

@@ -138,14 +138,19 @@ static void watch(mcp_asdf_arena_t *arena)
     arena->ticks_to_watch = TICKS_BETWEEN_LOOKS;
 }
 
-static void forget_pairs(mcp_asdf_arena_t *arena)
+FOR_EACH_TARGET static void forget_pairs(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
-    uint8_t *const restrict may_touch = arena->may_touch;
+    const double distance = arena->config.speed * arena->config.tick;
+    const double room_x = place_before_wall(arena->config.width, distance);
+    const double room_y = place_before_wall(arena->config.height, distance);
+    const double *const x = arena->x, *const y = arena->y;
+    uint64_t *const may_touch = arena->may_touch;
     memset(arena->near_count, 0, robots * sizeof *arena->near_count);
     memset(arena->in_range, 0, robots * sizeof *arena->in_range);
-    for (uint32_t i = 0; i < robots; ++i) {
-        may_touch[i] = wall_within(arena, i, arena->config.speed * arena->config.tick);
+    SIDE_BY_SIDE
+    for (uint32_t i = 0; i < WHOLE_VECTORS(robots); ++i) {
+        may_touch[i] = (fabs(x[i]) > room_x) | (fabs(y[i]) > room_y);
     }
     arena->link_count = arena->close_count = 0;
 }

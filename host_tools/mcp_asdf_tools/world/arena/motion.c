@@ -198,14 +198,44 @@ static void move_alone(mcp_asdf_arena_t *arena, uint32_t i)
     turn(arena, i);
 }
 
+/* Move those of `count` bodies from `first` on that go on as they do, as move_alone() does; the others are
+ * left. */
+FOR_EACH_TARGET static void cruise(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
+                                   uint64_t *restrict left)
+{
+    double *restrict const x = arena->x + first, *restrict const y = arena->y + first;
+    const double *const cx = arena->cx + first, *const cy = arena->cy + first;
+    const double *const vx = arena->vx + first, *const vy = arena->vy + first;
+    const double *const speed = arena->wanted_speed + first;
+    const double *const spin = arena->spin + first, *const wanted_spin = arena->wanted_spin + first;
+    const uint64_t *const may_touch = arena->may_touch + first;
+    const double time = PARTS * arena->part;
+    SIDE_BY_SIDE
+    for (uint32_t i = 0; i < count; ++i) {
+        const bool goes_on = (vx[i] == speed[i] * cx[i]) & (vy[i] == speed[i] * cy[i]) & (spin[i] == 0) &
+                             (wanted_spin[i] == 0) & (may_touch[i] == 0);
+        x[i] = goes_on ? x[i] + vx[i] * time : x[i];
+        y[i] = goes_on ? y[i] + vy[i] * time : y[i];
+        left[i] = goes_on ? 0 : 1;
+    }
+}
+
 void arena_move(mcp_asdf_arena_t *arena)
 {
     bool crowded = false;
-    for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        if (arena->may_touch[i]) {
-            crowded = true;
-        } else {
-            move_alone(arena, i);
+    for (uint32_t first = 0; first < arena->config.robots; first += AT_ONCE) {
+        uint64_t left[AT_ONCE] = {0};
+        const uint32_t rest = arena->config.robots - first, count = rest < AT_ONCE ? rest : AT_ONCE;
+        cruise(arena, first, WHOLE_VECTORS(count), left);
+        for (uint32_t i = 0; i < count; ++i) {
+            if (left[i] == 0) {
+                continue;
+            }
+            if (arena->may_touch[first + i]) {
+                crowded = true;
+            } else {
+                move_alone(arena, first + i);
+            }
         }
     }
     if (crowded) {
