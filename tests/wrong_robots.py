@@ -453,8 +453,7 @@ WRONG |= {
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),
     "refuses large alphas": node(
-        "nothing seen",
-        hear=drops(lambda frame: is_estimate(frame) and alpha_bits(frame) >= bits_of(2.0**31)),
+        "nothing seen", hear=drops(lambda frame: is_estimate(frame) and alpha_bits(frame) >= bits_of(2.0**31))
     ),
     "rounds foreign alphas": node("nothing seen", hear=given(to_nearest)),
     "hears itself": node(

@@ -64,7 +64,6 @@ _NODE = tuple(sorted((PORTS / "node").glob("*.c")))
 HARNESSES = {
     each.name: each
     for each in (
-        Harness("codec", (CORE.with_name("mcp_asdf_frame.c"),), 32),
         Harness("slcan", (PORTS / "slcan" / "slcan.c", *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
         Harness("node", (), 128),
         Harness("multicast", (PORTS / "linux" / "multicast.c",), 256),

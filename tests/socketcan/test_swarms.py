@@ -44,16 +44,6 @@ def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_h
     assert len(told) == 20 * (5 + 1 + 2)
 
 
-def test_processes_on_one_interface_have_the_bits_of_robots_in_one(vcan: str, tmp_path: Path) -> None:
-    settings = ("swarm", "--robots", "2", "--steps", "10", "--filter-period", "4", "--quiet", "--log")
-    many, one = tmp_path / "many.log", tmp_path / "one.log"
-    bus = ("--interface", "socketcan", "--channel", vcan)
-    assert main([*settings, str(many), *bus, "--processes"]) == 0
-    assert main([*settings, str(one), "--interface", "virtual"]) == 0
-    assert estimates(many) == estimates(one)
-    assert len(estimates(many)) == 20
-
-
 def test_the_c_node_is_a_robot_of_an_emulated_swarm(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mcp_asdf_tools.bus.frames import (
-    COMMANDS,
-    TELEMETRY,
-    FrameFormat,
-    Heartbeat,
-    encode_heartbeat,
-)
+from mcp_asdf_tools.bus.frames import COMMANDS, TELEMETRY, FrameFormat, Heartbeat, encode_heartbeat
 from mcp_asdf_tools.common.errors import UsageError
 
 ANY_NODE_MASK = 0x1FFF_FF00

@@ -25,11 +25,7 @@ from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import (
-    Verification,
-    details,
-    markdown,
-)
+from mcp_asdf_tools.radio.verification import Verification, details, markdown
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.node import BusLink, filters_for

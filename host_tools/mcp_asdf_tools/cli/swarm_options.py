@@ -98,10 +98,7 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     )
     output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
     output.add_argument(
-        "--pace",
-        metavar="N",
-        type=float,
-        help=f"steps a second with --view; 0 for any (default {PACE:g})",
+        "--pace", metavar="N", type=float, help=f"steps a second with --view; 0 for any (default {PACE:g})"
     )
     view.add_server_options(output)
     output.add_argument(

@@ -6,13 +6,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
-from mcp_asdf.robot import (
-    MAX_FILTER_PERIOD,
-    Config,
-    Filter,
-    Robot,
-    check_settings,
-)
+from mcp_asdf.robot import MAX_FILTER_PERIOD, Config, Filter, Robot, check_settings
 from mcp_asdf_tools.bus.frames import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware

@@ -143,11 +143,7 @@ class Driver:
         self._held: list[can.Message] = []
         self._estimates: dict[int, can.Message] = {}
         self._lockstep = Lockstep(
-            bus,
-            Subjects(estimates=frames),
-            ANSWER_TIMEOUT,
-            watch=self._see,
-            check=self._look_after,
+            bus, Subjects(estimates=frames), ANSWER_TIMEOUT, watch=self._see, check=self._look_after
         )
 
     def wait_until_up(self, timeout: float, check: Callable[[], None]) -> None:

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import re
-import subprocess
-import sys
 from dataclasses import fields
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import can
@@ -31,9 +27,7 @@ from mcp_asdf_tools.bus.frames import (
     encode,
 )
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.recording.recording import Recording
 from messages import DEFAULT, KINDS, encoded, messages
-from robots import ALPHA_ONE
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -145,30 +139,6 @@ def test_messages_of_each_node(capsys: pytest.CaptureFixture[str]) -> None:
         assert entry.decode(frame.data, decode_choices=False) == physical(Message(node, 5, 0x600, 7))
         beat = encoded(Heartbeat(node, 1, 2))
         assert database.get_message_by_frame_id(beat.arbitration_id).name == f"Heartbeat_{node}"
-
-
-def test_the_command_line_of_cantools_decodes_our_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sent = (Message(42, 2**22, ALPHA_ONE, 0), Telemetry(42, 3 * 2**21, 2**23, 7, 5))
-    with Recording(tmp_path / "run.log", None, print) as (write, _):
-        assert write is not None
-        for message in sent:
-            write(encoded(message))
-    path = tmp_path / "ours.dbc"
-    assert main(["dbc", "--output", str(path)]) == 0
-    assert capsys.readouterr().out == f"wrote {path}\n"
-    done = subprocess.run(
-        [sys.executable, "-m", "cantools", "decode", "-s", "-m", f"{ANY_NODE_MASK:#x}", path],
-        input=(tmp_path / "run.log").read_text(),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert re.findall(r"(\w+\(.*\))", done.stdout) == [
-        "Estimate(x_hat: 0.5, alpha: 1.0, transfer_id: 0, start_end_toggle: 7)",
-        "Telemetry(x: 0.75, b_hat: 0.5, updates: 7, transfer_id: 5, start_end_toggle: 7)",
-    ]
 
 
 @pytest.mark.parametrize(

@@ -17,15 +17,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf_tools.bus.frames import (
-    ONE,
-    FrameFormat,
-    Heartbeat,
-    Message,
-    decode,
-    encode,
-    encode_heartbeat,
-)
+from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Heartbeat, Message, decode, encode, encode_heartbeat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
