@@ -1,9 +1,9 @@
 /* Trials side by side, with a lane for every robot. engine.h is the manual.
  *
- * Sixteen trials of fully connected swarms take their steps together, or one in its arena. Robots observe,
- * hear (in an arena message by message) and settle in lanes; the steps in which the filter may run or t
- * reaches the memory, and the last one, are the firmware's own: before them the lanes hand over what they
- * changed. Without lanes every step is its own.
+ * Sixteen trials of fully connected swarms take their steps together, or up to eight in their arenas. Robots
+ * observe, hear (in an arena message by message) and settle in lanes; the steps in which the filter may run
+ * or t reaches the memory, and the last one, are the firmware's own: before them the lanes hand over what
+ * they changed. Without lanes every step is its own.
  */
 #include <string.h>
 
@@ -12,19 +12,26 @@
 #include "trial.h"
 
 #define MULTIPLE 8 /* of lanes in use, so that vectors are full */
+#define ARENAS 8   /* trials of moving swarms side by side, of up to MCP_ASDF_ENGINE_MAX_CONNECTED robots */
 
 /* Trials under way; lanes beyond the last trial or robot run idle.
- *   is_robust  whether the robots have the robust filter: messages are votes then, and there are no sums
- *   columns   series of x in a trial
- *   index     of the first trial
- *   used      trials in use, of `side` side by side
- *   count     lanes in use: lane j side + l is robot first + j of trial l, here and in all arrays below
- *   first     robots of the blocks before this one: those of a swarm of more than LANES, which all move or
- * are in a graph, are in `blocks` blocks in a row trial_of, robot_of  whose draws a lane has words     draws
- * of four steps limit     of a draw for black; 0 for idle lanes, whose n must not pass t ticks     steps
- * since the last one of the firmware, and observed  how many of them had observations, and messages  how many
- * messages each robot heard in them from its neighbours t         observations of each robot said      sums
- * of each message heard     sums of each round; in a fully connected swarm that of robot 0 stands for all */
+ *   is_robust   whether the robots have the robust filter: messages are votes then, and there are no sums
+ *   columns     series of x in a trial
+ *   index       of the first trial
+ *   used        trials in use, of `side` side by side
+ *   count       lanes in use: lane j side + l is robot first + j of trial l, here and in all arrays below
+ *   first       robots of the blocks before this one: a swarm of more than LANES, which moves or is in a
+ *               graph, is in `blocks` blocks in a row
+ *   arenas      NULL, or the arena of each trial
+ *   trial_of, robot_of   whose draws a lane has
+ *   words       draws of four steps
+ *   limit       of a draw for black; 0 for idle lanes, whose n must not pass t
+ *   ticks       steps since the last one of the firmware, and
+ *   observed    how many of them had observations, and
+ *   messages    how many messages each robot heard in them from its neighbours
+ *   t           observations of each robot
+ *   said        sums of each message
+ *   heard       sums of each round; in a fully connected swarm that of robot 0 stands for all */
 typedef struct {
     const mcp_asdf_experiment_t *experiment;
     bool has_lanes;
@@ -37,7 +44,7 @@ typedef struct {
     uint32_t first;
     uint32_t blocks;
     trial_t trials[LANES_OF_TRIALS];
-    mcp_asdf_arena_t *arena;
+    mcp_asdf_arena_t *arenas;
     uint32_t trial_of[LANES];
     uint32_t robot_of[LANES];
     uint32_t words[4][LANES];
@@ -73,18 +80,20 @@ FOR_EACH_TARGET static void draw(block_t *block, uint32_t group)
 static void look(block_t *block, uint32_t k)
 {
     const mcp_asdf_experiment_t *const e = block->experiment;
-    const uint32_t used = block->used, side = block->side, first = block->first, left = e->robots - first;
-    const uint32_t *const black = e->black + block->index * e->trial_stride + k * e->step_stride;
-    for (uint32_t j = 0; j < left && j < LANES / side; ++j) {
-        const uint32_t is_white = block->arena != NULL && block->arena->black[first + j] == 0;
-        for (uint32_t l = 0; l < used; ++l) {
-            const uint32_t limit = black[l * e->trial_stride + (first + j) * e->robot_stride];
+    const uint32_t side = block->side, first = block->first, left = e->robots - first;
+    const uint32_t robots = left < LANES / side ? left : LANES / side;
+    for (uint32_t l = 0; l < block->used; ++l) {
+        const uint32_t *const black =
+            e->black + (block->index + l) * e->trial_stride + k * e->step_stride + first * e->robot_stride;
+        const uint8_t *const floor = block->arenas == NULL ? NULL : block->arenas[l].black + first;
+        for (uint32_t j = 0; j < robots; ++j) {
+            const uint32_t limit = black[j * e->robot_stride], is_white = floor != NULL && floor[j] == 0;
             block->limit[j * side + l] = limit + is_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * limit);
         }
     }
 }
 
-FOR_EACH_TARGET static void see(block_t *block, uint32_t k)
+FOR_EACH_TARGET static void compare(block_t *block, uint32_t k)
 {
     uint32_t *const restrict black = block->black;
     const uint32_t *const words = block->words[k % 4];
@@ -92,6 +101,18 @@ FOR_EACH_TARGET static void see(block_t *block, uint32_t k)
     for (uint32_t c = 0; c < count; ++c) {
         black[c] = words[c] >> 1 < block->limit[c];
     }
+}
+
+/* What the robots of a block observe in step k. */
+static void see(block_t *block, uint32_t k)
+{
+    if (k % 4 == 0) {
+        draw(block, k / 4);
+    }
+    if (block->arenas != NULL || block->experiment->step_stride != 0) {
+        look(block, k);
+    }
+    compare(block, k);
 }
 
 /* --- Steps in lanes --- */
@@ -110,7 +131,7 @@ static void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
     const uint32_t to = receiver % LANES, from = sender % LANES;
     ++block->messages[to];
     if (block->is_robust) {
-        lanes_vote(&block->lanes, to, &other->lanes, from);
+        lanes_vote(&block->lanes, to, &other->lanes, from, sender / block->side);
         return;
     }
     block->heard.alpha[to] += other->said.alpha[from];
@@ -122,13 +143,17 @@ static void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
 static void hear_linked(block_t *blocks)
 {
     const mcp_asdf_experiment_t *const e = blocks->experiment;
-    const mcp_asdf_arena_t *const arena = blocks->arena;
+    const uint32_t side = blocks->side;
     for (uint32_t b = 0; b < blocks->blocks; ++b) {
         hear_nobody(&blocks[b]);
     }
-    for (uint32_t p = 0; arena != NULL && p < arena->link_count; ++p) {
-        hear_one(blocks, arena->links[p].a, arena->links[p].b);
-        hear_one(blocks, arena->links[p].b, arena->links[p].a);
+    for (uint32_t l = 0; l < blocks->used && blocks->arenas != NULL; ++l) {
+        const mcp_asdf_arena_t *const arena = &blocks->arenas[l];
+        for (uint32_t p = 0; p < arena->link_count; ++p) {
+            const uint32_t a = arena->links[p].a * side + l, b = arena->links[p].b * side + l;
+            hear_one(blocks, a, b);
+            hear_one(blocks, b, a);
+        }
     }
     for (size_t p = 0; e->arcs != NULL && p < e->arc_count; ++p) {
         hear_one(blocks, e->arcs[p].b, e->arcs[p].a);
@@ -253,11 +278,12 @@ static void run_firmware(block_t *blocks, uint32_t k)
     const uint32_t side = blocks->side;
     for (uint32_t l = 0; l < blocks->used; ++l) {
         const trial_t *const trial = &blocks->trials[l];
+        const mcp_asdf_arena_t *const arena = blocks->arenas == NULL ? NULL : &blocks->arenas[l];
         for (uint32_t j = 0; j < experiment->robots && blocks->has_lanes; ++j) {
             const uint32_t lane = j * side + l;
             hand_over(&blocks[lane / LANES], &trial->robots[j], lane % LANES);
         }
-        trial_tick(experiment, trial, blocks->arena, k, (trial_tiles_t){blocks->black + l, side});
+        trial_tick(experiment, trial, arena, k, (trial_tiles_t){blocks->black + l, side});
         trial_keep(experiment, trial, k + 1);
     }
     for (uint32_t b = 0; b < blocks->blocks && blocks->has_lanes; ++b) {
@@ -287,7 +313,7 @@ static mcp_asdf_status_t start(block_t *blocks, const mcp_asdf_outcome_t *outcom
 {
     const mcp_asdf_experiment_t *const e = blocks->experiment;
     const uint32_t rest = e->trials - index, side = blocks->side;
-    mcp_asdf_arena_t *const arena = blocks->arena;
+    uint8_t *memory = (void *)(blocks->arenas + side);
     for (uint32_t b = 0; b < blocks->blocks; ++b) {
         blocks[b].index = index;
         blocks[b].used = rest < side ? rest : side;
@@ -300,9 +326,13 @@ static mcp_asdf_status_t start(block_t *blocks, const mcp_asdf_outcome_t *outcom
         if (status != MCP_ASDF_OK) {
             return status;
         }
-    }
-    if (arena != NULL && !mcp_asdf_arena_init(arena, &e->arenas[index], arena + 1)) {
-        return MCP_ASDF_ERR_CONFIG;
+        if (e->arenas != NULL) {
+            const mcp_asdf_arena_config_t *const world = &e->arenas[index + l];
+            if (!mcp_asdf_arena_init(&blocks->arenas[l], world, memory)) {
+                return MCP_ASDF_ERR_CONFIG;
+            }
+            memory += mcp_asdf_arena_bytes(world);
+        }
     }
     for (uint32_t b = 0; b < blocks->blocks; ++b) {
         fill(&blocks[b]);
@@ -317,15 +347,9 @@ static mcp_asdf_status_t run_blocks(block_t *blocks, const mcp_asdf_outcome_t *o
     const mcp_asdf_status_t status = start(blocks, outcome, index);
     for (uint32_t k = 0; k < experiment->steps && status == MCP_ASDF_OK; ++k) {
         if (is_moving) {
-            mcp_asdf_arena_step(blocks->arena, 1);
+            mcp_asdf_arena_step(blocks->arenas, blocks->used);
         }
         for (block_t *b = blocks; b < blocks + blocks->blocks; ++b) {
-            if (k % 4 == 0) {
-                draw(b, k / 4);
-            }
-            if (is_moving || experiment->step_stride != 0) {
-                look(b, k);
-            }
             see(b, k);
         }
         if (needs_firmware(blocks, k)) {
@@ -372,10 +396,22 @@ static uint32_t blocks_of(const mcp_asdf_experiment_t *experiment)
     return trial_is_linked(experiment) ? (experiment->robots + LANES - 1) / LANES : 1;
 }
 
-/* Bytes of the blocks, and of their `black`, in an experiment's memory. The arena comes last. */
+/* Trials side by side in lanes. */
+static uint32_t side_of(const mcp_asdf_experiment_t *experiment)
+{
+    if (!trial_is_linked(experiment)) {
+        return LANES_OF_TRIALS;
+    }
+    if (experiment->arenas == NULL || experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
+        return 1;
+    }
+    return experiment->trials < ARENAS ? experiment->trials : ARENAS;
+}
+
+/* Bytes of the blocks, and of their `black`, in an experiment's memory. The arenas come last. */
 static size_t bytes_of_blocks(const mcp_asdf_experiment_t *experiment)
 {
-    return blocks_of(experiment) * (sizeof(block_t) + LANES * sizeof(uint32_t));
+    return blocks_of(experiment) * (sizeof(block_t) + (size_t)LANES * sizeof(uint32_t));
 }
 
 size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
@@ -385,25 +421,24 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
         const size_t bytes = sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(&experiment->arenas[i]);
         of_arena = bytes > of_arena ? bytes : of_arena;
     }
-    return bytes_of_blocks(experiment) + of_arena;
+    return bytes_of_blocks(experiment) + side_of(experiment) * of_arena;
 }
 
 static block_t *make_blocks(const mcp_asdf_experiment_t *experiment, bool lanes, void *memory)
 {
     block_t *const made = memory;
     const uint32_t count = blocks_of(experiment);
-    const bool is_linked = trial_is_linked(experiment);
     uint32_t *const black = (void *)(made + count);
     for (uint32_t b = 0; b < count; ++b) {
         made[b].experiment = experiment;
         made[b].has_lanes = lanes;
         made[b].is_robust = mcp_asdf_is_robust(experiment->configs[0]);
         made[b].columns = mcp_asdf_engine_columns(experiment);
-        made[b].side = lanes && !is_linked ? LANES_OF_TRIALS : 1;
+        made[b].side = lanes ? side_of(experiment) : 1;
         made[b].first = b * LANES;
         made[b].blocks = count;
-        made[b].black = black + (size_t)b * LANES;
-        made[b].arena = experiment->arenas == NULL ? NULL : (void *)(black + (size_t)count * LANES);
+        made[b].black = black + (size_t)b * (size_t)LANES;
+        made[b].arenas = experiment->arenas == NULL ? NULL : (void *)(black + (size_t)count * (size_t)LANES);
     }
     return made;
 }

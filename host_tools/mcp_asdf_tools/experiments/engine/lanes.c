@@ -75,9 +75,9 @@ ALWAYS_INLINE void vote_in_lane(lanes_t *lanes, size_t l, uint32_t sender, uint3
     lanes->voices[l] |= (uint32_t)counts << (sender & 31U);
 }
 
-void lanes_vote(lanes_t *lanes, uint32_t receiver, const lanes_t *others, uint32_t sender)
+void lanes_vote(lanes_t *lanes, uint32_t receiver, const lanes_t *others, uint32_t sender, uint32_t id)
 {
-    vote_in_lane(lanes, receiver, sender, others->x_hat[sender], others->alpha[sender]);
+    vote_in_lane(lanes, receiver, id, others->x_hat[sender], others->alpha[sender]);
 }
 
 FOR_EACH_TARGET void lanes_vote_all(lanes_t *lanes, uint32_t robots)

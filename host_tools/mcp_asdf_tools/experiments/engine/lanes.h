@@ -47,9 +47,9 @@ void lanes_say(const lanes_t *lanes, uint32_t count, lanes_sums_t *said);
 /* Each lane's informed estimate after a round of these sums. */
 void lanes_inform(const lanes_t *lanes, uint32_t count, const lanes_sums_t *heard, uint32_t *restrict x);
 
-/* With the robust filter: the message of lane `sender` of these or others is a vote in lane `receiver`. Lane
- * and id are alike modulo 32. */
-void lanes_vote(lanes_t *lanes, uint32_t receiver, const lanes_t *others, uint32_t sender);
+/* With the robust filter: the message of lane `sender` of these or others, from robot `id`, is a vote in lane
+ * `receiver`. */
+void lanes_vote(lanes_t *lanes, uint32_t receiver, const lanes_t *others, uint32_t sender, uint32_t id);
 
 /* The same of all messages of fully connected swarms, LANES_OF_TRIALS of them side by side: senders in
  * ascending order. */

@@ -207,12 +207,11 @@ static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
     if ((arena->in_range[i] & arena->in_range[j]) == 0) {
         return false;
     }
+    bool blocked = false;
     for (uint32_t k = arena->first_around[i]; k < arena->first_around[i + 1]; ++k) {
-        if (stands_between(arena, i, j, arena->around[k])) { /* j itself does not */
-            return true;
-        }
+        blocked |= stands_between(arena, i, j, arena->around[k]); /* j itself does not */
     }
-    return false;
+    return blocked;
 }
 
 static void drop_blocked_links(mcp_asdf_arena_t *arena)
