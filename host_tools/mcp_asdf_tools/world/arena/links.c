@@ -25,15 +25,13 @@ static uint32_t watch_all(mcp_asdf_arena_t *arena, double limit)
 
 static uint32_t cells_along(double side, double cell, uint32_t most)
 {
-    const double cells = side / cell;
-    return cells < 1 ? 1 : cells < most ? (uint32_t)cells : most;
+    return (uint32_t)clamp(side / cell, 1, most);
 }
 
 /* Cell of a place among `cells` along a side whose middle is 0. */
 static uint32_t cell_at(double place, double side, uint32_t cells)
 {
-    const double cell = (place / side + 0.5) * cells;
-    return cell < 1 ? 0 : cell < cells ? (uint32_t)cell : cells - 1;
+    return (uint32_t)clamp((place / side + 0.5) * cells, 0, cells - 1);
 }
 
 /* Sort the robots into cells whose sides are above `limit`, by counting. The cells are no more than robots.
