@@ -17,11 +17,11 @@ from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in, require_arrow
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_missing, run_sweep
-from mcp_asdf_tools.reproduction import ageing, robust
+from mcp_asdf_tools.reproduction import ageing, robust, scaling
 from mcp_asdf_tools.reproduction.runs import StudyFolder, make_folder
 from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
 
-OWN = {"robust": robust, "ageing": ageing}
+OWN = {"robust": robust, "ageing": ageing, "scale": scaling}
 """Parts that are not the paper's, each a study of its own."""
 
 EPILOG = """\
@@ -32,6 +32,7 @@ examples:
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
   mcp-asdf reproduce --part robust                  # not the paper's: the robust filter
   mcp-asdf reproduce --part ageing                  # not the paper's: sensors that age
+  mcp-asdf reproduce --part scale                   # not the paper's: 20 to 10,000 robots
 The same command resumes a run that was interrupted, and makes the report of a finished one again.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.common.files import write_together
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.reproduction.robust import csv_of, late, table_of
+from mcp_asdf_tools.reproduction.robust import late, table_of, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,16 +47,7 @@ def picture_of(results: Sequence[Trials]) -> Figure:
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``ageing.md`` and ``ageing.csv``, the late error, and ``ageing.svg``, the picture."""
-    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415 (matplotlib loads slowly)
-
     (own,) = (results[name] for name in FILES)
     table = table_of("Sensors that age", own, row_of)
-    picture = folder / "ageing.svg"
     lines = table.lines(late, "error of the last quarter (95 % interval)")
-    write_together(
-        {
-            folder / "ageing.md": f"# {table.title}\n\n{lines}\n\n![{table.title}]({picture.name})\n",
-            folder / "ageing.csv": csv_of([table]),
-            picture: image_of(picture_of(own), picture),
-        }
-    )
+    write_page(folder, "ageing", [table], lines, picture_of(own))

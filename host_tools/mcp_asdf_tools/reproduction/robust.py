@@ -10,7 +10,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import paper_limits, score
 from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, averaged, interval, summarized
 from mcp_asdf_tools.reproduction.study import Scale
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FILES = GRID, BEYOND = "robust_grid", "robust_beyond"
 SAMPLING_INTERVAL = 1000
@@ -233,6 +236,20 @@ def tables_of(results: Mapping[str, Sequence[Trials]]) -> dict[str, Table]:
         GRID: table_of("The paper's grid", results[GRID], grid_row),
         BEYOND: table_of("Beyond it", results[BEYOND], row_of),
     }
+
+
+def write_page(folder: Path, name: str, tables: Sequence[Table], lines: str, picture: Figure) -> None:
+    """Write a page of tables, which ``lines`` shows, and a picture: ``name.md``, ``.csv`` and ``.svg``."""
+    from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415 (matplotlib loads slowly)
+
+    title, file = tables[0].title, folder / f"{name}.svg"
+    write_together(
+        {
+            folder / f"{name}.md": f"# {title}\n\n{lines}\n\n![{title}]({file.name})\n",
+            folder / f"{name}.csv": csv_of(tables),
+            file: image_of(picture, file),
+        }
+    )
 
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
