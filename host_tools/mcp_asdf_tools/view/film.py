@@ -57,13 +57,14 @@ class State(NamedTuple):
     Attributes:
         tick: Steps done.
         values: QUANTITIES of each robot, NaN where unknown, shape (quantities, N).
-        hears: Whether robot i hears j, shape (N, N).
+        hears: Whether robot i hears j, bool of shape (N, N); of more than MAX_ON_BUS robots who hears whom
+            instead, ids of shape (pairs, 2).
         positions: Centres in metres from the middle of the arena, shape (N, 2); None if robots do not move.
     """
 
     tick: int
     values: NDArray[np.float64]
-    hears: NDArray[np.bool_]
+    hears: NDArray[Any]
     positions: NDArray[np.float64] | None
 
 

@@ -9,9 +9,8 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import count, repeat
+from itertools import count
 from pathlib import Path
-from typing import Any
 
 import can
 import numpy as np
@@ -35,6 +34,7 @@ from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.topology import MAX_ON_BUS
 from mcp_asdf_tools.world.world import World
 
 _MOST_PIXELS = 800
@@ -98,14 +98,16 @@ def _title(settings: Population, trial: int) -> str:
 
 # --- Runs that are over -------------------------------------------------------------------------------
 
-_STEPS_AT_ONCE = 512
 _MOST_LINKS = 4_000_000
-"""Bits of who hears whom in all states, which bounds the size of a page of many robots."""
+"""Bits of who hears whom in all states, which bounds the size of a page."""
+_BITS_OF_MANY = 16
+"""Of a robot among more than MAX_ON_BUS: its numbers and its links together."""
 
 
 def spacing_of(steps: int, robots: int) -> int:
     """Steps between the states of a film, so that a page of it has a few megabytes at most."""
-    return -(-steps // min(MAX_STATES, max(1, _MOST_LINKS // robots**2)))
+    bits = robots * (_BITS_OF_MANY if robots > MAX_ON_BUS else robots)
+    return -(-steps // min(MAX_STATES, max(1, _MOST_LINKS // bits)))
 
 
 def film_of_trial(trials: Trials, trial: int) -> Film:
@@ -184,21 +186,16 @@ def _in_the_world(
 
     Before the first step the world is as in it.
     """
-    scenes, step = _scenes(World(settings, trial)), 1
-    hears, accuracy, positions = next(scenes)
+    world, step = World(settings, trial), 1
+    scene = world.advance(1)
     for tick, values in zip(count(0, spacing), estimates):
-        while step < tick:
-            hears, accuracy, positions = next(scenes)
-            step += 1
-        yield State(tick, np.vstack([values, accuracy]), hears.copy(), positions)
-
-
-def _scenes(world: World) -> Iterator[tuple[NDArray[Any], ...]]:
-    """Who hears whom, accuracies and positions in every step."""
-    while True:
-        scene = world.advance(_STEPS_AT_ONCE)
-        positions = repeat(None) if scene.positions is None else scene.positions
-        yield from zip(scene.hears, scene.accuracy, positions)  # noqa: B905
+        if tick > step + 1:
+            world.skip(tick - step - 1)
+        if tick > step:
+            scene, step = world.advance(1), tick
+        hears = scene.hears[0].copy() if settings.robots <= MAX_ON_BUS else np.argwhere(scene.hears[0])
+        positions = None if scene.positions is None else scene.positions[0]
+        yield State(tick, np.vstack([values, scene.accuracy[0]]), hears, positions)
 
 
 # --- Runs that go on ----------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.view.film import QUANTITIES, Film, Stage, State
+from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
 _MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
@@ -87,9 +88,10 @@ def stage_as_plain(stage: Stage) -> dict[str, Any]:
 
 
 def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:
-    """A block of states: ticks (32 bits), quantities and positions (16 bits), links (1 bit), deflated.
+    """A block of states: ticks (32 bits), quantities and positions (16 bits), links, deflated.
 
-    Each series is stored as its differences, which are mostly small or 0. O(states N^2).
+    Each series is stored as its differences, which are mostly small or 0. Links are a bit for each two
+    robots; of more than MAX_ON_BUS their number in each state (32 bits), then ids (16 bits). O(states N^2).
     """
     parts = [np.array([each.tick for each in states], "<u4").tobytes()]
     values = np.stack([each.values for each in states])
@@ -98,8 +100,12 @@ def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:
     if stage.sides is not None:
         places = np.stack(positions) / np.array(stage.sides) + 0.5
         parts += [_series(places[..., axis]) for axis in (0, 1)]
-    links = np.stack([each.hears.ravel() for each in states])
-    parts.append(np.packbits(links, axis=1, bitorder="little").tobytes())
+    if len(stage.robots) > MAX_ON_BUS:
+        parts.append(np.array([len(each.hears) for each in states], "<u4").tobytes())
+        parts += [each.hears.astype("<u2").tobytes() for each in states]
+    else:
+        links = np.stack([each.hears.ravel() for each in states])
+        parts.append(np.packbits(links, axis=1, bitorder="little").tobytes())
     return {"count": len(states), "data": _text(b"".join(parts))}
 
 

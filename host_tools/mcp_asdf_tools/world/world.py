@@ -78,6 +78,15 @@ class World:
         limits = np.where(motion.black, on_black, on_white)
         return Scene(draws < limits, observes, motion.adjacency, motion.position, accuracy)
 
+    def skip(self, steps: int) -> None:
+        """Let 1 or more steps pass unseen. O(steps N), or N^2 with the topology of an extension."""
+        self._next += steps
+        self._sensors.advance(steps)
+        if self._arena is not None:
+            self._arena.step(steps)
+        elif self._topology is not None:
+            self._topology.advance(steps)
+
     def step(self) -> Sequence[Observation | None]:
         """Take one step; returns the observation of each robot, None where it makes none. O(N^2)."""
         if self._ahead is None or self._at + 1 == len(self._ahead.black):

@@ -32,7 +32,7 @@ ALL = """[...Array(view.film.length).keys()].map((sample) => {
     const { film, film: { stage } } = view, robots = stage.robots.map((_, robot) => robot);
     return [
         stage.quantities.map((name) => robots.map((robot) => film.value(name, robot, sample))),
-        robots.map((i) => robots.map((j) => film.hears(i, j, sample))),
+        robots.map((i) => robots.map((j) => film.heard(sample, i).some(([each]) => each === j))),
         robots.map((robot) => film.position(robot, sample)),
     ]; })"""
 INK = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"

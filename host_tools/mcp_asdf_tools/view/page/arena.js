@@ -4,6 +4,7 @@ import { colour, colourOfError } from "view/colours";
 
 const BODY_RADIUS = 0.0704;
 const TURN = 2 * Math.PI;
+const MANY_ROBOTS = 128;
 const MANY_LINKS = 240;
 const MOST_LINKS = 4000; // more would be one grey disc
 
@@ -82,22 +83,11 @@ export class Arena {
     this.#drawFloor();
     const sample = this.#place(tick);
     this.radius = film.moves
-      ? Math.max(BODY_RADIUS * this.scale, 6 * this.ratio)
+      ? Math.max(BODY_RADIUS * this.scale, (film.robots > MANY_ROBOTS ? 2.5 : 6) * this.ratio)
       : Math.min((this.scale * Math.PI) / film.robots / 1.6, 15 * this.ratio);
     if (film.moves) this.#drawRanges(sample, chosen);
-    this.#drawLinks(this.#links(sample), chosen);
+    this.#drawLinks(film.heard(sample), chosen);
     for (let robot = film.robots - 1; robot >= 0; robot--) this.#drawRobot(robot, sample, chosen);
-  }
-
-  #links(sample) {
-    const pairs = [];
-    const { film } = this;
-    for (let receiver = 0; receiver < film.robots; receiver++) {
-      for (let sender = 0; sender < film.robots; sender++) {
-        if (film.hears(receiver, sender, sample)) pairs.push([sender, receiver]);
-      }
-    }
-    return pairs;
   }
 
   #drawFloor() {

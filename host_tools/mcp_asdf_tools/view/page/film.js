@@ -2,6 +2,7 @@
 
 const SCALE = 65534;
 const UNKNOWN = 65535;
+const MOST_WITH_BITS = 128; // robots with a bit for each two of them
 
 /** Bytes of base64 text. */
 export function bytesOf(text) {
@@ -35,6 +36,7 @@ export class Film {
     }
     this.linkBytes = Math.ceil(this.robots ** 2 / 8);
     this.links = new Uint8Array(0);
+    this.pairs = this.robots > MOST_WITH_BITS ? [] : null; // of receivers and senders, by sample
     this.events = [];
     this.gone = new Set();
   }
@@ -70,11 +72,24 @@ export class Film {
       this.#sum(differences, count, this.columns[name]);
       offset += 2 * count * this.robots;
     }
-    this.links = grown(this.links, total * this.linkBytes);
-    this.links.set(new Uint8Array(buffer, offset), this.length * this.linkBytes);
+    if (this.pairs) this.#appendPairs(buffer, offset, count);
+    else {
+      this.links = grown(this.links, total * this.linkBytes);
+      this.links.set(new Uint8Array(buffer, offset), this.length * this.linkBytes);
+    }
     const first = Math.max(this.length, 1);
     this.length = total;
     for (let sample = first; sample < total; sample++) this.#findEvents(sample);
+  }
+
+  #appendPairs(buffer, offset, count) {
+    // Copied, since places that are no multiple of 4 bytes cannot be read as such.
+    const counts = new Uint32Array(buffer.slice(offset, offset + 4 * count));
+    let start = offset + 4 * count;
+    for (const pairs of counts) {
+      this.pairs.push(new Uint16Array(buffer, start, 2 * pairs));
+      start += 4 * pairs;
+    }
   }
 
   /** Differences along each robot's series become values, the robots of a sample beside each other. */
@@ -102,9 +117,24 @@ export class Film {
     return [(px[at] / SCALE - 0.5) * width, (py[at] / SCALE - 0.5) * height];
   }
 
-  hears(receiver, sender, sample) {
-    const bit = receiver * this.robots + sender;
-    return (this.links[sample * this.linkBytes + (bit >> 3)] >> (bit & 7)) & 1;
+  /** Who hears whom in a sample: [sender, receiver] of each, or of those that one receiver hears. */
+  heard(sample, only = null) {
+    const found = [];
+    if (this.pairs) {
+      const pairs = this.pairs[sample];
+      for (let at = 0; at < pairs.length; at += 2) {
+        if (only === null || pairs[at] === only) found.push([pairs[at + 1], pairs[at]]);
+      }
+      return found;
+    }
+    for (let receiver = only ?? 0; receiver <= (only ?? this.robots - 1); receiver++) {
+      for (let sender = 0; sender < this.robots; sender++) {
+        const bit = receiver * this.robots + sender;
+        const byte = this.links[sample * this.linkBytes + (bit >> 3)];
+        if ((byte >> (bit & 7)) & 1) found.push([sender, receiver]);
+      }
+    }
+    return found;
   }
 
   get lastTick() {

@@ -56,7 +56,7 @@ export function showRobot(film, sample, robot) {
   }
   const flawed = film.stage.flawed.includes(robot) ? ", flawed at the start" : "";
   title.textContent = `Robot ${film.stage.robots[robot]}${flawed}`;
-  const heard = film.stage.robots.filter((_, sender) => film.hears(robot, sender, sample));
+  const heard = film.heard(sample, robot).map(([sender]) => film.stage.robots[sender]);
   const value = (name) => film.value(name, robot, sample);
   const rows = [
     ["b_hat", shown(value("b_hat"), 4)],
