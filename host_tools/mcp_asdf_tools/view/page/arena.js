@@ -163,7 +163,7 @@ export class Arena {
       ? colour("liar")
       : colourOfError(this.film.wrongness(robot, sample));
     context.fill();
-    context.lineWidth = (this.flawed.has(robot) ? 2.6 : 1) * this.ratio;
+    context.lineWidth = Math.min((this.flawed.has(robot) ? 2.6 : 1) * this.ratio, radius / 2);
     context.strokeStyle = colour(this.flawed.has(robot) ? "ink" : "card");
     context.stroke();
     if (robot === chosen) {
