@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import random
 import sys
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Status
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
@@ -24,6 +26,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
@@ -309,3 +312,60 @@ def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
         assert outcome.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
     call.experiment.liars = experiment.robots + 1
     assert native._execute(call, False, outcome) is Status.ERR_CONFIG
+
+
+# --- More than 128 robots ----------------------------------------------------------------------------------
+
+MANY = replace(LATE, robots=300, flawed=90, steps=150)
+LONG_GRAPH = "; ".join(f"{i} {(i + 1) % 2100}; {i} > {(i + 2048) % 2100}" for i in range(2100))
+HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60)
+"""Its robots, in more than one block of lanes, hear others in the other block."""
+
+
+@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
+def test_lanes_of_many_robots_equal_the_firmware(filtering: Any) -> None:
+    for experiment in (MANY, replace(MANY, density=6, latency=0), HUGE, replace(HUGE, latency=0)):
+        assert_equal_to_the_bit(replace(experiment, filter=filtering), first=0, trials=1)
+
+
+def digest_of(experiment: Experiment) -> str:
+    found = native.run(experiment, 0, 1)
+    values = (found.x.astype("<u4").tobytes(), found.b_hat.astype("<u4").tobytes(), *found.images())
+    return hashlib.sha256(b"".join(values)).hexdigest()[:16]
+
+
+def test_127_robots_have_the_bits_that_they_had_when_there_were_no_more() -> None:
+    own = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
+    assert digest_of(replace(own, filter="robust")) == "60640553d2f44490"
+    assert digest_of(replace(own, filter="asdf-plus")) == "e2c30e5f56d3501e"
+
+
+@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
+def test_many_robots_in_a_graph_are_firmwares_whose_neighbours_have_ids_of_their_own(filtering: Any) -> None:
+    """Robots 0, 128 and 256 hear each other, whose ids of 7 bits are one. Firmware that is alone with its
+    neighbours knows them by ids that differ, and are the same modulo 32, which is all that votes look at."""
+    edges = "; ".join(["0 128; 128 256; 0 256", *(f"{i} {i + 1}; {i} > {i + 3}" for i in range(257))])
+    graph: dict[str, Any] = {"graph": edges, "robots": 260, "flawed": 80, "latency": 0}
+    experiment = replace(HUGE, **graph, filter=filtering, steps=120, filter_period=40)
+    robots = [NativeRobot(experiment.config(j), j % 32, experiment.b_hat(j)) for j in range(260)]
+    heard = {j: sorted(a for a, b in experiment.graph.links if b == j) for j in range(260)}
+    scene = World(experiment).advance(120)
+    for black in scene.black.tolist():
+        for robot, seen in zip(robots, black, strict=True):
+            robot.observe(Observation(seen))
+        said = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
+        for j, robot in enumerate(robots):
+            for place, sender in enumerate(heard[j]):
+                robot.receive_raw(sender % 32 + 32 * (place % 3 + 1), *said[sender])
+            robot.settle()
+    found = run_trials(experiment, 0, 1, sampling_interval=120)
+    assert found.records["x"][0, -1].tolist() == [robot.x for robot in robots]
+    assert found.b_hat[0, -1].tolist() == [robot.b_hat for robot in robots]
+
+
+def test_memory_of_the_engine_grows_linearly_with_the_robots() -> None:
+    few, many = (
+        _engine.lib.mcp_asdf_engine_bytes(native._Call(experiment, 0, 1, 0).experiment) / experiment.robots
+        for experiment in (replace(MANY, robots=robots, density=1, steps=10) for robots in (2048, 10_240))
+    )
+    assert 1000 < many < 2500 and few == pytest.approx(many, rel=0.01)

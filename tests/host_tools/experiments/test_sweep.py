@@ -287,10 +287,29 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
     assert len(read_table(output)) == 30
 
 
+MANY = "--robots 1000 --trials 1 --steps 40"
+
+
+def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
+    tmp_path: Path, answer: Callable[..., dict[str, Any]]
+) -> None:
+    (tmp_path / "ring").write_text("".join(f"{i} {(i + 1) % 1000}\n" for i in range(1000)))
+    for topology in ("dynamic", f"graph --graph {tmp_path / 'ring'}"):
+        found = answer("simulate", *MANY.split(), "--topology", *topology.split(), "--filter-period", "20")
+        assert found["parameters"]["robots"] == 1000 and found["trials"] == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ("simulate --robots 0", "--robots is 0; it must be 1 to 65536"),
+        (f"simulate {MANY}", "--robots is 1000, but each would hear 999 others, and a round of the firmware"),
+        (f"simulate {MANY} --topology dynamic --radio-range 2", "--radio-range: robots is 1000, but with"),
+        (
+            f"simulate {MANY} --topology dynamic --firmware mirror",
+            "--firmware: robots is 1000, but firmware is",
+        ),
+        (f"simulate {MANY} --topology dynamic --white-offset 0.1", "--white-offset: robots is 1000, but"),
         ("simulate --filter none --omega 0.1", "--omega would do nothing: filter is none"),
         ("simulate --workers 0", "--workers is 0"),
         ("simulate --record -1", "--record is -1"),

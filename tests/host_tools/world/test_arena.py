@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, Motion
+from mcp_asdf_tools.world.arena import Arena, Motion, config_values
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
 
@@ -59,7 +59,14 @@ def test_impossible_requests_are_named() -> None:
 # ---------------------------------------------------------------- determinism
 
 
-@pytest.mark.parametrize(("settings", "expected"), [(PAPER, "9da4ac4df8883d84"), (CROWD, "b076104f7f9d6271")])
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (PAPER, "9da4ac4df8883d84"),
+        (CROWD, "b076104f7f9d6271"),
+        (world(127, density=4.0), "036003a4cf6e9dcc"),
+    ],
+)
 def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected: str) -> None:
     """The digest stands for every machine: the arena uses only operations that IEEE 754 rounds correctly."""
     motion = Arena(settings, 1).record(3000)
@@ -126,6 +133,42 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
         linked += expected.sum()
         near += (distances(motion.position[-1]) < settings.radio_range).sum()
     assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
+
+
+def watched_by_definition(arena: Arena) -> list[list[int]]:
+    """All pairs that could hear, see or touch each other within 12 ticks, in order."""
+    settings = arena.settings
+    limit = max(settings.radio_range, 2 * RADIUS + max(0.12, 2 * settings.speed * TICK))
+    near = distances(arena.positions) < limit + 12 * 2 * settings.speed * TICK
+    pairs: list[list[int]] = np.argwhere(np.triu(near)).tolist()
+    return pairs
+
+
+@pytest.mark.parametrize("density", [0.02, 0.3, 1.0, 4.0, 10.0])
+def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float) -> None:
+    rng = np.random.default_rng(round(100 * density))
+    for _ in range(4):
+        robots, aspect = int(rng.integers(129, 400)), rng.uniform(0.05, 1)
+        side = 0.7 * math.sqrt(robots * math.pi / density / aspect)
+        settings = world(
+            robots, side, aspect * side, speed=rng.choice([0.1414, 0.6]), radio_range=rng.choice([0.3, 0.7])
+        )
+        arena = Arena(settings, 1)
+        for _ in range(2):
+            watched = arena._arena.watched[0 : arena._arena.watched_count]
+            assert [[pair.a, pair.b] for pair in watched] == watched_by_definition(arena), settings
+            arena.step(13)  # to the next look
+    motion = arena.record(1)
+    assert np.array_equal(motion.adjacency[-1], links_by_definition(motion.position[-1], settings))
+
+
+def test_memory_grows_linearly_with_the_robots() -> None:
+    few, many = (
+        _arena.lib.mcp_asdf_arena_bytes(_arena.ffi.new("mcp_asdf_arena_config_t *", values)) / robots
+        for robots in (1000, 10_000)
+        for values in [config_values(world(robots), 0, _arena.ffi)[0]]
+    )
+    assert 1000 < many < 2000 and few == pytest.approx(many, rel=0.01)
 
 
 # ---------------------------------------------------------------- wheels

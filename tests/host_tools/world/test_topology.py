@@ -72,6 +72,9 @@ def test_a_graph_must_be_text_about_these_robots(tmp_path: Path) -> None:
     graph.check(8)
     with pytest.raises(UsageError, match="names robot 7, but the ids of 7 robots are 0 to 6"):
         graph.check(7)
+    crowded = read("".join(f"{sender} > 5\n" for sender in range(200) if sender != 5), tmp_path)
+    with pytest.raises(UsageError, match="robot 5 hears 199 others, but a round of the firmware holds 127"):
+        crowded.check(200)
     (tmp_path / "edges.txt").write_bytes(b"\xff\xfe\0")
     with pytest.raises(UsageError, match="cannot read the graph"):
         graph_of(tmp_path / "edges.txt")
