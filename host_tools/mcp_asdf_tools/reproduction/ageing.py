@@ -50,4 +50,4 @@ def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     (own,) = (results[name] for name in FILES)
     table = table_of("Sensors that age", own, row_of)
     lines = table.lines(late, "error of the last quarter (95 % interval)")
-    write_page(folder, "ageing", [table], lines, picture_of(own))
+    write_page(folder, "ageing", table, lines, picture_of(own))

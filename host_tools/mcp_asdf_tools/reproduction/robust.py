@@ -238,15 +238,15 @@ def tables_of(results: Mapping[str, Sequence[Trials]]) -> dict[str, Table]:
     }
 
 
-def write_page(folder: Path, name: str, tables: Sequence[Table], lines: str, picture: Figure) -> None:
-    """Write a page of tables, which ``lines`` shows, and a picture: ``name.md``, ``.csv`` and ``.svg``."""
+def write_page(folder: Path, name: str, table: Table, lines: str, picture: Figure) -> None:
+    """Write a page of a table, which ``lines`` shows, and a picture: ``name.md``, ``.csv`` and ``.svg``."""
     from mcp_asdf_tools.common.figures import image_of  # noqa: PLC0415 (matplotlib loads slowly)
 
-    title, file = tables[0].title, folder / f"{name}.svg"
+    title, file = table.title, folder / f"{name}.svg"
     write_together(
         {
             folder / f"{name}.md": f"# {title}\n\n{lines}\n\n![{title}]({file.name})\n",
-            folder / f"{name}.csv": csv_of(tables),
+            folder / f"{name}.csv": csv_of([table]),
             file: image_of(picture, file),
         }
     )

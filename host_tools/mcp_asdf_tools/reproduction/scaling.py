@@ -16,7 +16,6 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.reproduction.resampling import Estimate
 from mcp_asdf_tools.reproduction.robust import (
     Entry,
-    Special,
     Table,
     late,
     measures_of,
@@ -24,110 +23,89 @@ from mcp_asdf_tools.reproduction.robust import (
     with_interval,
     write_page,
 )
-from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FILES = ("scale",)
-HEAD = "H, error of the last quarter"
-COST_HEAD = "processor time for each robot and step, ns"
-Costs = Mapping[tuple[int, Filtering], float]
-"""Processor time by number of robots and filter, in ns for each robot and step."""
-
-
-def is_underconfident(experiment: Experiment) -> bool:
-    """Whether flawed robots think their sensors worse than they are."""
-    return experiment.flawed_accuracy < experiment.true_accuracy
-
-
-def row_of(robots: int) -> str:
-    """The row of swarms of this size."""
-    return f"{robots:,} robots"
-
-
-def column_of(experiment: Experiment) -> str:
-    """The filter, and the robots that are flawed."""
-    world = "underconfident" if is_underconfident(experiment) else "overconfident"
-    return f"{FILTER_NAMES[experiment.filter]}, {world}"
-
-
-def late_error(trials: Trials) -> NDArray[np.float64]:
-    """The mean error of the last quarter of each trial."""
-    return measures_of(trials)["late"]
-
+HEAD = "H, error of the last quarter, ns of processor time for each robot and step"
+Costs = Mapping[tuple[str, str], float]
+"""Processor time by row and filter, in ns for each robot and step."""
 
 _ROBOT_STEPS = 1_000_000
 _FEWEST_STEPS = 100
 
 
-def costs_of(experiments: Sequence[Experiment]) -> dict[tuple[int, Filtering], float]:
-    """Measure the costs on this machine, without the start of a trial; the best of three counts."""
+def row_of(experiment: Experiment) -> str:
+    """How many robots, and how the flawed ones are wrong."""
+    is_under = experiment.flawed_accuracy < experiment.true_accuracy
+    return f"{experiment.robots:,} robots, {'under' if is_under else 'over'}confident"
+
+
+def cost_of(experiment: Experiment) -> float:
+    """Processor time on this machine, in ns for each robot and step after the start; the best of three."""
     from mcp_asdf_tools.experiments.engine import native  # noqa: PLC0415 (other parts need not be built)
 
-    def seconds(experiment: Experiment, steps: int) -> float:
+    def seconds(count: int) -> float:
         start = time.process_time()
-        native.run(replace(experiment, steps=steps), 0, 1)
+        native.run(replace(experiment, steps=count), 0, 1)
         return time.process_time() - start
 
-    costs = dict[tuple[int, Filtering], float]()
-    for each in experiments:
-        steps = max(_FEWEST_STEPS, _ROBOT_STEPS // each.robots)
-        spent = min(seconds(each, 2 * steps) for _ in range(3)) - min(seconds(each, steps) for _ in range(3))
-        costs[each.robots, each.filter] = 1e9 * spent / steps / each.robots
-    return costs
+    steps = max(_FEWEST_STEPS, _ROBOT_STEPS // experiment.robots)
+    spent = min(seconds(2 * steps) for _ in range(3)) - min(seconds(steps) for _ in range(3))
+    return 1e9 * spent / steps / experiment.robots
+
+
+def costs_of(results: Sequence[Trials]) -> Costs:
+    """What the robots of each experiment cost."""
+    own = [each.experiment for each in results]
+    return {(row_of(each), each.filter_name): cost_of(each) for each in own}
+
+
+def scores_of(results: Sequence[Trials], costs: Costs) -> Table:
+    """Scores, errors and costs."""
+    scores = table_of("Many robots", results, row_of)
+    entries = {
+        place: Entry(each.trials, {**each.measures, "cost": Estimate(*[costs[place]] * 3)})
+        for place, each in scores.entries.items()
+    }
+    return Table(scores.title, entries)
+
+
+def shown(entry: Entry) -> str:
+    """What HEAD says."""
+    h = with_interval(entry.measures["H"], "{:.1f}".format, 0.5)
+    return f"{h}, {late(entry)}, {entry.measures['cost'].value:.0f}"
 
 
 def picture_of(results: Sequence[Trials], costs: Costs) -> Figure:
-    """H and late error over the number of robots, a row for each kind of flawed robots; and the cost."""
-    from mcp_asdf_tools.common.figures import SMALL, WIDTH, clean, empty_figure  # noqa: PLC0415
-    from mcp_asdf_tools.experiments.plots import curve, filter_colours  # noqa: PLC0415 (matplotlib loads slowly)
+    """H, late error and cost over the number of robots; a row for each way in which robots are flawed."""
+    from mcp_asdf_tools.common.figures import WIDTH, empty_figure  # noqa: PLC0415
+    from mcp_asdf_tools.experiments.plots import Measure, curve  # noqa: PLC0415 (matplotlib loads slowly)
 
-    figure = empty_figure(WIDTH, 4.6)
-    panels = figure.subplot_mosaic([["under H", "under e", "cost"], ["over H", "over e", "cost"]])
-    for name in ("under", "over"):
-        own = [each for each in results if is_underconfident(each.experiment) is (name == "under")]
-        curve(own, "robots", "filter", ax=panels[f"{name} H"])
-        curve(own, "robots", "filter", late_error, ax=panels[f"{name} e"])
-        panels[f"{name} H"].set_title(f"{name}confident", fontsize=SMALL, loc="left")
-        panels[f"{name} e"].set(yscale="log", ylabel="error of the last quarter")
-    filters = list(dict.fromkeys(each for _, each in costs))
-    for each, colour in zip(filters, filter_colours(filters), strict=True):
-        places = sorted(robots for robots, of in costs if of == each)
-        panels["cost"].plot(places, [costs[robots, each] for robots in places], "o-", color=colour)
-    panels["cost"].set(xlabel="number of robots", ylabel="ns for each robot and step", ylim=(0, None))
-    for axes in figure.axes:
-        axes.set_xscale("log")
-        clean(axes)
+    def late_error(trials: Trials) -> NDArray[np.float64]:
+        return measures_of(trials)["late"]
+
+    def cost(trials: Trials) -> NDArray[np.float64]:
+        place = row_of(trials.experiment), trials.experiment.filter_name
+        return np.full(len(trials.numbers), costs[place])
+
+    measures: tuple[str | Measure, ...] = ("H", late_error, cost)
+    figure = empty_figure(WIDTH, 4.8)
+    for row, name in zip(figure.subplots(2, 3), ("underconfident", "overconfident"), strict=True):
+        own = [each for each in results if row_of(each.experiment).endswith(name)]
+        for axes, measure in zip(row, measures, strict=True):
+            curve(own, "robots", "filter", measure, ax=axes)
+            axes.set(xscale="log", yscale="log" if measure is late_error else "linear", title=name)
+        row[0].set_ylabel("score H")
+        row[1].set_ylabel("error of the last quarter")
+        row[2].set(ylabel="ns for each robot and step", ylim=(0, None))
     return figure
-
-
-def tables_of(results: Sequence[Trials], costs: Costs) -> dict[str, Table]:
-    """What came out, and what it cost, by the words of their marks in the docs."""
-    cost = {
-        (row_of(robots), FILTER_NAMES[each]): Entry(1, {"cost": Estimate(ns, ns, ns)})
-        for (robots, each), ns in costs.items()
-    }
-    scores = table_of("Many robots", results, lambda each: row_of(each.robots), Special(column=column_of))
-    return {"scale": scores, "cost": Table("Cost", cost)}
-
-
-def lines_of(tables: Mapping[str, Table]) -> dict[str, str]:
-    """The tables in Markdown."""
-
-    def scores(entry: Entry) -> str:
-        return f"{with_interval(entry.measures['H'], '{:.1f}'.format, 0.5)}, {late(entry)}"
-
-    return {
-        "scale": tables["scale"].lines(scores, HEAD),
-        "cost": tables["cost"].lines(lambda entry: f"{entry.measures['cost'].value:.0f}", COST_HEAD),
-    }
 
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``scale.md`` and ``scale.csv``, and ``scale.svg``, the picture; the costs are measured now."""
     (own,) = (results[name] for name in FILES)
-    costs = costs_of([each.experiment for each in own if is_underconfident(each.experiment)])
-    tables = tables_of(own, costs)
-    text = "\n\n".join(lines_of(tables).values())
-    write_page(folder, "scale", [*tables.values()], text, picture_of(own, costs))
+    costs = costs_of(own)
+    table = scores_of(own, costs)
+    write_page(folder, "scale", table, table.lines(shown, HEAD), picture_of(own, costs))

@@ -11,7 +11,10 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.reproduction import resampling, robust, scaling
 
+FILTERS = ("no filter", "robust")
 
+
+@pytest.mark.slow
 def test_the_command_writes_tables_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = "fill_ratio = 0.95\ntrue_accuracy = 0.55\nflawed_accuracy = 0.95\n"
     text = f'topology = "dynamic"\nrobots = [3, 9]\nfilter = ["none", "robust"]\n[[grid]]\n[[grid]]\n{wrong}'
@@ -22,13 +25,12 @@ def test_the_command_writes_tables_and_picture(tmp_path: Path, monkeypatch: pyte
     options = ["--part", "scale", "--trials", "2", "--steps", "4000", "--workers", "1", "--quick"]
     assert main(["reproduce", *options, "--output", str(tmp_path / "out")]) == 0
     rows = list(csv.DictReader((tmp_path / "out/scale.csv").read_text().splitlines()))
-    for table, columns in (("Many robots", 4), ("Cost", 2)):
-        places = [(row["row"], row["filter"]) for row in rows if row["table"] == table]
-        assert {row for row, _ in places} == {"3 robots", "9 robots"} and len({*places}) == 2 * columns
-    costs = [float(row["value"]) for row in rows if row["measure"] == "cost"]
-    assert len(costs) == 4 and all(ns > 1 for ns in costs)
+    ways = ("underconfident", "overconfident")
+    places = {(f"{robots} robots, {way}", each) for robots in (3, 9) for way in ways for each in FILTERS}
+    for measure in ("H", "late", "cost"):
+        assert {(row["row"], row["filter"]) for row in rows if row["measure"] == measure} == places
     page = (tmp_path / "out/scale.md").read_text()
-    assert page.startswith("# Many robots\n") and scaling.COST_HEAD in page and "](scale.svg)" in page
+    assert page.startswith("# Many robots\n") and scaling.HEAD in page and "](scale.svg)" in page
     assert (tmp_path / "out/scale.svg").read_bytes().startswith(b"<?xml")
 
 
