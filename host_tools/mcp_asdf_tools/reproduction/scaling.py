@@ -97,9 +97,9 @@ def picture_of(results: Sequence[Trials], costs: Costs) -> Figure:
         for axes, measure in zip(row, measures, strict=True):
             curve(own, "robots", "filter", measure, ax=axes)
             axes.set(xscale="log", yscale="log" if measure is late_error else "linear", title=name)
-        row[0].set_ylabel("score H")
+        row[0].set(ylabel="score H", ylim=(0, 100))
         row[1].set_ylabel("error of the last quarter")
-        row[2].set(ylabel="ns for each robot and step", ylim=(0, None))
+        row[2].set(ylabel="ns, robot and step", ylim=(0, None))
     return figure
 
 

@@ -1,0 +1,28 @@
+"""Put the table of the study of many robots into docs/robust.md, and its picture beside it.
+
+mcp-asdf reproduce --part scale --output FOLDER
+python tests/benchmarks/scale_page.py FOLDER     # measures the costs again
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from benchmarks.robust_page import PAGE, ROOT, put_tables, small_picture
+from mcp_asdf_tools.experiments.results import experiments_in, read_table
+from mcp_asdf_tools.reproduction import scaling
+
+
+def main() -> int:
+    """Write the table between its marks, and the picture."""
+    results = experiments_in(read_table(Path(sys.argv[1], "scale.parquet")))
+    costs = scaling.costs_of(results)
+    table = scaling.scores_of(results, costs)
+    put_tables(PAGE, {"scale": table.lines(scaling.shown, scaling.HEAD)})
+    (ROOT / "docs/images/scale.webp").write_bytes(small_picture(scaling.picture_of(results, costs)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
