@@ -238,14 +238,15 @@ class Bench:
         round_begins = period - (1 + before) * self.record.comms_period
         self.skip((round_begins - self.model.ticks) % period, observe)
 
-    def avoid_test(self, rounds: int = 1) -> None:
-        """Let rounds without messages pass if one of the next ``rounds`` has a test, unless all have."""
+    def avoid_test(self, doing: str, rounds: int = 1) -> None:
+        """Begin with ``doing`` after rounds without messages if one of the next ``rounds`` has a test, unless
+        all have."""
         config = self.config
-        if config.filter is Filter.OFF or config.filter_period == 1:
-            return
-        for number in range(rounds, 0, -1):
-            if (self.model.ticks + number * self.record.comms_period) % self.record.filter_period == 0:
-                self.round()
+        if config.filter is not Filter.OFF and config.filter_period > 1:
+            for number in range(rounds, 0, -1):
+                if (self.model.ticks + number * self.record.comms_period) % self.record.filter_period == 0:
+                    self.round()
+        self.doing = doing
 
     # --- Comparing ---
 

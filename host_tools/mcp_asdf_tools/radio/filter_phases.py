@@ -107,8 +107,7 @@ def no_test(bench: Bench) -> None:
     loud = far_away(bench.situation, bench.draw, m=1) if bench.config.filter is Filter.ADAPTIVE else []
     bench.round(*loud, *silent)
     for _ in range(2):
-        bench.doing = "a round after that of the test"
-        bench.avoid_test()
+        bench.avoid_test("a round after that of the test")
         bench.round(*far_away(bench.situation, bench.draw))
 
 
@@ -159,8 +158,7 @@ def _crafted(bench: Bench, contents: Sequence[Content]) -> None:
     """A round at the test, and another of the same senders, who count again."""
     senders = bench.draw.sample(bench.others, len(contents))
     bench.round(*contents, senders=senders)
-    bench.avoid_test()
-    bench.doing += "; then others of the same senders"
+    bench.avoid_test(f"{bench.doing}; then others of the same senders")
     bench.round(*(any_content(bench.draw) for _ in senders), senders=senders)
 
 

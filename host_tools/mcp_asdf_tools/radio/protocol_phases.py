@@ -159,12 +159,10 @@ def first_black_tiles(bench: Bench) -> None:
 def messages_and_silence(bench: Bench) -> None:
     """Ticks with a few messages of similar weight, and ticks without any."""
     for _ in range(6):
-        bench.avoid_test()
-        bench.doing = "a few messages"
+        bench.avoid_test("a few messages")
         frames = bench.messages({robot: any_content(bench.draw, 3) for robot in bench.others[:3]})
         bench.tick(bench.any_observation(), frames)
-        bench.avoid_test()
-        bench.doing = "no messages"
+        bench.avoid_test("no messages")
         for _ in range(2 if bench.draw.random() < 0.5 else 1):
             bench.tick(bench.any_observation())
 
@@ -172,9 +170,8 @@ def messages_and_silence(bench: Bench) -> None:
 def lost_settles(bench: Bench) -> None:
     """Every other *settle* does not come; the next *observe* ends the tick and its round all the same."""
     for _ in range(4):
-        bench.avoid_test()
+        bench.avoid_test("messages in a tick whose settle is lost")
         bench.observe(bench.any_observation())
-        bench.doing = "messages in a tick whose settle is lost"
         bench.send(bench.messages([(robot, any_content(bench.draw)) for robot in bench.others[5:8]]))
         bench.leave_open()
         bench.doing = "the tick after one whose settle was lost"
@@ -196,8 +193,7 @@ def stray(bench: Bench) -> None:
     """Commands that must not be obeyed, each kind by itself."""
     for _ in range(STRAY_REPEATS):
         for name, (target, when, action) in STRAY.items():
-            bench.avoid_test()
-            bench.doing = name
+            bench.avoid_test(name)
             bench.observe(bench.any_observation())
             usual, other = bench.command(action), _another_robot(bench)
             targets = {"robot": usual.target, "other": other, "all": EVERY_ROBOT}
@@ -226,8 +222,7 @@ def unusual_commands(bench: Bench) -> None:
     then the controller misses an observation, or has a round too many messages.
     """
     for name, change in UNUSUAL_COMMANDS.items():
-        bench.avoid_test(2)  # the last message is one of the next round
-        bench.doing = f"commands {name}"
+        bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
         other: dict[str, Any] = {"sender": _another_robot(bench)} if name == "of another node" else {}
         other |= {"target": EVERY_ROBOT} if name == "for every robot" else {}
         _send(bench, replace(bench.command(Action.observing(bench.any_observation())), **other), change)
@@ -238,9 +233,8 @@ def unusual_commands(bench: Bench) -> None:
         bench.settle()
     for bit in (8, 16, 24, 31):
         for distance in (1 << bit, 1 - (1 << bit)):
-            bench.avoid_test()
             later = "higher" if distance > 0 else "lower"
-            bench.doing = f"an observe of a number {later} by about 2^{bit} than that of the open tick"
+            bench.avoid_test(f"an observe of a number {later} by about 2^{bit} than that of the open tick")
             bench.observe(bench.any_observation())
             bench.leave_open(distance)
             bench.tick(bench.any_observation())
@@ -249,8 +243,7 @@ def unusual_commands(bench: Bench) -> None:
 def unusual_messages(bench: Bench) -> None:
     """Messages whose identifiers differ in what a receiver ignores."""
     for name, change in UNUSUAL_IDENTIFIERS.items():
-        bench.avoid_test()
-        bench.doing = f"messages {name}"
+        bench.avoid_test(f"messages {name}")
         frames = bench.messages({robot: any_content(bench.draw) for robot in bench.others[:3]})
         change(frames[0])
         bench.round_of(frames)
@@ -266,8 +259,7 @@ def invalid(bench: Bench) -> None:
     """Frames that are no estimates, each kind by itself, before a valid message of the same sender."""
     for _ in range(2):
         for name, spoil in MALFORMED.items():
-            bench.avoid_test()
-            bench.doing = name
+            bench.avoid_test(name)
             pair = bench.draw.sample(bench.others, 2)
             frames = bench.messages([(pair[0], any_content(bench.draw))])
             spoil(frames[0], bench.draw)
@@ -279,8 +271,7 @@ def _other_kinds(bench: Bench) -> None:
     """Messages of other kinds, which are no estimates either."""
     subjects, draw = bench.settings.subjects, bench.draw
     for sender in draw.sample(bench.others, 3):
-        bench.avoid_test()
-        bench.doing = "telemetry and a heartbeat of another robot"
+        bench.avoid_test("telemetry and a heartbeat of another robot")
         telemetry = Telemetry(sender, draw.randint(0, ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0)
         beat = encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0))
         frames = [encode_telemetry(telemetry, subjects.telemetry), beat]
@@ -290,8 +281,7 @@ def _other_kinds(bench: Bench) -> None:
 def every_sender(bench: Bench) -> None:
     """A round for every id."""
     for sender in bench.others:
-        bench.avoid_test()
-        bench.doing = f"one message, of robot {sender}"
+        bench.avoid_test(f"one message, of robot {sender}")
         bench.round(any_content(bench.draw), senders=[sender])
 
 
@@ -301,28 +291,24 @@ def alike_ids(bench: Bench) -> None:
     for bit in (1 << place for place in range(7)):
         pairs = [(robot, robot | bit) for robot in others if robot & bit == 0 and robot | bit in others]
         for pair in bench.draw.sample(pairs, 2):
-            bench.avoid_test()
-            bench.doing = f"messages of the robots {pair[0]} and {pair[1]}"
+            bench.avoid_test(f"messages of the robots {pair[0]} and {pair[1]}")
             bench.round(*(any_content(bench.draw) for _ in pair), senders=pair)
 
 
 def growing_rounds(bench: Bench) -> None:
     """Rounds of ever more messages."""
     for size in SIZES:
-        bench.avoid_test()
-        bench.doing = f"a round of {size} messages"
+        bench.avoid_test(f"a round of {size} messages")
         bench.round(*(any_content(bench.draw) for _ in range(size)))
 
 
 def extremes(bench: Bench) -> None:
     """Messages at the ends of the ranges, and confidences that no robot of ours sends."""
     for name, contents in EXTREMES.items():
-        bench.avoid_test()
-        bench.doing = name
+        bench.avoid_test(name)
         bench.round(*contents)
     for name, bits in FOREIGN_ALPHAS.items():
-        bench.avoid_test()
-        bench.doing = name
+        bench.avoid_test(name)
         frames = bench.messages({robot: (any_content(bench.draw)[0], 0x100) for robot in bench.others[:2]})
         frames[0].data[3:7] = bits.to_bytes(4, "little")
         bench.round_of(frames)
@@ -331,8 +317,7 @@ def extremes(bench: Bench) -> None:
 def same_sender(bench: Bench) -> None:
     """Several messages of one sender in a round, of which the first counts."""
     for repeats in (1, 2, 5):
-        bench.avoid_test()
-        bench.doing = "different messages of one sender in a round"
+        bench.avoid_test("different messages of one sender in a round")
         one, other = bench.draw.sample(bench.others, 2)
         senders = [one, other] + [one] * repeats
         bench.round_of(bench.messages([(robot, any_content(bench.draw)) for robot in senders]))
@@ -342,8 +327,7 @@ def own_id(bench: Bench) -> None:
     """Messages under the controller's own id, which it must not count."""
     own = bench.settings.controller.id
     for place in range(4):
-        bench.avoid_test()
-        bench.doing = f"a message under its own id, {own}"
+        bench.avoid_test(f"a message under its own id, {own}")
         frames = bench.messages({robot: any_content(bench.draw) for robot in bench.others[3:6]})
         frames.insert(place, *bench.messages({own: any_content(bench.draw)}))
         bench.round_of(frames)
@@ -352,7 +336,6 @@ def own_id(bench: Bench) -> None:
 def between_ticks(bench: Bench) -> None:
     """Messages that come after a *settle*, for the next round."""
     for _ in range(3):
-        bench.avoid_test()
-        bench.doing = "messages between a settle and the next observe"
+        bench.avoid_test("messages between a settle and the next observe")
         bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[7:10]}))
         bench.round(any_content(bench.draw), senders=bench.others[11:12])
