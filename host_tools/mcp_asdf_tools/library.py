@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import can
 
@@ -34,7 +34,8 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
     """
     if channel is None:
         return Swarm(settings, Wiring())
-    return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", preserve_timestamps=True)))
+    options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
+    return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", **options)))
 
 
 @naming_extras()

@@ -26,7 +26,7 @@ GROUP = BusChoice("udp_multicast", {"channel": "239.74.163.249", "port": 43449, 
 
 def shared(settings: SwarmSettings) -> tuple[float, list[float]]:
     """Processor seconds of a swarm with one connection for all, and x of its robots."""
-    with Swarm(settings, Wiring(lambda robot: GROUP.open())) as swarm:
+    with Swarm(settings, Wiring(lambda robot: GROUP.open(returns_own=True))) as swarm:
         began = time.process_time()
         for _ in range(settings.steps):
             swarm.tick()

@@ -82,19 +82,20 @@ class BusChoice:
             own["port"] = int(self.settings.get("port", _UDP_PORT)) + robot
         return BusChoice(self.interface, self.settings | own)
 
-    def open(self) -> can.BusABC:
+    def open(self, returns_own: bool = False) -> can.BusABC:
         """Join the bus as one more node. Raises UsageError if that is impossible.
 
-        The connection marks others' frames as received and returns no own ones, on any interface, and waits
-        by a clock that nobody sets.
+        The connection marks others' frames as received, on any interface, and waits by a clock that nobody
+        sets. Own frames it returns, once they have been on the bus, if ``returns_own``, and else never.
         """
+        echo = {"receive_own_messages": True} if returns_own and self.interface != "udp_multicast" else {}
         try:
-            bus = can.Bus(interface=self.interface, single_handle=True, **self.settings)
+            bus = can.Bus(interface=self.interface, single_handle=True, **self.settings | echo)
         except Exception as error:  # an interface may raise anything
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         if bus.channel_info == can.BusABC.channel_info:
             bus.channel_info = self.channel or self.interface
-        return _WRAPPERS.get(self.interface, Connection)(bus)
+        return _WRAPPERS.get(self.interface, Connection)(bus, returns_own)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -124,9 +125,10 @@ class BusChoice:
 class Connection(can.BusABC):
     """Connection that wraps another, whose own ``recv`` waits longer where the time of day is set back."""
 
-    def __init__(self, bus: can.BusABC) -> None:
-        """Take over ``bus``, which closes with this connection."""
+    def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
+        """Take over ``bus``, which closes with this connection, and returns own frames or not."""
         self._bus = bus
+        self._returns_own = returns_own
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
         self._can_protocol = bus.protocol
@@ -164,10 +166,8 @@ class Connection(can.BusABC):
 
 
 class AllReceived(Connection):
-    """SocketCAN connection that marks the frames of other programs on this computer as received.
-
-    python-can marks them as sent (``is_rx`` false), but SocketCAN does not return a connection's own frames.
-    """
+    """SocketCAN connection that marks all frames as received: python-can marks those from this computer as
+    sent (``is_rx`` false)."""
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame, is_filtered = super()._recv_internal(timeout)
@@ -180,16 +180,11 @@ class Multicast(Connection):
     """Connection to a multicast group, where any program of the network may send anything.
 
     A datagram that is no frame arrives as an error frame, like a frame that is damaged on its way on a CAN
-    bus. It passes every filter.
-
-    Attributes:
-        returns_own: Whether ``recv`` returns own frames once they have been on the bus: the objects that were
-            sent, stamped anew. Other connections do not.
+    bus. It passes every filter. Own frames that are returned are the objects that were sent, stamped anew.
     """
 
-    def __init__(self, bus: can.BusABC) -> None:
-        super().__init__(bus)
-        self.returns_own = False
+    def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
+        super().__init__(bus, returns_own)
         self._group = cast(UdpMulticastBus, bus)._multicast
         # If an own datagram is lost, the same one from elsewhere is taken for it, once.
         self._own: deque[tuple[bytes, can.Message]] = deque(maxlen=_MOST_ECHOES)
@@ -206,7 +201,7 @@ class Multicast(Connection):
             own = self._take_own(datagram)
             if own is None:
                 return self._frame_of(datagram, timestamp)
-            if self.returns_own:
+            if self._returns_own:
                 own.timestamp, own.is_rx, own.channel = timestamp, True, self.channel_info
                 return own, True
             timeout = 0.0  # the caller waits again for the rest of its time

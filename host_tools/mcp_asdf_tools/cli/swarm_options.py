@@ -120,10 +120,12 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfa
     if len(devices) < len(places):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
-    def open_bus(robot: int) -> can.BusABC:
-        return devices.get(robot, choice.of_robot(robot)).open()
-
     remote = range(settings.robots) if args.processes else devices
+
+    def open_bus(robot: int) -> can.BusABC:
+        returns_own = not (choice.has_channels or remote)
+        return devices.get(robot, choice.of_robot(robot)).open(returns_own)
+
     needs_bus = remote or args.slcan is not None or choice.has_channels or not choice.is_private
     bus = open_bus if needs_bus else None
     wiring = Wiring(bus, not choice.has_channels, frozenset(remote), choice.channel or "")

@@ -3,8 +3,8 @@
 ``Delivery`` decides which frames each robot hears, and when. The ``Carrier`` brings them there:
 
 - inside this process where no other program can listen;
-- over one bus: what robots send is on it, and the carrier listens with a connection of its own, or
-  with theirs if that returns what it sends. Another program on the bus sees the frames sent;
+- over one bus: what robots send is on it, and comes back to the one connection of all. Another program on the
+  bus sees the frames sent;
 - over a bus for every robot: the carrier reads there what the robot sends, and writes what it hears. Another
   program on that bus sees what this robot sees.
 
@@ -14,8 +14,6 @@ in the same order.
 
 from __future__ import annotations
 
-import os
-import select
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -29,7 +27,6 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import FrameFormat, decode_any
-from mcp_asdf_tools.bus.interfaces import Multicast
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
@@ -44,10 +41,6 @@ _BATCH = 64
 _MOST_LATE = 4096
 """Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
 
-
-_LONGEST = 4096
-"""Bytes of the longest datagram or burst that is thrown away at once."""
-
 OpenBus = Callable[[int], can.BusABC]
 """Joins the bus of a robot, by id."""
 
@@ -61,7 +54,8 @@ class Wiring:
     """Assignment of robots to buses.
 
     Attributes:
-        open_bus: Joins the bus of a robot. None for no bus: robots of this process that nothing else hears.
+        open_bus: Joins the bus of a robot. A connection to one bus for all returns what it sends, unless the
+            robots run elsewhere. None for no bus: robots of this process that nothing else hears.
         is_shared: Whether that is one bus for all, else every robot has its own.
         remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
         channel: Name of the bus in logs where there is none.
@@ -146,21 +140,6 @@ class Connection:
         if frame is not None:
             self._sort(frame, [])
 
-    def discard(self) -> None:
-        """Throw away what has come to a connection that only sends: undecoded, where it has a descriptor.
-
-        Raises can.CanError if the bus has failed.
-        """
-        try:
-            descriptor = self.bus.fileno()
-        except NotImplementedError:
-            self.drain()
-            return
-        with can.exceptions.error_check():
-            for _ in range(_MOST_LATE):
-                if not select.select([descriptor], [], [], 0)[0] or not os.read(descriptor, _LONGEST):
-                    return
-
     def _error(self, missing: Sequence[SentFrame]) -> SwarmError:
         names = ", ".join(dict.fromkeys(f"frame {each.frame.arbitration_id:08X}" for each in missing[:8]))
         return SwarmError(
@@ -208,13 +187,10 @@ class Carrier:
                 bus = stack.enter_context(wiring.open_bus(first))
                 end = Connection(bus, "the carrier", partial(self._meet, members), log)
                 self.ends |= dict.fromkeys(members, end)
-                if first in wiring.remote:
-                    continue
-                if wiring.is_shared and isinstance(bus, Multicast):
-                    bus.returns_own, radio = True, end
-                else:
-                    radio = Connection(stack.enter_context(wiring.open_bus(first)), f"robot {first}")
-                self._radios |= dict.fromkeys(members, radio)
+                if first not in wiring.remote:
+                    own = None if wiring.is_shared else stack.enter_context(wiring.open_bus(first))
+                    radio = end if own is None else Connection(own, f"robot {first}")
+                    self._radios |= dict.fromkeys(members, radio)
             self._stack = stack.pop_all()
 
     def _meet(self, robots: Sequence[int], stranger: can.Message) -> None:
@@ -234,13 +210,8 @@ class Carrier:
         self._sent.append(sent)
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
-            self._discard(sent.sender)
-
-    def _discard(self, robot: int) -> None:
-        """Throw away what has come to the robot's connection, if that only sends."""
-        radio = self._radios.get(robot)
-        if radio is not None and radio is not self.ends[robot]:
-            radio.discard()
+            if radio is not None:
+                radio.drain()
 
     def _read(self, tick: int) -> None:
         """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
@@ -262,8 +233,6 @@ class Carrier:
         Raises SwarmError if a bus loses a frame and the clock waits for it.
         """
         self._read(tick)
-        if not self._has_own_buses:
-            self._discard(0)
         come, self._come = self._come, []
         arrivals = self._delivery.arrivals(tick, come)
         if not self._has_own_buses:

@@ -20,7 +20,7 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
-from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, Multicast, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, add_arguments, choose_bus
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
@@ -84,9 +84,7 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
 def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
     """But one that asks for it, which gets back what it has sent."""
     choice, draw = multicast(GROUP), random.Random(2)
-    connections = [choice.open() for _ in range(3)]
-    assert isinstance(connections[2], Multicast)
-    connections[2].returns_own = True
+    connections = [choice.open(returns_own=number == 2) for number in range(3)]
     heard: list[list[tuple[int, bytes]]] = [[], [], []]
     due: list[list[tuple[int, bytes]]] = [[], [], []]
     for step in range(800):

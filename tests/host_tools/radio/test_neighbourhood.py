@@ -45,7 +45,7 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm() -> None:
         for frame in neighbourhood.finish(controller.observe(neighbourhood.begin())):
             controller.hear(frame)
         controller.settle()
-    with Swarm(world, Wiring(lambda robot: can.Bus("s", "virtual"))) as swarm:
+    with Swarm(world, Wiring(lambda robot: can.Bus("s", "virtual", receive_own_messages=True))) as swarm:
         for _ in range(120):
             swarm.tick()
         expected = {each.id: state(each.robot) for each in swarm.nodes}

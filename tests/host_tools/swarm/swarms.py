@@ -18,7 +18,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmHook, SwarmRun, run_swarm
 
 def one_bus(robot: int = 0) -> can.BusABC:
     """Join a virtual bus, the same for all robots."""
-    return virtual.VirtualBus("one", preserve_timestamps=True)
+    return virtual.VirtualBus("one", receive_own_messages=True, preserve_timestamps=True)
 
 
 def own_bus(robot: int) -> can.BusABC:

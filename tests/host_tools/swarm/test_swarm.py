@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import count, islice
-from socket import AF_UNIX, MSG_DONTWAIT, SOCK_DGRAM, socketpair
 from typing import Any
 from unittest.mock import Mock
 
@@ -182,7 +181,7 @@ def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(virtual.VirtualBus, "recv", recv)
     monkeypatch.setattr(connection, "TIMEOUT", 0.05)
-    with Swarm(small(), Wiring(lambda robot: virtual.VirtualBus("test"))) as swarm:
+    with Swarm(small(), Wiring(lambda robot: virtual.VirtualBus("test", receive_own_messages=True))) as swarm:
         outcome = run_swarm(swarm)
     assert outcome.failure is not None
     for part in ("tick 3", "the carrier did not hear frame 106BB802 within", "test"):
@@ -294,23 +293,3 @@ def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
         assert (found["after_min"], found["after_max"]) == (min(b_hat), max(b_hat))
     for name in ("tests", "updates"):
         assert results[name] == sum(vars(node.robot.counters)[name] for node in outcome.nodes) > 0
-
-
-def test_what_comes_to_a_sending_connection_is_thrown_away_undecoded() -> None:
-    """If it has a descriptor; else it is read."""
-    one, other = socketpair(AF_UNIX, SOCK_DGRAM)
-    bus = Mock(fileno=other.fileno)
-    radio = Connection(bus, "a robot")
-    for _ in range(9):
-        one.send(b"frame")
-    radio.discard()
-    with pytest.raises(BlockingIOError):
-        other.recv(1, MSG_DONTWAIT)
-    one.close()
-    other.close()
-    with pytest.raises(can.CanOperationError):
-        radio.discard()
-    bus.recv.assert_not_called()
-    bus.fileno, bus.recv.return_value = Mock(side_effect=NotImplementedError), None
-    radio.discard()
-    bus.recv.assert_called_once_with(0)

@@ -43,17 +43,17 @@ MIX = (
 )
 
 
-def udp(port: int) -> can.BusABC:
+def udp(port: int, returns_own: bool = False) -> can.BusABC:
     """Join a multicast group; skips the test where there are none."""
     multicast(250)
-    return BusChoice("udp_multicast", {"port": port, "hop_limit": 0, "ignore_config": True}).open()
+    return BusChoice("udp_multicast", {"port": port, "hop_limit": 0, "ignore_config": True}).open(returns_own)
 
 
 MEDIA = {
     "one bus": ON_ONE_BUS,
     "no bus": Wiring(),
     "a bus for each": ON_OWN_BUSES,
-    "one group": Wiring(lambda robot: udp(UDP_PORT)),
+    "one group": Wiring(lambda robot: udp(UDP_PORT, returns_own=True)),
     "a group for each": Wiring(lambda robot: udp(UDP_PORT + 1 + robot), is_shared=False),
 }
 
