@@ -29,7 +29,7 @@ test: .venv/ready-to-test ## run the tests of everything, 5 minutes: C and Pytho
 verify: .venv/ready-to-test ## run the slow rest of the tests: every compiler at every level, long runs, guest kernels
 	@$(PYTEST) -m slow --junit-xml=build/reports/verify.xml
 
-fuzz: .venv/ready-to-test ## fuzz the C for MINUTES=5 in all: serial lines, datagrams, the node's options, the radio
+fuzz: .venv/ready-to-test ## fuzz the C for MINUTES=5 in all: serial lines, datagrams, the radio
 	@PYTHONPATH=tests $(BIN)/python -m fuzz --minutes $(MINUTES)
 
 lint: .venv/ready-to-test ## run the analysers and the checks of types and style alone

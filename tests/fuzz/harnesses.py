@@ -65,7 +65,6 @@ HARNESSES = {
     each.name: each
     for each in (
         Harness("slcan", (PORTS / "slcan" / "slcan.c", *_NODE, *sorted(CORE.parent.glob("*.c")), TABLE), 128),
-        Harness("node", (), 128),
         Harness("multicast", (PORTS / "linux" / "multicast.c",), 256),
         Harness("radio", (PORTS / "packet_radio.c",), 96),
     )
