@@ -119,10 +119,10 @@ def played(name: str) -> list[tuple[Scenario, bytes]]:
     source, seed, tried, room = FILES[name]
     chosen, room = list[tuple[Scenario, bytes]](), room - _HEAD.size
     for scenario in (_playable(source(seed, number)) for number in range(tried)):
-        written = b"" if scenario.setup.table not in TABLES else _encode(scenario)
-        if written and len(written) <= room:
-            chosen.append((scenario, written))
-            room -= len(written)
+        size = _SCENARIO.size + sum(len(_encode_call(call)) for call in scenario.calls) + 1
+        if scenario.setup.table in TABLES and size <= room:
+            chosen.append((scenario, _encode(scenario)))
+            room -= size
     return chosen
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from fractions import Fraction
-from statistics import fmean
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +16,6 @@ from mcp_asdf_tools.radio.rounds import (
     Situation,
     Update,
     at_threshold,
-    far_away,
     for_update,
     update_of,
 )
@@ -109,19 +107,3 @@ def test_every_kind_of_re_estimate_can_be_had(share: float, x_hat: int, wanted: 
         Update.MINIMUM: b_hat <= 0,
     }
     assert kinds[wanted]
-
-
-@given(t=st.integers(1, 10**6), seed=st.integers(0, 2**32))
-@settings(deadline=None)
-def test_half_of_the_observations_black_makes_a_robot_that_knows_nothing(t: int, seed: int) -> None:
-    situation = Situation(2 * t, t, ONE, None)
-    assert for_update(situation, Update.HALF, random.Random(seed)) is not None
-
-
-@given(x_hat=st.integers(0, ONE), m=st.integers(2, 8), seed=st.integers(0, 2**32))
-@settings(deadline=None)
-def test_messages_far_away_are_rejected(x_hat: int, m: int, seed: int) -> None:
-    situation = Situation(100, 60, x_hat, generate(parse_omega("0.05"), 127))
-    contents = far_away(situation, random.Random(seed), m)
-    assert situation.update(contents) is not None
-    assert abs(fmean(x for x, _ in contents) - x_hat) > ONE / 3
