@@ -296,8 +296,9 @@ class BusRobot:
         """Take any frames of other nodes, in the order in which they came."""
         words, is_estimate = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
         self.receive(words[is_estimate])
-        others = [frame for frame, known in zip(frames, is_estimate.tolist(), strict=True) if not known]
-        self.count([decode_any(frame, self._estimates) for frame in others])
+        for frame, known in zip(frames, is_estimate.tolist(), strict=True):
+            if not known:
+                self.count(decode_any(frame, self._estimates))
 
     def receive(self, words: Words) -> None:
         """Hand estimates under allowed ids, and its own, to the firmware. O(estimates)."""
@@ -320,24 +321,25 @@ class BusRobot:
         if count:
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
-    def count(self, contents: Sequence[Content]) -> None:
-        """Count frames that are no estimates."""
+    def count(self, content: Content, frames: int = 1) -> None:
+        """Count frames of one kind that are no estimates."""
         heard = self.reception
-        for each in contents if self.is_alive else ():
-            if isinstance(each, Heartbeat):
-                heard.heartbeats += 1
-            elif isinstance(each, Telemetry):
-                heard.telemetry += 1
-            elif each is Rejection.ERROR_FRAME:
-                heard.errors += 1
-            elif isinstance(each, Rejection):
-                heard.rejected[each] += 1
+        if not self.is_alive:
+            return
+        if isinstance(content, Heartbeat):
+            heard.heartbeats += frames
+        elif isinstance(content, Telemetry):
+            heard.telemetry += frames
+        elif content is Rejection.ERROR_FRAME:
+            heard.errors += frames
+        elif isinstance(content, Rejection):
+            heard.rejected[content] += frames
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
         content = decode_any(frame, self._estimates)
         if not isinstance(content, Message):
-            self.count([content])
+            self.count(content)
         elif self.is_alive:
             self.reception.strays += 1
             self._note_conflicts(content.sender == self.id)

@@ -15,6 +15,7 @@ in the same order.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.estimates import decode_estimates
-from mcp_asdf_tools.bus.frames import FrameFormat, decode_any
+from mcp_asdf_tools.bus.frames import Content, FrameFormat, Rejection, decode_any
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
@@ -269,9 +270,14 @@ class Carrier:
 
     def _count(self, arrivals: Paths, others: NDArray[np.intp]) -> None:
         """Let each robot count the ``others`` among its frames, those that are no estimates."""
-        contents = [decode_any(arrivals.frame(number), self._frames) for number in others.tolist()]
-        for robot, is_heard in zip(self._robots, arrivals.reach[others].T, strict=True):
-            robot.count([contents[number] for number in is_heard.nonzero()[0].tolist()])
+        kinds: dict[Rejection | type, list[tuple[int, Content]]] = defaultdict(list)
+        for number in others.tolist():
+            content = decode_any(arrivals.frame(number), self._frames)
+            kinds[content if isinstance(content, Rejection) else type(content)].append((number, content))
+        for found in kinds.values():
+            heard = np.count_nonzero(arrivals.reach[[number for number, _ in found]], axis=0)
+            for robot in heard.nonzero()[0].tolist():
+                self._robots[robot].count(found[0][1], int(heard[robot]))
 
     @property
     def missed(self) -> int:
