@@ -17,10 +17,8 @@ from mcp_asdf_tools.reproduction import scaling
 def main() -> int:
     """Write the table between its marks, and the picture."""
     results = experiments_in(read_table(Path(sys.argv[1], "scale.parquet")))
-    costs = scaling.costs_of(results)
-    table = scaling.scores_of(results, costs)
-    put_tables(PAGE, {"scale": table.lines(scaling.shown, scaling.HEAD)})
-    (ROOT / "docs/images/scale.webp").write_bytes(small_picture(scaling.picture_of(results, costs)))
+    put_tables(PAGE, {"scale": scaling.lines_of(scaling.table(results))})
+    (ROOT / "docs/images/scale.webp").write_bytes(small_picture(scaling.picture_of(results)))
     return 0
 
 

@@ -54,11 +54,13 @@ class Special:
         liars: How many of the last robots lie and are not counted, by experiment.
         late_f: The share of black tiles in the last quarter.
         column: Who filters, as the head of a column.
+        more: Further measures by name.
     """
 
     liars: Callable[[Experiment], int] = lambda experiment: 0
     late_f: Callable[[Experiment], float] = lambda experiment: experiment.fill_ratio
     column: Callable[[Experiment], str] = lambda experiment: experiment.filter_name
+    more: Mapping[str, Callable[[Trials], Sample]] = field(default_factory=dict)
 
 
 PLAIN = Special()
@@ -82,6 +84,7 @@ def measures_of(trials: Trials, special: Special = PLAIN) -> dict[str, Sample]:
         "e": e.mean(axis=1),
         "late": abs(late - special.late_f(experiment)).mean(axis=(1, 2)),
         "harmed": off.mean(axis=1) if off.size else np.full(len(e), np.nan),
+        **{name: measure(trials) for name, measure in special.more.items()},
     }
 
 

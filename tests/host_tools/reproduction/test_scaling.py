@@ -30,15 +30,17 @@ def test_the_command_writes_tables_and_picture(tmp_path: Path, monkeypatch: pyte
     for measure in ("H", "late", "cost"):
         assert {(row["row"], row["filter"]) for row in rows if row["measure"] == measure} == places
     page = (tmp_path / "out/scale.md").read_text()
-    assert page.startswith("# Many robots\n") and scaling.HEAD in page and "](scale.svg)" in page
+    assert (
+        page.startswith("# Many robots\n")
+        and "H, error of the last quarter, ns" in page
+        and "](scale.svg)" in page
+    )
     assert (tmp_path / "out/scale.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_density_and_world_are_the_same_for_every_number_of_robots() -> None:
     experiments = read_experiments(STUDIES / "scale.toml")
-    worlds = {
-        tuple({**each.parameters(), "robots": 0, "flawed": 0, "trials": 0}.items()) for each in experiments
-    }
+    varied = {"robots": 0, "flawed": 0, "trials": 0}
+    worlds = {tuple({**each.parameters(), **varied}.items()) for each in experiments}
     assert len(worlds) == 4 and len(experiments) == 24
-    assert {each.robots for each in experiments} == {20, 100, 300, 1000, 3000, 10_000}
     assert all(10 * each.flawed == 3 * each.robots for each in experiments)

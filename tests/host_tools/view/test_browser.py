@@ -12,14 +12,17 @@ import pytest
 
 from browser import browser_page, until
 from mcp_asdf_tools.bus.frames import Health, Heartbeat, Message
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view.film import Film, Stage, State
-from mcp_asdf_tools.view.films import SwarmCamera
+from mcp_asdf_tools.view.films import SwarmCamera, film_of_trial
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serving
+from mcp_asdf_tools.world.arena import Arena
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -194,3 +197,20 @@ def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) ->
         check_keys_and_address(browser, path)
         check_marks(browser, tmp_path / "faults.html")
     assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"
+
+
+@pytest.mark.slow
+def test_the_page_shows_who_hears_whom_among_many(tmp_path: Path) -> None:
+    experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
+    film = film_of_trial(run_trials(experiment, 0, 1), 0)
+    hears = np.argwhere(Arena(experiment).record(40).adjacency[-1])
+    (tmp_path / "many.html").write_text(page(film))
+    with browser_page() as browser:
+        browser.goto((tmp_path / "many.html").as_uri())
+        until(browser, IS_SHOWN)
+        shown = browser.evaluate("[...Array(view.film.length).keys()].map((at) => view.film.heard(at))")
+        one = browser.evaluate(f"view.film.heard(view.film.length - 1, {hears[0, 0]})")
+    assert [state.hears[:, ::-1].tolist() for state in film.since()[2]] == shown
+    assert shown[-1] == hears[:, ::-1].tolist() and one == [
+        each for each in shown[-1] if each[1] == hears[0, 0]
+    ]
