@@ -1,18 +1,17 @@
-/* The Linux node where no test can bring it from outside: a stream that is interrupted, a CAN socket that is
- * refused things, and the clock. The linker puts the functions here in place of the system's (--wrap). */
+/* The Linux node where no test can bring it from outside: a CAN socket that is refused things, and the clock.
+ * The linker puts the functions here in place of the system's (--wrap). */
 #define main node_main
 #include "linux/main.c"
 #undef main
 
 #include "../c_ref/check.h"
 
-#include <fcntl.h>
 #include <linux/can.h>
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <sys/socket.h>
 
-enum { STREAM_FD = 60, SOCKET_FD = 70 };
+enum { SOCKET_FD = 70 };
 
 static int calls, failing; /* the `failing`-th of them */
 
@@ -20,52 +19,6 @@ static bool fails(int error)
 {
     errno = error;
     return ++calls == failing;
-}
-
-/* ---- A stream; each second read fails ------------------------------------------------------------------ */
-
-static const char *text;
-static int read_error;
-
-int __wrap_open(const char *path, int flags, ...)
-{
-    return strcmp(path, "stream") == 0 && (flags & O_CLOEXEC) != 0 ? STREAM_FD : -1;
-}
-
-int __wrap_poll(struct pollfd *fds, nfds_t count, int timeout)
-{
-    return fds->fd == STREAM_FD && count == 1 && timeout == 0;
-}
-
-ssize_t __wrap_read(int fd, void *data, size_t size)
-{
-    CHECK(fd == STREAM_FD && size > 0);
-    errno = read_error;
-    if (read_error != 0 && ++calls % 2 == 0) {
-        return -1;
-    }
-    *(char *)data = *text;
-    return *text == 0 ? 0 : (ssize_t)(*text++ != 0);
-}
-
-static void an_interrupted_stream_goes_on(void)
-{
-    static const int errors[] = {0, EINTR, EAGAIN, EIO};
-    for (size_t i = 0; i < COUNT(errors); ++i) {
-        source_t source = {.path = "stream"};
-        mcp_asdf_action_t seen;
-        unsigned blacks = 0, ticks = 0;
-        calls = 0;
-        text = "1 01-1 1";
-        read_error = errors[i];
-        CHECK_EQUAL(source_open(&source), 0);
-        while (!source.has_ended && ++ticks < 1000) {
-            blacks += source_next(&source, &seen) && seen == MCP_ASDF_OBSERVE_BLACK;
-        }
-        GIVEN(errors[i], blacks, ticks);
-        CHECK(ticks < 1000 && (errors[i] == EIO ? blacks < 4 : blacks == 4));
-        CHECK_EQUAL(source.error, errors[i] == EIO ? EIO : 0);
-    }
 }
 
 /* ---- A CAN socket -------------------------------------------------------------------------------------- */
@@ -150,7 +103,6 @@ static void a_clock_counts_what_it_leaves_out(void)
 
 int main(void)
 {
-    an_interrupted_stream_goes_on();
     a_bus_asks_for_what_it_needs_and_nothing_else();
     a_clock_counts_what_it_leaves_out();
     return check_report();

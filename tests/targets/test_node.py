@@ -451,7 +451,24 @@ def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, 
         assert held in (None, state.read_bytes())
 
 
+@pytest.mark.parametrize("error", ["EINTR", "EAGAIN"])
+def test_observations_that_are_interrupted_go_on(
+    bus: UnixBus, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, error: str
+) -> None:
+    """Each second read fails."""
+    text = tmp_path / "observations"
+    text.write_text("1" * 600, encoding="ascii")
+    strace = [require("strace", "strace"), "-o", str(tmp_path / "trace"), "-P", str(text)]
+    words = [*strace, "-e", f"inject=read:error={error}:when=1+2", *built(PLAIN, tmp_path_factory)]
+    with CNode(words, bus.channel_info, ID, *FAST, "--observations", text) as node:
+        bus.accept()
+        bus.hear_out()
+        figures = node.summary()
+    assert (figures["ended"], figures["t"], figures["missing"] > 2) == ("observations", 600, True)
+
+
 READING = ("openat:error=EACCES", "read:error=EIO", "read:error=EIO:when=2")
+"""System calls of a state's load, and of observations."""
 
 
 @pytest.mark.parametrize("option", ["--state", "--observations"])
