@@ -122,8 +122,12 @@ def test_messages_in_an_array_are_received_in_order_and_the_accepted_ones_counte
         (2, ONE + 1, 0),
         (3, 5, 0),
     ]
-    assert robot.receive_all(np.array(messages, np.uint32)) == 2
+    array = np.array(messages, np.uint32)
+    assert robot.receive_all(array) == 2
     receive_all(other, messages)
+    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
+        with pytest.raises(ValueError, match="give a C-contiguous one"):
+            robot.receive_all(wrong)
     assert robot.save() == other.save()
     assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
 

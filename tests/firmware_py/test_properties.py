@@ -9,7 +9,6 @@ import random
 from collections.abc import Callable
 from fractions import Fraction
 
-import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -268,17 +267,3 @@ def test_scenarios_of_the_cross_check_have_the_same_bits_and_no_fault(
     for number in range(40):
         scenario = source(23, number)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot, Audit().judge) is None, str(scenario)
-
-
-@of_fixed_point
-def test_messages_in_an_array_are_messages_one_by_one(kind: FixedPointType) -> None:
-    robot, other = kind(PLAIN, OWN_ID, 0.75), kind(PLAIN, OWN_ID, 0.75)
-    heard = [(1, HALF, ALPHA_ONE), (1, 0, ALPHA_ONE), (OWN_ID, 0, ALPHA_ONE), (7, ONE, ALPHA_MOST)]
-    array = np.array(heard, "uint32")
-    receive_all(other, heard)
-    assert robot.receive_all(array) == 2
-    assert robot.state() == other.state()
-    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
-        with pytest.raises(ValueError, match="give a C-contiguous one"):
-            robot.receive_all(wrong)
-    assert robot.state() == other.state()

@@ -41,7 +41,6 @@ def test_lemma(name: str) -> None:
     for variant in VARIANTS:
         prove_lemma(program(variant, path), name, {**calls.contracts(variant), **images.CONTRACTS}, done)
     assert done
-    assert done
 
 
 def test_sums_of_a_round_stay_possible() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -144,7 +144,7 @@ class Image:
         return told
 
 
-def build(target: Target, folder: Path, sources: list[Path], *flags: str) -> Image:
+def build(target: Target, folder: Path, sources: Iterable[Path], *flags: str) -> Image:
     """Compile and link ``sources`` in a new folder. Raises RuntimeError with what the tools said."""
     folder.mkdir(parents=True)
     elf = folder / "image.elf"

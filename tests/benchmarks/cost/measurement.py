@@ -5,8 +5,10 @@ from __future__ import annotations
 import random
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from statistics import fmean
+from tempfile import TemporaryDirectory
 
 from mcp_asdf import Filter
 
@@ -111,8 +113,8 @@ def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figu
         divisions=0 if target == AVR else paths.longest("mcp_asdf_step", division),
         stack={name: paths.deepest(f"mcp_asdf_{name}") for name in STACK_CALLS},
         code=(
-            code_bytes(target, level, folder / "least", *of.flags),
-            code_bytes(target, level, folder / "whole", *of.flags, "-DWHOLE"),
+            code_bytes(target, level, *of.flags),
+            code_bytes(target, level, *of.flags, "-DWHOLE"),
         ),
         ram=int(image.symbols["robot"]["st_size"]),
         times={
@@ -122,19 +124,19 @@ def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figu
     )
 
 
-def code_bytes(target: Target, level: str, folder: Path, *flags: str) -> int:
+@cache
+def code_bytes(target: Target, level: str, *flags: str) -> int:
     """Bytes of flash that the firmware adds to a program, without main() and the table."""
-    sources = [HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", FIRMWARE / "mcp_asdf_image.c", TABLE]
-    images = (
-        build(target, folder / "with", sources, level, *flags),
-        build(target, folder / "without", [HERE / "empty.c"], level),
-    )
-    own, nothing = (
-        image.sizes()[0]
-        - sum(int(each["st_size"]) for name, each in image.symbols.items() if _OWN.match(name))
-        for image in images
-    )
-    return own - nothing
+    sources = (HERE / "firmware.c", FIRMWARE / "mcp_asdf.c", FIRMWARE / "mcp_asdf_image.c", TABLE)
+    return _bytes(target, level, sources, *flags) - _bytes(target, level, (HERE / "empty.c",))
+
+
+@cache
+def _bytes(target: Target, level: str, sources: tuple[Path, ...], *flags: str) -> int:
+    with TemporaryDirectory() as folder:
+        image = build(target, Path(folder) / "image", sources, level, *flags)
+        others = (int(each["st_size"]) for name, each in image.symbols.items() if _OWN.match(name))
+        return image.sizes()[0] - sum(others)
 
 
 def kilobot(folder: Path, of: Build = PAPER) -> tuple[int, int]:
