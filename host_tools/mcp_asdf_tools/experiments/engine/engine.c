@@ -124,7 +124,7 @@ static void hear_nobody(block_t *block)
     }
 }
 
-static void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
+ENGINE_INLINE void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
 {
     block_t *const block = &blocks[receiver / LANES];
     const block_t *const other = &blocks[sender / LANES];

@@ -134,7 +134,7 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
                                 &arena->wanted_spin, &crowd->wanted_x, &crowd->wanted_y, &crowd->given_x,
                                 &crowd->given_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
-    size_t used = 0;
+    size_t used = memory == NULL ? 63 : (64 - (uintptr_t)memory % 64) % 64; /* to where vectors are aligned */
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = take(memory, &used, robots, sizeof(double));
     }
@@ -256,8 +256,8 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     for (uint32_t a = 0; a < count; ++a) {
         ++arenas[a].ticks;
-        arena_move(&arenas[a]);
     }
+    arena_move(arenas, count);
     look(arenas, count);
 }
 

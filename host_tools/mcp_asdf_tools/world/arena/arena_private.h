@@ -73,7 +73,7 @@ static inline double place_before_wall(double side, double distance)
 
 /* The steps of a tick: move all bodies; find who is near and who hears whom; set wheels from the sensors, in
  * several arenas. */
-void arena_move(mcp_asdf_arena_t *arena);
+void arena_move(mcp_asdf_arena_t *arenas, uint32_t count);
 void arena_find_links(mcp_asdf_arena_t *arena);
 void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count);
 

@@ -16,8 +16,8 @@ static const double INVERSE[] = {0,       1,       1. / 2,  1. / 3,  1. / 4,  1.
                                  1. / 8,  1. / 9,  1. / 10, 1. / 11, 1. / 12, 1. / 13, 1. / 14, 1. / 15,
                                  1. / 16, 1. / 17, 1. / 18, 1. / 19, 1. / 20, 1. / 21};
 
-/* Rotate (*cx, *cy), of length 1, by at most 1.6 either way. Error up to 1e-13: series up to angle^17. The
- * last lines are a Newton step that keeps the length at 1. */
+/* Rotate (*cx, *cy), of length 1, by at most 1.6 either way; 0 leaves it to the bit. Error up to 1e-13:
+ * series up to angle^17. The last lines are a Newton step that keeps the length at 1. */
 IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
 {
     const double q = angle * angle;
@@ -29,8 +29,8 @@ IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
     sine *= angle;
     const double x = *cx * cosine - *cy * sine, y = *cx * sine + *cy * cosine;
     const double scale = 1.5 - 0.5 * (x * x + y * y);
-    *cx = x * scale;
-    *cy = y * scale;
+    *cx = angle != 0 ? x * scale : *cx;
+    *cy = angle != 0 ? y * scale : *cy;
 }
 
 /* For z in [0, 1]. Halving the angle twice brings it below 0.2, where the series is good to 1e-16. */

@@ -11,21 +11,17 @@
 #define FRICTION_WALL 0.07
 
 /* Move body i for `time` at its present velocity. */
-static void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
+IN_LOOPS void advance(mcp_asdf_arena_t *arena, uint32_t i, double time)
 {
     arena->x[i] += arena->vx[i] * time;
     arena->y[i] += arena->vy[i] * time;
 }
 
-/* Turn body i through a whole tick: one part of it with the spin it had, the rest with the wanted one,
+/* Angle of body i's turn in a whole tick: one part of it with the spin it had, the rest with the wanted one,
  * because the motors are strong enough to reach any spin within a part. */
-static void turn(mcp_asdf_arena_t *arena, uint32_t i)
+IN_LOOPS double turning(const mcp_asdf_arena_t *arena, uint32_t i)
 {
-    const double angle = (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
-    arena->spin[i] = arena->wanted_spin[i];
-    if (angle != 0) {
-        arena_rotate(&arena->cx[i], &arena->cy[i], angle);
-    }
+    return (arena->spin[i] + (PARTS - 1) * arena->wanted_spin[i]) * arena->part;
 }
 
 static void gather(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *crowd)
@@ -170,37 +166,95 @@ static void move_crowd(mcp_asdf_arena_t *arena)
         settle_velocities(arena, crowd);
     }
     for (uint32_t m = 0; m < crowd->count; ++m) {
-        turn(arena, crowd->member[m]);
+        const uint32_t i = crowd->member[m];
+        arena_rotate(&arena->cx[i], &arena->cy[i], turning(arena, i));
+        arena->spin[i] = arena->wanted_spin[i];
     }
 }
 
-/* Bring the velocity of body i closer to the wanted one, by at most `limit`. */
-static void drive(mcp_asdf_arena_t *arena, uint32_t i, double wanted_x, double wanted_y, double limit)
+/* Bodies that move on their own but do not just go on, of one arena or several. */
+typedef struct {
+    uint32_t count;
+    mcp_asdf_arena_t *arena[AT_ONCE];
+    uint32_t robot[AT_ONCE];
+    double x[AT_ONCE];
+    double y[AT_ONCE];
+    double vx[AT_ONCE];
+    double vy[AT_ONCE];
+    double wanted_x[AT_ONCE];
+    double wanted_y[AT_ONCE];
+    double part[AT_ONCE];
+    double limit[AT_ONCE];
+    double parts_left[AT_ONCE];
+    double cx[AT_ONCE];
+    double cy[AT_ONCE];
+    double angle[AT_ONCE];
+} loners_t;
+
+/* A part of the tick: bodies move, and the motors bring each velocity closer to the wanted one, by at most
+ * its limit; those that have it wait. Returns how many do not have it yet. */
+IN_LOOPS uint64_t drive(loners_t *l)
 {
-    const double dx = wanted_x - arena->vx[i], dy = wanted_y - arena->vy[i], change = dx * dx + dy * dy;
-    const double share = change > limit * limit ? limit / sqrt(change) : 1;
-    arena->vx[i] = share < 1 ? arena->vx[i] + share * dx : wanted_x;
-    arena->vy[i] = share < 1 ? arena->vy[i] + share * dy : wanted_y;
+    uint64_t driving = 0;
+    SIDE_BY_SIDE
+    for (uint32_t n = 0; n < l->count; ++n) {
+        const bool drives = (l->vx[n] != l->wanted_x[n]) | (l->vy[n] != l->wanted_y[n]);
+        const double dx = l->wanted_x[n] - l->vx[n], dy = l->wanted_y[n] - l->vy[n];
+        const double change = dx * dx + dy * dy, squared = l->limit[n] * l->limit[n];
+        const double share = change > squared ? l->limit[n] / sqrt(change) : 1;
+        l->x[n] = drives ? l->x[n] + l->vx[n] * l->part[n] : l->x[n];
+        l->y[n] = drives ? l->y[n] + l->vy[n] * l->part[n] : l->y[n];
+        l->vx[n] = share < 1 ? l->vx[n] + share * dx : l->wanted_x[n];
+        l->vy[n] = share < 1 ? l->vy[n] + share * dy : l->wanted_y[n];
+        l->parts_left[n] -= drives ? 1 : 0;
+        driving += share < 1 ? 1 : 0;
+    }
+    return driving;
 }
 
 /* The goal is along the heading at the start of the tick, although the heading changes during it. Once it is
  * reached, the remaining parts are one. */
-static void move_alone(mcp_asdf_arena_t *arena, uint32_t i)
+FOR_EACH_TARGET static void move_loners(loners_t *l)
 {
-    const double wanted_x = arena->wanted_speed[i] * arena->cx[i];
-    const double wanted_y = arena->wanted_speed[i] * arena->cy[i];
-    int part = 0;
-    for (; part < PARTS && (arena->vx[i] != wanted_x || arena->vy[i] != wanted_y); ++part) {
-        advance(arena, i, arena->part);
-        drive(arena, i, wanted_x, wanted_y, arena->motor);
+    for (uint32_t n = 0; n < l->count; ++n) {
+        const mcp_asdf_arena_t *const arena = l->arena[n];
+        const uint32_t i = l->robot[n];
+        l->x[n] = arena->x[i];
+        l->y[n] = arena->y[i];
+        l->vx[n] = arena->vx[i];
+        l->vy[n] = arena->vy[i];
+        l->wanted_x[n] = arena->wanted_speed[i] * arena->cx[i];
+        l->wanted_y[n] = arena->wanted_speed[i] * arena->cy[i];
+        l->part[n] = arena->part;
+        l->limit[n] = arena->motor;
+        l->parts_left[n] = PARTS;
+        l->cx[n] = arena->cx[i];
+        l->cy[n] = arena->cy[i];
+        l->angle[n] = turning(arena, i);
     }
-    advance(arena, i, (PARTS - part) * arena->part);
-    turn(arena, i);
+    for (int part = 0; part < PARTS && drive(l) != 0; ++part) {
+    }
+    SIDE_BY_SIDE
+    for (uint32_t n = 0; n < l->count; ++n) {
+        arena_rotate(&l->cx[n], &l->cy[n], l->angle[n]);
+    }
+    for (uint32_t n = 0; n < l->count; ++n) {
+        mcp_asdf_arena_t *const arena = l->arena[n];
+        const uint32_t i = l->robot[n];
+        arena->x[i] = l->x[n] + l->vx[n] * (l->parts_left[n] * l->part[n]);
+        arena->y[i] = l->y[n] + l->vy[n] * (l->parts_left[n] * l->part[n]);
+        arena->vx[i] = l->vx[n];
+        arena->vy[i] = l->vy[n];
+        arena->cx[i] = l->cx[n];
+        arena->cy[i] = l->cy[n];
+        arena->spin[i] = arena->wanted_spin[i];
+    }
+    l->count = 0;
 }
 
-/* Move those of `count` bodies from `first` on that go on as they do, as move_alone() does; the others are
- * left. */
-FOR_EACH_TARGET static void cruise(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
+/* Move those of `count` bodies from `first` on that touch nothing and go on as they do, as move_loners()
+ * does; mark the others as `left` unless they might touch something. Returns whether some might. */
+FOR_EACH_TARGET static bool cruise(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
                                    uint64_t *restrict left)
 {
     double *restrict const x = arena->x + first, *restrict const y = arena->y + first;
@@ -210,35 +264,50 @@ FOR_EACH_TARGET static void cruise(mcp_asdf_arena_t *arena, uint32_t first, uint
     const double *const spin = arena->spin + first, *const wanted_spin = arena->wanted_spin + first;
     const uint64_t *const may_touch = arena->may_touch + first;
     const double time = PARTS * arena->part;
+    uint64_t crowded = 0;
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < count; ++i) {
-        const bool goes_on = (vx[i] == speed[i] * cx[i]) & (vy[i] == speed[i] * cy[i]) & (spin[i] == 0) &
-                             (wanted_spin[i] == 0) & (may_touch[i] == 0);
+        const bool drives = (vx[i] != speed[i] * cx[i]) | (vy[i] != speed[i] * cy[i]) | (spin[i] != 0) |
+                            (wanted_spin[i] != 0);
+        const bool goes_on = !drives & (may_touch[i] == 0);
         x[i] = goes_on ? x[i] + vx[i] * time : x[i];
         y[i] = goes_on ? y[i] + vy[i] * time : y[i];
-        left[i] = goes_on ? 0 : 1;
+        left[i] = drives & (may_touch[i] == 0) ? 1 : 0;
+        crowded |= may_touch[i];
     }
+    return crowded != 0;
 }
 
-void arena_move(mcp_asdf_arena_t *arena)
+/* Move the bodies of an arena that touch nothing and go on, and all that might touch something; list the
+ * others. */
+static void move_most(mcp_asdf_arena_t *arena, loners_t *loners)
 {
+    const uint32_t robots = arena->config.robots;
     bool crowded = false;
-    for (uint32_t first = 0; first < arena->config.robots; first += AT_ONCE) {
+    for (uint32_t first = 0; first < robots; first += AT_ONCE) {
         uint64_t left[AT_ONCE] = {0};
-        const uint32_t rest = arena->config.robots - first, count = rest < AT_ONCE ? rest : AT_ONCE;
-        cruise(arena, first, WHOLE_VECTORS(count), left);
+        const uint32_t rest = robots - first, count = rest < AT_ONCE ? rest : AT_ONCE;
+        crowded |= cruise(arena, first, WHOLE_VECTORS(count), left);
         for (uint32_t i = 0; i < count; ++i) {
-            if (left[i] == 0) {
-                continue;
-            }
-            if (arena->may_touch[first + i]) {
-                crowded = true;
-            } else {
-                move_alone(arena, first + i);
+            loners->arena[loners->count] = arena; /* written always, kept if left */
+            loners->robot[loners->count] = first + i;
+            loners->count += (uint32_t)left[i];
+            if (loners->count == AT_ONCE) {
+                move_loners(loners);
             }
         }
     }
     if (crowded) {
         move_crowd(arena);
     }
+}
+
+void arena_move(mcp_asdf_arena_t *arenas, uint32_t count)
+{
+    loners_t loners;
+    loners.count = 0;
+    for (uint32_t a = 0; a < count; ++a) {
+        move_most(&arenas[a], &loners);
+    }
+    move_loners(&loners);
 }

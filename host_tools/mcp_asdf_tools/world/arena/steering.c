@@ -75,7 +75,7 @@ IN_LOOPS double reading(double distance)
 /* State of the wheels after `state`, with the wanted heading `angle` away. A turn on the spot begins at 90
  * degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as a
  * turn on the spot because it does so in the physics simulation. */
-static uint8_t next_wheels(uint8_t state, double angle)
+IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
 {
     if (angle >= PI / 2 || (state == MCP_ASDF_HARD_TURN && angle > 70 * DEGREE)) {
         return MCP_ASDF_HARD_TURN;
@@ -84,7 +84,7 @@ static uint8_t next_wheels(uint8_t state, double angle)
 }
 
 /* Speed of the wheel on the inner side of the turn. */
-static double inner_speed(uint8_t wheels, double speed, double angle)
+IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
 {
     if (wheels == MCP_ASDF_HARD_TURN) {
         return -speed;
