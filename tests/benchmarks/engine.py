@@ -1,15 +1,19 @@
-"""Speed of the engine compared with float64 in Python and the physics simulator, in one run.
+"""Speed of the engine compared with float64 in Python, plain double C and the physics simulator, in one run.
 
-``python tests/benchmarks/engine.py``: robot-steps per second of processor time on one core, fully
-connected (N = 10) and in the moving world (N = 20, D = 1, messages a step late), 40 000 steps, filter on: the
-paper's, then the robust one, whose price fully connected is a vote for each message. All are measured in
-turn, ten times over, and the best of each counts. The physics simulator's figure, with its logging removed,
-is that of tests/data/motion_statistics.json.
+``python tests/benchmarks/engine.py``, with the compiler that ``CC`` names (default ``cc``): robot-steps per
+second of processor time on one core, fully connected (N = 10) and in the moving world (N = 20, D = 1,
+messages a step late), 40 000 steps, filter on: the paper's, then the robust one, whose price fully connected
+is a vote for each message. All are measured in turn, ten times over, and the best of each counts. The physics
+simulator's figure, with its logging removed, is that of tests/data/motion_statistics.json. Plain double C is
+plain_swarm.c on the arena as its text stands, one robot after the other, and on its vectors.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,11 +25,15 @@ from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.world.arena import Arena
 
-MOTION = Path(__file__).parents[1] / "data/motion_statistics.json"
+HERE = Path(__file__).parent
+MOTION = HERE.parent / "data/motion_statistics.json"
+ARENA = HERE.parents[1] / "host_tools/mcp_asdf_tools/world/arena"
+SCALAR, VECTORS = ("-DFOR_EACH_TARGET=",), ("-fno-trapping-math", "-fno-math-errno")
 FULL = Experiment(robots=10, flawed=3, steps=40_000, trials=1)
 MOVING = Experiment(topology="dynamic", latency=1, steps=40_000, trials=1)
 REPEATS = 10
 PYTHON, SIMULATOR, MOTION_ALONE = "float64 in Python", "physics simulator", "motion alone"
+PLAIN, PLAIN_IN_VECTORS = "plain double C", "plain double C, same motion"
 CALLS, LANES = "firmware, call by call", "firmware in lanes"
 
 Measurement = Callable[[], float]
@@ -40,6 +48,16 @@ def rate_of(experiment: Experiment, trials: int, work: Callable[[], object]) -> 
         return experiment.robots * experiment.steps * trials / (time.process_time() - start)
 
     return measure
+
+
+def plain(folder: str, world: str, trials: int, options: tuple[str, ...]) -> Measurement:
+    """The rate of plain_swarm.c."""
+    program = Path(folder, world + options[0])
+    sources = [HERE / "plain_swarm.c", *sorted(ARENA.glob("*.c"))]
+    compiler = [os.environ.get("CC", "cc"), "-std=c99", "-O3", *options, f"-I{ARENA}"]
+    subprocess.run([*compiler, *map(str, sources), "-o", str(program), "-lm"], check=True)
+    command = [str(program), world, str(trials)]
+    return lambda: float(subprocess.run(command, check=True, capture_output=True).stdout.split()[0])
 
 
 def rates_of(
@@ -64,22 +82,28 @@ def rates_of(
 def main() -> None:
     """Measure and print."""
     simulator = float(json.loads(MOTION.read_text("utf-8"))["robot_ticks_per_second"])
-    motion = {
-        SIMULATOR: lambda: simulator,
-        MOTION_ALONE: rate_of(MOVING, 1, lambda: Arena(MOVING, 0).step(MOVING.steps)),
-    }
-    robust, robust_moving = (replace(each, filter="robust") for each in (FULL, MOVING))
-    found = {
-        "fully connected": rates_of(FULL, 16, 96, {}),
-        "moving": rates_of(MOVING, 4, 4, motion),
-        "fully connected, robust": rates_of(robust, 4, 32, {}),
-        "fully connected, robust, N = 20": rates_of(replace(robust, robots=20), 2, 16, {}),
-        "moving, robust": rates_of(robust_moving, 4, 4, {}),
-    }
+    with tempfile.TemporaryDirectory() as folder:
+        full = {PLAIN: plain(folder, "full", 96, SCALAR)}
+        moving = {
+            SIMULATOR: lambda: simulator,
+            MOTION_ALONE: rate_of(MOVING, 1, lambda: Arena(MOVING, 0).step(MOVING.steps)),
+            PLAIN: plain(folder, "moving", 8, SCALAR),
+            PLAIN_IN_VECTORS: plain(folder, "moving", 8, VECTORS),
+        }
+        robust, robust_moving = (replace(each, filter="robust") for each in (FULL, MOVING))
+        found = {
+            "fully connected": rates_of(FULL, 16, 96, full),
+            "moving": rates_of(MOVING, 4, 8, moving),
+            "fully connected, robust": rates_of(robust, 4, 32, full),
+            "fully connected, robust, N = 20": rates_of(replace(robust, robots=20), 2, 16, {}),
+            "moving, robust": rates_of(robust_moving, 4, 8, moving),
+        }
     for world, rates in found.items():
-        print(f"{world:32}{'robot-steps/s':>14}{f'x {PYTHON}':>20}")
+        yardsticks = [name for name in (PYTHON, PLAIN) if name in rates]
+        print(f"{world:32}{'robot-steps/s':>14}" + "".join(f"{f'x {name}':>20}" for name in yardsticks))
         for name, value in rates.items():
-            print(f"{name:32}{value:14.3g}{value / rates[PYTHON]:20.3g}")
+            ratios = "".join(f"{value / rates[yardstick]:20.3g}" for yardstick in yardsticks)
+            print(f"{name:32}{value:14.3g}{ratios}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import math
 import random
 import sys
 import sysconfig
@@ -26,6 +27,9 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.world import arena
+from mcp_asdf_tools.world.arena import Arena
+from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
@@ -170,7 +174,7 @@ def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom_or_differ
         assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
 
 
-def engine_for(architecture: str, folder: Path) -> Any:
+def engine_for(architecture: str, folder: Path, *more: str) -> Any:
     """The extension module of the engine, built with vectors of one architecture."""
     tools = ROOT / "host_tools/mcp_asdf_tools"
     arena, engine, core = tools / "world/arena", tools / "experiments/engine", CORE.parent
@@ -189,7 +193,7 @@ def engine_for(architecture: str, folder: Path) -> Any:
         "-fno-math-errno",
     )
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
-    run(require("gcc", "gcc"), *options, *target, *includes, *sources, "-o", module, "-lm")
+    run(require("gcc", "gcc"), *options, *more, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)
     assert spec is not None and spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)
@@ -212,6 +216,35 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
         assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=17)
     for experiment in random_experiments(20242, 60):
         assert_equal_to_the_bit(experiment, first=0, trials=16)
+
+
+def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
+    """From one robot to 127, walls from everywhere to far away, floors of tiles and of an image."""
+    source = random.Random(seed)
+    floors: list[dict[str, Any]] = [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}]
+    for _ in range(count):
+        robots = source.choice([1, 2, 7, 8, 9, 31, 32, 33, 64, 65, 100, 127])
+        side = 0.5 + math.sqrt(robots * source.choice([0.06, 0.3, 1.5]))
+        yield WorldSettings(
+            topology="dynamic",
+            robots=robots,
+            width=side * source.uniform(1, 1.3),
+            height=side,
+            speed=source.choice([0.05, 0.1414, 0.8]),
+            radio_range=source.choice([0.2, 0.7, 20.0]),
+            **source.choice(floors),
+        )
+
+
+@pytest.mark.slow
+def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arena's text, compiled without a vector, is the definition."""
+    worlds = [*random_worlds(20261, 60)]
+    found = [vars(Arena(settings, trial).record(150)) for trial, settings in enumerate(worlds)]
+    monkeypatch.setattr(arena, "_arena", engine_for("x86-64", tmp_path, "-fno-tree-vectorize"))
+    for trial, (settings, motion) in enumerate(zip(worlds, found, strict=True)):
+        for name, expected in vars(Arena(settings, trial).record(150)).items():
+            assert np.array_equal(motion[name], expected), f"replay: {settings}, trial {trial}: {name}"
 
 
 # --- The engine is the firmware run message by message -----------------------------------------------------

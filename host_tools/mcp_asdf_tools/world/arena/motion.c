@@ -269,10 +269,10 @@ FOR_EACH_TARGET static bool cruise(mcp_asdf_arena_t *arena, uint32_t first, uint
     for (uint32_t i = 0; i < count; ++i) {
         const bool drives = (vx[i] != speed[i] * cx[i]) | (vy[i] != speed[i] * cy[i]) | (spin[i] != 0) |
                             (wanted_spin[i] != 0);
-        const bool goes_on = !drives & (may_touch[i] == 0);
+        const bool goes_on = (!drives) & (may_touch[i] == 0);
         x[i] = goes_on ? x[i] + vx[i] * time : x[i];
         y[i] = goes_on ? y[i] + vy[i] * time : y[i];
-        left[i] = drives & (may_touch[i] == 0) ? 1 : 0;
+        left[i] = (drives & (may_touch[i] == 0)) != 0;
         crowded |= may_touch[i];
     }
     return crowded != 0;
