@@ -9,8 +9,9 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path
 
-LAST_RELEASE = 2700
-"""Tests that passed before the last release, to be set before each."""
+LAST_RELEASE = 3000
+"""Tests of ``make test`` and ``make verify`` that passed before the last release, to be set before each: in
+hundreds, and those twice that both run."""
 
 OF_THE_MACHINE = (
     "this processor has no vectors of",
