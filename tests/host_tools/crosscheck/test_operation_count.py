@@ -18,6 +18,7 @@ from mcp_asdf_tools.crosscheck.operation_count import (
     instructions,
     measure_storage,
 )
+from support import slow
 
 
 def loop(times: int) -> None:
@@ -100,8 +101,8 @@ class Searching(MirrorRobot):
     [
         (looping(lambda state: state.open.count), "m", ["settle", "step"]),
         (looping(lambda state: state.crowd.votes), "m", ["settle, robust", "step, robust"]),
-        (Endless, "t", ["x", "x, robust"]),
         (Searching, "q", ["settle", "step"]),
+        *slow([(Endless, "t", ["x", "x, robust"])]),
     ],
 )
 def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, calls: list[str]) -> None:
