@@ -12,7 +12,8 @@
 #include "trial.h"
 
 #define MULTIPLE 8 /* of lanes in use, so that vectors are full */
-#define ARENAS 8   /* trials of moving swarms side by side, of up to MCP_ASDF_ENGINE_MAX_CONNECTED robots */
+#define STEPS_KEPT 8
+#define ARENAS 8 /* trials of moving swarms side by side, of up to MCP_ASDF_ENGINE_MAX_CONNECTED robots */
 
 /* Trials under way; lanes beyond the last trial or robot run idle.
  *   is_robust   whether the robots have the robust filter: messages are votes then, and there are no sums
@@ -29,6 +30,7 @@
  *   ticks       steps since the last one of the firmware, and
  *   observed    how many of them had observations, and
  *   messages    how many messages each robot heard in them from its neighbours
+ *   x           informed estimates of the last `kept` steps, not yet written down
  *   t           observations of each robot
  *   said        sums of each message
  *   heard       sums of each round; in a fully connected swarm that of robot 0 stands for all */
@@ -53,6 +55,8 @@ typedef struct {
     uint32_t ticks;
     uint32_t observed;
     uint32_t messages[LANES];
+    uint32_t kept;
+    uint32_t x[STEPS_KEPT][LANES];
     uint32_t t;
     lanes_t lanes;
     lanes_sums_t said;
@@ -194,21 +198,34 @@ static void hear(block_t *blocks)
     }
 }
 
+/* Write down the estimates of the `kept` steps up to `step`, together: each step alone would write to as many
+ * pages of memory as there are series. */
+static void write_down(block_t *block, uint32_t step)
+{
+    const uint32_t rest = block->columns - block->first, columns = rest < LANES ? rest : LANES;
+    const uint32_t side = block->side, kept = block->kept;
+    const size_t length = (size_t)block->experiment->steps + 1;
+    for (uint32_t j = 0; j < columns; ++j) {
+        for (uint32_t l = 0; l < block->used; ++l) {
+            uint32_t *const x = block->trials[l].x + (block->first + j) * length + step + 1 - kept;
+            for (uint32_t k = 0; k < kept; ++k) {
+                x[k] = block->x[k][j * side + l];
+            }
+        }
+    }
+    block->kept = 0;
+}
+
 static void inform(block_t *block, uint32_t step)
 {
-    const uint32_t rest = block->columns - block->first, side = block->side;
-    const uint32_t columns = rest < LANES ? rest : LANES;
-    const size_t length = (size_t)block->experiment->steps + 1;
-    uint32_t x[LANES];
+    uint32_t *const x = block->x[block->kept++];
     if (block->is_robust) {
         lanes_centre(&block->lanes, block->count, x);
     } else {
-        lanes_inform(&block->lanes, columns == 1 ? side : block->count, &block->heard, x);
+        lanes_inform(&block->lanes, block->columns == 1 ? block->side : block->count, &block->heard, x);
     }
-    for (uint32_t j = 0; j < columns; ++j) {
-        for (uint32_t l = 0; l < block->used; ++l) {
-            block->trials[l].x[(block->first + j) * length + step] = x[j * side + l];
-        }
+    if (block->kept == STEPS_KEPT) {
+        write_down(block, step);
     }
 }
 
@@ -276,6 +293,9 @@ static void run_firmware(block_t *blocks, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = blocks->experiment;
     const uint32_t side = blocks->side;
+    for (uint32_t b = 0; b < blocks->blocks; ++b) {
+        write_down(&blocks[b], k);
+    }
     for (uint32_t l = 0; l < blocks->used; ++l) {
         const trial_t *const trial = &blocks->trials[l];
         const mcp_asdf_arena_t *const arena = blocks->arenas == NULL ? NULL : &blocks->arenas[l];
@@ -316,6 +336,7 @@ static mcp_asdf_status_t start(block_t *blocks, const mcp_asdf_outcome_t *outcom
     uint8_t *memory = (void *)(blocks->arenas + side);
     for (uint32_t b = 0; b < blocks->blocks; ++b) {
         blocks[b].index = index;
+        blocks[b].kept = 0;
         blocks[b].used = rest < side ? rest : side;
         for (uint32_t l = 0; l < blocks[b].used; ++l) {
             blocks[b].trials[l] = trial_part(e, outcome, index + l);
@@ -402,10 +423,12 @@ static uint32_t side_of(const mcp_asdf_experiment_t *experiment)
     if (!trial_is_linked(experiment)) {
         return LANES_OF_TRIALS;
     }
-    if (experiment->arenas == NULL || experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
+    if (experiment->arenas == NULL || experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED ||
+        experiment->trials == 0) {
         return 1;
     }
-    return experiment->trials < ARENAS ? experiment->trials : ARENAS;
+    const uint32_t runs = (experiment->trials + ARENAS - 1) / ARENAS; /* of about as many trials each */
+    return (experiment->trials + runs - 1) / runs;
 }
 
 /* Bytes of the blocks, and of their `black`, in an experiment's memory. The arenas come last. */
