@@ -13,8 +13,6 @@ from support import CORE, ROOT, require, run
 
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
-BUILDS = ("ASDF", "ROBUST")
-"""Filters that a build may leave out."""
 CHOICES = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
 
 
@@ -26,21 +24,6 @@ def test_every_combination_compiles_without_a_warning(way: str, tmp_path: Path) 
     for values in product(*CHOICES.values()):
         chosen = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(CHOICES, values, strict=True)]
         run(compiler, "-std=c99", *flags, *WARNINGS, *chosen, CORE, cwd=tmp_path)
-
-
-@pytest.mark.parametrize("without", BUILDS)
-@pytest.mark.parametrize("way", ["gcc -O2 -c", "clang -O2 -fsyntax-only", "g++ -x c++ -c"])
-def test_a_build_without_a_filter_compiles_without_a_warning(way: str, without: str, tmp_path: Path) -> None:
-    """The header in C++, too; that each gives the bits of the page, the independent implementation shows."""
-    compiler, *flags = way.split()
-    require(compiler, compiler)
-    header = tmp_path / "user.cpp"
-    header.write_text('#include "mcp_asdf_image.h"\n')
-    sources = [header] if compiler == "g++" else [CORE, CORE.with_name("mcp_asdf_image.c")]
-    standard = [] if compiler == "g++" else ["-std=c99"]
-    for source in sources:
-        options = (*standard, *WARNINGS, f"-DMCP_ASDF_WITH_{without}=0", f"-I{CORE.parent}")
-        run(compiler, *flags, *options, source, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(
