@@ -355,10 +355,10 @@ HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=210
 """Its robots, in more than one block of lanes, hear others in the other block."""
 
 
-@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
-def test_lanes_of_many_robots_equal_the_firmware(filtering: Any) -> None:
-    for experiment in (MANY, replace(MANY, density=6, latency=0), HUGE, replace(HUGE, latency=0)):
-        assert_equal_to_the_bit(replace(experiment, filter=filtering), first=0, trials=1)
+def test_lanes_of_many_robots_equal_the_firmware() -> None:
+    for experiment in (MANY, replace(MANY, density=6, latency=0, filter="robust"), HUGE):
+        assert_equal_to_the_bit(experiment, first=0, trials=1)
+    assert_equal_to_the_bit(replace(HUGE, latency=0, filter="robust", steps=30), first=0, trials=1)
 
 
 def digest_of(experiment: Experiment) -> str:
@@ -379,10 +379,10 @@ def test_many_robots_in_a_graph_are_firmwares_whose_neighbours_have_ids_of_their
     neighbours knows them by ids that differ, and are the same modulo 32, which is all that votes look at."""
     edges = "; ".join(["0 128; 128 256; 0 256", *(f"{i} {i + 1}; {i} > {i + 3}" for i in range(257))])
     graph: dict[str, Any] = {"graph": edges, "robots": 260, "flawed": 80, "latency": 0}
-    experiment = replace(HUGE, **graph, filter=filtering, steps=120, filter_period=40)
+    experiment = replace(HUGE, **graph, filter=filtering, steps=60, filter_period=20)
     robots = [NativeRobot(experiment.config(j), j % 32, experiment.b_hat(j)) for j in range(260)]
     heard = {j: sorted(a for a, b in experiment.graph.links if b == j) for j in range(260)}
-    scene = World(experiment).advance(120)
+    scene = World(experiment).advance(60)
     for black in scene.black.tolist():
         for robot, seen in zip(robots, black, strict=True):
             robot.observe(Observation(seen))
@@ -391,7 +391,7 @@ def test_many_robots_in_a_graph_are_firmwares_whose_neighbours_have_ids_of_their
             for place, sender in enumerate(heard[j]):
                 robot.receive_raw(sender % 32 + 32 * (place % 3 + 1), *said[sender])
             robot.settle()
-    found = run_trials(experiment, 0, 1, sampling_interval=120)
+    found = run_trials(experiment, 0, 1, sampling_interval=60)
     assert found.records["x"][0, -1].tolist() == [robot.x for robot in robots]
     assert found.b_hat[0, -1].tolist() == [robot.b_hat for robot in robots]
 

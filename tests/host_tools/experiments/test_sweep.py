@@ -287,7 +287,7 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
     assert len(read_table(output)) == 30
 
 
-MANY = "--robots 1000 --trials 1 --steps 40"
+MANY = "--robots 1000 --trials 1 --steps 20"
 
 
 def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
