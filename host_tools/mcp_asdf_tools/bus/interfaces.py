@@ -148,10 +148,6 @@ class Connection(can.BusABC):
             if left <= 0.0:
                 return None
 
-    def fileno(self) -> int:
-        """File descriptor to wait on."""
-        return self._bus.fileno()
-
     def shutdown(self) -> None:
         """Leave the bus, even if its adapter is unplugged."""
         super().shutdown()
