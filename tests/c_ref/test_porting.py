@@ -316,29 +316,10 @@ def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     (code,) = (block for block in blocks("c") if "kilolib.h" in block)
     (tmp_path / "kilobot.c").write_text(code + TELLING, encoding="utf-8")
     here, simulator, image = Path(__file__).parent, tmp_path / "avr_pair", tmp_path / "kilobot.elf"
-    sources = (
-        *CORE.parent.glob("mcp_asdf*.c"),
-        ROOT / "tables/t_table_omega05_q30.c",
-        tmp_path / "kilobot.c",
-    )
-    flags = (
-        "-mmcu=atmega328p",
-        "-Os",
-        "-std=gnu99",
-        "-DF_CPU=8000000UL",
-        "-ffunction-sections",
-        "-Wl,--gc-sections",
-    )
-    run(
-        "avr-gcc",
-        *flags,
-        *WARNINGS.split(),
-        f"-I{CORE.parent}",
-        f"-I{here / 'kilobot'}",
-        *sources,
-        "-o",
-        image,
-    )
+    sources = [*CORE.parent.glob("*.c"), ROOT / "tables/t_table_omega05_q30.c", tmp_path / "kilobot.c"]
+    flags = "-mmcu=atmega328p -Os -std=gnu99 -DF_CPU=8000000UL -ffunction-sections -Wl,--gc-sections"
+    include = (f"-I{CORE.parent}", f"-I{here / 'kilobot'}")
+    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", image)
     run("cc", "-O2", "-I/usr/include/simavr", here / "avr_pair.c", "-lsimavr", "-o", simulator)
     draw = random.Random(9)
     tiles = ("".join(draw.choices("01", (1, 2), k=12)), "".join(draw.choices("01", (1, 2), k=12)))
