@@ -30,6 +30,13 @@ from mcp_asdf_tools.world.world import World
 Floats = NDArray[np.float64]
 
 
+TRIALS_AT_ONCE = 8
+"""Trials of moving swarms that the engine runs side by side."""
+
+SERIES_BYTES = 32 << 20
+"""Of their estimates together, unless one trial has more."""
+
+
 def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Trials:
     """Run ``trials`` trials from ``first`` on, recorded every ``sampling_interval`` steps unless that is 0.
 
@@ -39,8 +46,10 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     if experiment.runs_in_c:
         if experiment.topology == "fully-connected":
             return _run_native(experiment, first, trials, sampling_interval)
-        # Elsewhere a trial has a series of x for each robot: one at a time bounds the memory.
-        return _joined([_run_native(experiment, number, 1, sampling_interval) for number in numbers])
+        # Elsewhere a trial has a series of x for each robot: a few at a time bound the memory.
+        few = min(max(SERIES_BYTES // (4 * experiment.robots * (experiment.steps + 1)), 1), TRIALS_AT_ONCE)
+        parts = (numbers[start : start + few] for start in range(0, trials, few))
+        return _joined([_run_native(experiment, part[0], len(part), sampling_interval) for part in parts])
     return _joined([_run_by_message(experiment, number, sampling_interval) for number in numbers])
 
 
