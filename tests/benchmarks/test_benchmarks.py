@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 def test_all_are_known() -> None:
     scripts = {path.stem for path in Path(__file__).parent.glob("*.py")}
     measured = {"engine", "fidelity", "shared_bus"}
-    pages = {"ageing_page", "robust_page", "study_page"}
+    pages = {"ageing_page", "robust_page", "scale_page", "study_page"}
     assert scripts == measured | pages | {"test_benchmarks", "test_cost"}
 
 
