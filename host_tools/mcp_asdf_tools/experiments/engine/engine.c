@@ -128,7 +128,7 @@ static void hear_nobody(block_t *block)
     }
 }
 
-ENGINE_INLINE void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
+IN_LOOPS void hear_one(block_t *blocks, uint32_t receiver, uint32_t sender)
 {
     block_t *const block = &blocks[receiver / LANES];
     const block_t *const other = &blocks[sender / LANES];
@@ -165,7 +165,7 @@ static void hear_linked(block_t *blocks)
 }
 
 /* Sums over all robots of each trial but the first. */
-ENGINE_INLINE void add_up(uint32_t robots, const uint64_t *restrict of_robots, uint64_t *restrict sums)
+IN_LOOPS void add_up(uint32_t robots, const uint64_t *restrict of_robots, uint64_t *restrict sums)
 {
     uint64_t all[LANES_OF_TRIALS] = {0};
     for (uint32_t j = 1; j < robots; ++j) {

@@ -4,15 +4,11 @@
 #ifndef MCP_ASDF_PHILOX_H
 #define MCP_ASDF_PHILOX_H
 
+#include "targets.h"
+
 #include <stdint.h>
 
 #define PHILOX_ROUNDS 10
-
-#ifdef __GNUC__
-#define ENGINE_INLINE static inline __attribute__((always_inline))
-#else
-#define ENGINE_INLINE static inline
-#endif
 
 typedef struct {
     uint32_t word[4];
@@ -20,7 +16,7 @@ typedef struct {
 
 /* One round on counter `c`; the key's words grow by the last two constants from round to round. Products are
  * exact. */
-ENGINE_INLINE philox_t philox_round(philox_t c, uint32_t k0, uint32_t k1)
+IN_LOOPS philox_t philox_round(philox_t c, uint32_t k0, uint32_t k1)
 {
     const uint64_t first = (uint64_t)c.word[0] * UINT32_C(0xD2511F53);
     const uint64_t second = (uint64_t)c.word[2] * UINT32_C(0xCD9E8D57);
@@ -28,7 +24,7 @@ ENGINE_INLINE philox_t philox_round(philox_t c, uint32_t k0, uint32_t k1)
                        (uint32_t)(first >> 32) ^ c.word[3] ^ k1, (uint32_t)first}};
 }
 
-ENGINE_INLINE philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
+IN_LOOPS philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
 {
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC unroll 10 /* so that a loop over many generators has no inner loop */
@@ -40,7 +36,7 @@ ENGINE_INLINE philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
 }
 
 /* The four draws of a robot's observations in steps 4 block .. 4 block + 3 (from 0) of a trial. */
-ENGINE_INLINE philox_t draws(uint64_t seed, uint32_t trial, uint32_t robot, uint32_t block)
+IN_LOOPS philox_t draws(uint64_t seed, uint32_t trial, uint32_t robot, uint32_t block)
 {
     return philox((philox_t){{block, robot, trial, 0}}, (uint32_t)seed, (uint32_t)(seed >> 32));
 }

@@ -177,18 +177,9 @@ typedef struct {
     uint32_t count;
     mcp_asdf_arena_t *arena[AT_ONCE];
     uint32_t robot[AT_ONCE];
-    double x[AT_ONCE];
-    double y[AT_ONCE];
-    double vx[AT_ONCE];
-    double vy[AT_ONCE];
-    double wanted_x[AT_ONCE];
-    double wanted_y[AT_ONCE];
-    double part[AT_ONCE];
-    double limit[AT_ONCE];
-    double parts_left[AT_ONCE];
-    double cx[AT_ONCE];
-    double cy[AT_ONCE];
-    double angle[AT_ONCE];
+    double x[AT_ONCE], y[AT_ONCE], vx[AT_ONCE], vy[AT_ONCE], wanted_x[AT_ONCE], wanted_y[AT_ONCE];
+    double part[AT_ONCE], limit[AT_ONCE], parts_left[AT_ONCE];
+    double cx[AT_ONCE], cy[AT_ONCE], angle[AT_ONCE];
 } loners_t;
 
 /* A part of the tick: bodies move, and the motors bring each velocity closer to the wanted one, by at most

@@ -122,9 +122,7 @@ typedef struct {
     uint32_t seen;
     mcp_asdf_arena_t *arena[AT_ONCE];
     uint32_t robot[AT_ONCE];
-    double ahead[AT_ONCE];
-    double left[AT_ONCE];
-    double away[AT_ONCE];
+    double ahead[AT_ONCE], left[AT_ONCE], away[AT_ONCE];
     uint32_t ray[AT_ONCE * SENSORS + 1];
     double distance[AT_ONCE * SENSORS + 1];
 } busy_t;
