@@ -2,7 +2,7 @@
 
 mcp-asdf reproduce --part ageing --output FOLDER
 PYTHONPATH=tests/peers mcp-asdf sweep tests/peers/ageing.toml --record 1000 --output FOLDER/peers.parquet
-python tests/benchmarks/ageing_page.py FOLDER
+PYTHONPATH=tests python -m benchmarks.ageing_page FOLDER
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from mcp_asdf_tools.experiments.results import experiments_in, read_table
 from mcp_asdf_tools.reproduction import ageing, robust
 from mcp_asdf_tools.robots.population import FILTER_NAMES
 
+PAGE, PICTURE = ROOT / "docs/ageing.md", ROOT / "docs/images/ageing.webp"
 PEERS = {"oracle": "knows b now", "mean-accuracy": "knows its mean", "ageing-bayescpf": "BayesCPF"}
 
 
@@ -34,10 +35,8 @@ def main() -> int:
         "filters": robust.table_of("", own, ageing.row_of),
         "peers": robust.table_of("", peers, ageing.row_of, robust.Special(column=column_of)),
     }
-    put_tables(
-        ROOT / "docs/ageing.md", {name: each.lines(robust.late, head) for name, each in tables.items()}
-    )
-    (ROOT / "docs/images/ageing.webp").write_bytes(small_picture(ageing.picture_of(own)))
+    put_tables(PAGE, {name: each.lines(robust.late, head) for name, each in tables.items()})
+    PICTURE.write_bytes(small_picture(ageing.picture_of(own)))
     return 0
 
 

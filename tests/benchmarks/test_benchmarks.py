@@ -5,12 +5,14 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from benchmarks import engine, fidelity, shared_bus, study_page
+from benchmarks import ageing_page, engine, fidelity, scale_page, shared_bus, study_page
 from host_tools.reproduction.test_report import run_of
-from mcp_asdf_tools.reproduction import report, resampling
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.reproduction import report, resampling, robust, scaling
 from mcp_asdf_tools.reproduction.study import PAPER, Part
 from multicast import multicast
 
@@ -70,3 +72,39 @@ def test_the_page_of_the_study_is_written(tmp_path: Path, monkeypatch: pytest.Mo
     )
     assert f"of {len(run.decided)} claims hold" in after
     assert after.partition(study_page.END)[2] == before.partition(study_page.END)[2] != ""
+
+
+@pytest.mark.parametrize(
+    ("part", "page", "grid"),
+    [
+        ("ageing", ageing_page, '[[grid]]\n[[grid]]\ndrift = "linear"\ndrift_rate = -1e-5\n'),
+        (
+            "scale",
+            scale_page,
+            'topology = "dynamic"\n[[grid]]\n[[grid]]\n'
+            "fill_ratio = 0.95\ntrue_accuracy = 0.55\nflawed_accuracy = 0.95\n",
+        ),
+    ],
+)
+def test_tables_and_picture_of_a_page_are_written(
+    part: str, page: ModuleType, grid: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between their marks alone."""
+    (tmp_path / f"{part}.toml").write_text(f'robots = 4\nsteps = 4000\nfilter = ["none", "robust"]\n{grid}')
+    monkeypatch.setattr(robust, "STUDIES", tmp_path)
+    monkeypatch.setattr(resampling, "RESAMPLES", 50)
+    monkeypatch.setattr(scaling, "_ROBOT_STEPS", 1000)
+    options = ["--part", part, "--trials", "2", "--workers", "1", "--output", str(tmp_path)]
+    assert main(["reproduce", *options]) == 0
+    shutil.copy(tmp_path / f"{part}.parquet", tmp_path / "peers.parquet")
+    before = page.PAGE.read_text(encoding="utf-8")
+    copy, picture = Path(shutil.copy(page.PAGE, tmp_path / "page.md")), tmp_path / "picture.webp"
+    monkeypatch.setattr(page, "PAGE", copy)
+    monkeypatch.setattr(page, "PICTURE", picture)
+    monkeypatch.setattr("sys.argv", [f"{part}_page.py", str(tmp_path)])
+    assert page.main() == 0
+    after = copy.read_text(encoding="utf-8")
+    assert after != before and [each for each in after.splitlines() if each[:1] != "|"] == [
+        each for each in before.splitlines() if each[:1] != "|"
+    ]
+    assert picture.read_bytes()[8:12] == b"WEBP"
