@@ -22,7 +22,7 @@ setup: .venv/ready-to-test ## make .venv with the project and all that tests nee
 swarm: .venv/ready-to-run ## watch twenty robots, half of them flawed, calibrate themselves, and see what it is good for
 	@$(BIN)/mcp-asdf swarm --topology dynamic --filter asdf-minus --flawed 50% --compare
 
-test: .venv/ready-to-test ## run the tests of everything, 5 minutes: C and Python, analysers, documentation
+test: .venv/ready-to-test ## run the tests of everything, 2 minutes once set up: C and Python, analysers, documentation
 	@rm -rf build/reports
 	@$(PYTEST) -m "not slow" --junit-xml=build/reports/pytest.xml
 
