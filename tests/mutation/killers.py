@@ -117,7 +117,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
     Args:
         mutant: Of the firmware.
         folder: For the mutant's sources, which stay there.
-        most: Variants to try; builds without a filter only if these are all.
+        most: Variants to try.
     """
     plant(mutant, folder)
     tests: tuple[str, ...] = FRAME_TESTS if mutant.file == "mcp_asdf_frame.c" else CORE_TESTS
@@ -130,8 +130,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
     for test, variant in tries:
         if not passes(folder, test, variant):
             return f"{test} {variant}"
-    is_alone = mutant.file == "mcp_asdf_frame.c" or most < len(VARIANTS)  # the first variant has all lines
-    for variant in () if is_alone else BUILDS:
+    for variant in () if mutant.file == "mcp_asdf_frame.c" else BUILDS:
         if not passes(folder, THIRD, variant):
             return f"{THIRD} {variant}"
     return ""
