@@ -35,7 +35,7 @@ def chosen(paths: list[str], sample: int | None = None, seed: int = 0) -> list[M
 def survivors(of: list[Mutant], tests: list[Path] | None = None) -> list[str]:
     """Lines that name and replay the mutants that pass the tests of their room, or these tests."""
     folders = {each: tests or tests_of(each.path) for each in of}
-    known = record(folder for each in folders.values() for folder in each)
+    known = record(of, (folder for each in folders.values() for folder in each))
     for test in known.failed:
         print(f"fails without a mistake, and is left out: {test}", flush=True)
     lines = []

@@ -31,22 +31,17 @@ class Mutant:
     Attributes:
         path: File, relative to the project.
         number: Place among the mistakes of the file.
-        lines: Of the statement, without those of statements in it.
+        place: Of its statement, among those of the file that may be changed.
         name: Function, and the statement as it is and as it becomes.
     """
 
     path: Path
     number: int
-    lines: range
+    place: int
     name: str
 
     def __str__(self) -> str:
         return f"{self.path}#{self.number}"
-
-    @property
-    def module(self) -> str:
-        """Name under which the file is imported."""
-        return ".".join(self.path.with_suffix("").parts[1:]).removesuffix(".__init__")
 
     @property
     def code(self) -> str:
@@ -61,26 +56,35 @@ def mutants(path: Path) -> list[Mutant]:
     """All mutants of a file or folder. Types, documentation and messages of errors are left alone."""
     files = sorted((ROOT / path).rglob("*.py")) if (ROOT / path).is_dir() else [ROOT / path]
     return [
-        Mutant(file.relative_to(ROOT), number, lines, name)
+        Mutant(file.relative_to(ROOT), number, place, name)
         for file in files
-        for number, (lines, name) in enumerate(_mistakes(file))
+        for number, (place, name) in enumerate(_mistakes(file))
     ]
 
 
-def _mistakes(file: Path) -> Iterator[tuple[range, str]]:
-    """Lines and name of each."""
-    for function, statement in _places(_parsed(file)):
+def with_probes(path: Path, probes: dict[int, str]) -> ast.Module:
+    """The file, with each of these expressions evaluated before the statement at its place."""
+    tree = _parsed(path)
+    statements = [statement for _, statement in _places(tree)]
+    planted = {statements[place]: ast.parse(text).body for place, text in probes.items()}
+
+    class Planter(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST | list[ast.AST]:
+            self.generic_visit(node)
+            return [*planted[node], node] if node in planted else node
+
+    Planter().visit(tree)
+    return ast.fix_missing_locations(tree)
+
+
+def _mistakes(file: Path) -> Iterator[tuple[int, str]]:
+    """Place and name of each."""
+    for place, (function, statement) in enumerate(_places(_parsed(file))):
         head = _head(statement)
         for number, _ in enumerate(_changes(head)):
             changed = copy.deepcopy(head)
             list(_changes(changed))[number]()
-            yield _lines(statement), f"{function.name}: [{_text(head)} => {_text(changed)}]"
-
-
-def _lines(statement: ast.stmt) -> range:
-    inside = [each.lineno for part in ("body", "orelse") for each in getattr(statement, part, [])]
-    end = min([*inside, (statement.end_lineno or statement.lineno) + 1])
-    return range(statement.lineno, max(end, statement.lineno + 1))
+            yield place, f"{function.name}: [{_text(head)} => {_text(changed)}]"
 
 
 def _parsed(path: Path) -> ast.Module:
