@@ -176,20 +176,23 @@ def test_make_knows_the_target(command: str) -> None:
     run(require("make", "make"), "-n", *command.split()[1:])
 
 
-def build_site(folder: Path, with_api: bool = True) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documentation, built."""
+    folder = tmp_path_factory.mktemp("site")
     *_, command = run(require("make", "make"), "-n", "--no-print-directory", "docs").splitlines()
     words = shlex.split(command)
     assert "--strict" in words
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
-    run(require(Path(words[0]).name), *words[1:], "--site-dir", folder, WITH_API=f"{with_api}".lower())
+    run(require(Path(words[0]).name), *words[1:], "--site-dir", folder)
+    return folder
 
 
 @pytest.mark.slow
-def test_the_documentation_is_built(tmp_path: Path) -> None:
+def test_the_documentation_is_built(site: Path) -> None:
     """Every name that the pages of the Python API ask for is there, and links and anchors lead somewhere."""
-    build_site(tmp_path)
     texts = {
-        path.parent.name: path.read_text(encoding="utf-8") for path in sorted(tmp_path.rglob("*/index.html"))
+        path.parent.name: path.read_text(encoding="utf-8") for path in sorted(site.rglob("*/index.html"))
     }
     commands, headers, method = (
         html.unescape(re.sub(r"<[^>]+>", "", texts[page])) for page in ("cli", "headers", "method")
@@ -197,7 +200,7 @@ def test_the_documentation_is_built(tmp_path: Path) -> None:
     assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
     assert "$" not in method, "formulas are MathML"
-    assert (tmp_path / "play.html").stat().st_size > 100_000
+    assert (site / "play.html").stat().st_size > 100_000
     assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
     advice = texts["advice"]
     assert f"mcp-asdf {version_of_header()}</title>" in advice
@@ -209,18 +212,17 @@ def test_the_documentation_is_built(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_page_is_wider_than_a_phone(tmp_path: Path) -> None:
+def test_no_page_is_wider_than_a_phone(site: Path) -> None:
     """Each row of a table stands by itself there, and each cell names its column."""
-    build_site(tmp_path, with_api=False)
     with browser_page(width=390) as browser:
-        for path in sorted(tmp_path.rglob("index.html")):
+        for path in sorted(site.rglob("index.html")):
             browser.goto(path.as_uri(), wait_until="domcontentloaded")
             wide = browser.evaluate(
                 "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
                 ".md-typeset table:not([class]) td')].map((each) => each.scrollWidth).filter((w) => w > 390)"
             )
             assert wide == [], path.parent.name
-        browser.goto((tmp_path / "advice/index.html").as_uri())
+        browser.goto((site / "advice/index.html").as_uri())
         label = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
         assert "filter" in browser.evaluate(label)
 
