@@ -8,11 +8,11 @@ import sys
 from typing import cast
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.crosscheck.compare import (
     Check,
@@ -92,9 +92,8 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     audit = Audit()
     check = _check_with(audit)
     counts = count_operations()
-    with _progress(args.json) as progress:
-        task = progress.add_task("calls", total=steps)
-        outcome = crosscheck(check, seed, steps, lambda done: progress.update(task, completed=done))
+    with progress("calls", steps, args.json) as report:
+        outcome = crosscheck(check, seed, steps, report)
     if outcome.failure is not None:
         outcome.failure = _shortest(outcome.failure)
     result = Result(seed, outcome, audit, counts, measure_storage())
@@ -117,9 +116,3 @@ def _shortest(failure: Failure) -> Failure:
     except KeyboardInterrupt:
         print("mcp-asdf crosscheck: interrupted; a shorter scenario may show the same", file=sys.stderr)
         return failure
-
-
-def _progress(quiet: bool) -> Progress:
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)

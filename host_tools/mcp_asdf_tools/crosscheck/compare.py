@@ -183,7 +183,7 @@ class CrosscheckResult:
 def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> CrosscheckResult:
     """Check the random scenarios of ``seed`` until ``calls`` calls are made or something is found.
 
-    ``report`` gets the number of calls made after every scenario.
+    ``report`` gets the number of calls made in every scenario.
     """
     outcome = CrosscheckResult()
     try:
@@ -191,9 +191,10 @@ def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], obje
             scenario = _scenario(seed, outcome.scenarios)
             scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
             outcome.failure = check(scenario)
-            outcome.calls += len((outcome.failure or Failure(scenario, ())).scenario.calls)
+            made = len((outcome.failure or Failure(scenario, ())).scenario.calls)
+            outcome.calls += made
             outcome.scenarios += 1
-            report(outcome.calls)
+            report(made)
     except KeyboardInterrupt:
         outcome.interrupted = True
     return outcome

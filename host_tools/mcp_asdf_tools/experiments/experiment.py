@@ -38,19 +38,20 @@ class Experiment(Population):
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
-        if self.robots > MAX_ON_BUS and not self.runs_in_c:
-            key = "firmware" if self.firmware != "native" else "sensor" if self.sensor else "white_offset"
+        if self.robots > MAX_ON_BUS and (key := self.lacking_in_c):
             why = f"{key} is {getattr(self, key)}, which runs message by message, with ids of 7 bits"
             raise ParameterError(key, f"robots is {self.robots}, but {why}; take at most {MAX_ON_BUS}")
 
     @property
-    def runs_in_c(self) -> bool:
-        """True if the engine in C has all that is asked for; other trials run message by message."""
+    def lacking_in_c(self) -> str:
+        """The parameter whose value the engine in C lacks, so that trials run message by message, or none."""
         if self.firmware != "native":
-            return False
+            return "firmware"
         if self.topology == "dynamic":
-            return not self.sensor and self.white_offset == 0
-        return self.topology == "graph" or (self.topology == "fully-connected" and self.latency == 0)
+            return "sensor" if self.sensor else "white_offset" if self.white_offset else ""
+        if self.topology == "fully-connected":
+            return "latency" if self.latency else ""
+        return "" if self.topology == "graph" else "topology"
 
 
 def grid(**parameters: Any) -> list[Experiment]:

@@ -44,7 +44,7 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     ``where`` chooses experiments by their parameters. Raises UsageError if the results do not have what it
     shows.
     """
-    from mcp_asdf_tools.experiments import plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import plots, series_plot  # noqa: PLC0415 (matplotlib loads slowly)
 
     experiments = matching(results if isinstance(results, list) else experiments_in(results), where or {})
     if not experiments:
@@ -56,7 +56,7 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
         "scatter": lambda: plots.scatter(experiments, limits),
         "curve": lambda: plots.curve(experiments, x, hue, y, limits, facet=facet, ax=ax),
         "bands": lambda: plots.bands(experiments, limits),
-        "series": lambda: plots.series_beside([only(experiments)], trial),
+        "series": lambda: series_plot.series_beside([only(experiments)], trial),
     }
     if kind not in pictures:
         raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")

@@ -1,4 +1,4 @@
-"""Pictures of scores: by cell, against each other, and over any parameter; and of one trial over time."""
+"""Pictures of scores: by cell, against each other, and over any parameter; and of what changes over time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ from mcp_asdf_tools.common.figures import (
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
-from mcp_asdf_tools.experiments.series_plot import TimeSeries, draw_time_series
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 _BOXES = (
@@ -534,35 +533,3 @@ def _draw_bands(axes: Axes, trials: Trials, title: str) -> None:
     off = f"{np.mean(abs(healthy[:, -1] - right) > _OFF):.0%} of healthy robots" if healthy.size else "-"
     axes.set_title(f"{title}\nmore than {_OFF} off: {off}", fontsize=SMALL)
     clean(axes)
-
-
-def series_beside(runs: Sequence[Trials], number: int) -> Figure:
-    """b_hat, x_hat and x of every robot over the steps of one recorded trial of each run, side by side, as in
-    the paper's figure 6.
-
-    Raises UsageError if there is no such trial or nothing was recorded.
-    """
-    return draw_time_series([_series_of(trials, number) for trials in runs])
-
-
-def _series_of(trials: Trials, number: int) -> TimeSeries:
-    experiment = trials.experiment
-    if number not in trials.numbers:
-        raise UsageError(
-            f"there is no trial {number}; choose one of {trials.numbers[0]} .. {trials.numbers[-1]}"
-        )
-    if not trials.records:
-        raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
-    index = trials.numbers.index(number)
-    values = {name: trials.records[name][index] for name in ("b_hat", "x_hat", "x")}
-    intervals = len(values["x"]) - 1
-    steps = np.arange(intervals + 1.0) * (experiment.steps // intervals)
-    truths = {"b": experiment.true_accuracy, "f": experiment.fill_ratio}
-    words = filter_name(experiment)
-    if experiment.filter != "none":
-        words += rf", $\tau$ = {experiment.filter_period}"
-    title = (
-        f"{words}: {experiment.robots} robots, {experiment.flawed} flawed,\n"
-        f"{experiment.parameters()['topology']}, seed {experiment.seed}, trial {number}"
-    )
-    return TimeSeries(title, steps, values, experiment.flawed, truths)

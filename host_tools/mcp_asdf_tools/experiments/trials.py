@@ -43,7 +43,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
     """
     numbers = range(first, first + trials)
-    if experiment.runs_in_c:
+    if not experiment.lacking_in_c:
         if experiment.topology == "fully-connected":
             return _run_native(experiment, first, trials, sampling_interval)
         # Elsewhere a trial has a series of x for each robot: a few at a time bound the memory.

@@ -73,7 +73,7 @@ def _twin(settings: Population, trial: int) -> list[float]:
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
-    if not experiment.runs_in_c:
+    if experiment.lacking_in_c:
         return []
     x = run_trials(experiment, trial, 1, spacing_of(settings.steps, settings.robots)).records["x"][0]
     errors = abs(x - settings.fill_ratio).mean(axis=1)

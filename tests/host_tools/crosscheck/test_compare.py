@@ -125,5 +125,5 @@ def test_a_run_stops_after_the_calls_asked_for_and_every_fourth_robot_is_robust(
 
     outcome = crosscheck(check, SEED, 1234, heard.append)
     assert (outcome.calls, outcome.failure, outcome.interrupted) == (1234, None, False)
-    assert heard == sorted(heard) and heard[-1] == 1234
+    assert sum(heard) == 1234
     assert robust[:8] == [False, False, False, True] * 2

@@ -24,10 +24,10 @@ from mcp_asdf_tools.experiments.plots import (
     filter_colours,
     median_interval,
     scatter,
-    series_beside,
 )
 from mcp_asdf_tools.experiments.results import Trials, table_of, write_table
 from mcp_asdf_tools.experiments.scores import Limits, paper_limits
+from mcp_asdf_tools.experiments.series_plot import series_beside
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 

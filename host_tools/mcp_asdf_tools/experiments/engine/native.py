@@ -64,12 +64,12 @@ def run(
     """Run trials ``first`` .. ``first + trials - 1`` of a native experiment.
 
     Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
-    two engines with equal results, by default where it can run. Raises UsageError unless ``runs_in_c`` is
-    true or as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four bytes for
-    each estimate.
+    two engines with equal results, by default where it can run. Raises UsageError if something is
+    ``lacking_in_c`` or as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four
+    bytes for each estimate.
     """
-    if not experiment.runs_in_c:
-        raise UsageError("the engine in C lacks this firmware, topology, latency or sensor; use run_trials")
+    if key := experiment.lacking_in_c:
+        raise UsageError(f"the engine in C lacks this {key}, {getattr(experiment, key)}; use run_trials")
     call = _Call(experiment, first, trials, sampling_interval)
     engine = _engine.lib
     outcome = _allocate(experiment, trials, call, sampling_interval)
