@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from simulated_avr import require_simavr
 from support import require, slow
 
 pytest.importorskip("unicorn", reason="the emulator that counts instructions is not installed: make setup")
@@ -26,8 +27,8 @@ NUMBER = re.compile(r"[\d.]+")
 def usable(target: Target) -> Target:
     """The target; skips where something is missing."""
     require(target.compiler, target.package)
-    if target == AVR and not Path("/usr/include/simavr/sim_avr.h").exists():
-        pytest.skip("simavr's headers are not installed: apt-get install libsimavr-dev")
+    if target == AVR:
+        require_simavr()
     return target
 
 

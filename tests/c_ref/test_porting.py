@@ -8,6 +8,7 @@ import random
 import re
 import shutil
 import subprocess
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from mcp_asdf.robot import Config, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from simulated_avr import Board, require_simavr
 from support import CORE, ROOT, require, run, slow
 
 PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
@@ -236,6 +238,8 @@ def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
 PACKAGES = "gcc-avr avr-libc libsimavr-dev"
 CLOCKS = {"Uno": (16_000_000, 115_200), "Kilobot": (8_000_000, 38_400)}
 """Hertz of the chip and bits a second of its serial line."""
+UART_STATE, DOUBLE_SPEED, UART_DIVISOR = 0xC0, 2, 0xC4
+"""Registers of the chip, and a bit of the first."""
 KILOBOT = re.compile(r"-D(?:F_CPU|BAUD)=\w+")
 """In the page: what to add to the command for a Kilobot."""
 
@@ -258,15 +262,24 @@ def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
     """With the chip's own timer, ADC and UART interrupt: ten ticks a second by the board's clock, bytes as
     fast as the line can bring them, and a UART of the line's speed.
     """
-    if not Path("/usr/include/simavr/sim_avr.h").exists():
-        pytest.skip("no simavr library: apt-get install libsimavr-dev")
+    require_simavr()
     image = avr_image(tmp_path, *(KILOBOT.findall(PAGE) if board == "Kilobot" else ()))
-    simulator, source = tmp_path / "avr_robot", Path(__file__).with_name("avr_robot.c")
-    run("cc", "-O2", "-I/usr/include/simavr", source, "-lsimavr", "-o", simulator)
-    ticks = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5)
-    arguments = (image, tmp_path / "sent", *CLOCKS[board])
-    subprocess.run([simulator, *map(str, arguments)], input=played(ticks), capture_output=True, check=True)
-    assert (tmp_path / "sent").read_bytes() == expected(ticks)
+    clock, baud = CLOCKS[board]
+    ticks, said = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5), bytearray()
+    robot = Board(image, clock, said.append)
+    now = clock // 20  # half a tick away from the robot's
+    robot.run(now)
+    for packets, tile in ticks:
+        for byte in b"\x00\xff".join(packets):
+            robot.hear(byte)
+            robot.run(robot.cycle + clock // (baud // 10))
+        robot.see(tile)
+        now += clock // 10
+        robot.run(now)
+    assert said == expected(ticks)
+    state, (low, high) = robot.registers[UART_STATE], robot.registers[UART_DIVISOR : UART_DIVISOR + 2]
+    made = clock / (8 if ord(state) & DOUBLE_SPEED else 16) / (low + 256 * high + 1)
+    assert made == pytest.approx(baud, rel=0.025)
 
 
 # --- Two Kilobots ------------------------------------------------------------------------------------------
@@ -308,26 +321,45 @@ def kilobots(tiles: tuple[str, str]) -> tuple[list[list[bytes]], list[list[int]]
     return data, [[x for x, _ in groupby(answers)] for answers in told]
 
 
+def pair(image: Path, tiles: tuple[str, str]) -> list[bytearray]:
+    """All that two Kilobots send that hear each other's UART, the second one started half a round later; a
+    tile is under each from half a round before it looks."""
+    said, starts = [bytearray(), bytearray()], (0, ROUND // 2)
+
+    def sent(sender: int, byte: int) -> None:
+        said[sender].append(byte)
+        if robots[sender].cycle + starts[sender] > starts[1 - sender]:
+            robots[1 - sender].hear(byte)
+
+    robots = [Board(image, 8_000_000, partial(sent, number)) for number in range(2)]
+    for robot, own_id in zip(robots, KILOBOTS, strict=True):
+        robot.set_port_b(own_id)
+    while True:
+        behind = min(range(2), key=lambda number: robots[number].cycle + starts[number])
+        robot = robots[behind]
+        place = (robot.cycle + ROUND // 2) // ROUND
+        if place > len(tiles[behind]):
+            return said
+        if place > 0:
+            robot.see(int(tiles[behind][place - 1]))
+        robot.run(robot.cycle + 50)
+
+
 @pytest.mark.slow
 def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     require("avr-gcc", PACKAGES)
-    if not Path("/usr/include/simavr/sim_avr.h").exists():
-        pytest.skip("no simavr library: apt-get install libsimavr-dev")
+    require_simavr()
     (code,) = (block for block in blocks("c") if "kilolib.h" in block)
     (tmp_path / "kilobot.c").write_text(code + TELLING, encoding="utf-8")
-    here, simulator, image = Path(__file__).parent, tmp_path / "avr_pair", tmp_path / "kilobot.elf"
     sources = [*CORE.parent.glob("*.c"), ROOT / "tables/t_table_omega05_q30.c", tmp_path / "kilobot.c"]
     flags = "-mmcu=atmega328p -Os -std=gnu99 -DF_CPU=8000000UL -ffunction-sections -Wl,--gc-sections"
-    include = (f"-I{CORE.parent}", f"-I{here / 'kilobot'}")
-    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", image)
-    run("cc", "-O2", "-I/usr/include/simavr", here / "avr_pair.c", "-lsimavr", "-o", simulator)
+    include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
+    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
     draw = random.Random(9)
     tiles = ("".join(draw.choices("01", (1, 2), k=12)), "".join(draw.choices("01", (1, 2), k=12)))
-    paths = [tmp_path / "first", tmp_path / "second"]
-    run(simulator, image, str(ROUND), tiles[0], paths[0], tiles[1], paths[1])
     data, answers = kilobots(tiles)
-    for path, messages, told in zip(paths, data, answers, strict=True):
-        said = path.read_bytes()
+    both = pair(tmp_path / "kilobot.elf", tiles)
+    for said, messages, told in zip(both, data, answers, strict=True):
         seen = [part[:9] for part in re.findall(rb"M(.{12})|X.{4}", said, re.DOTALL) if part]
         xs = [
             int.from_bytes(part, "little") for part in re.findall(rb"M.{12}|X(.{4})", said, re.DOTALL) if part

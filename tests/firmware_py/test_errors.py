@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +18,6 @@ import pytest
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, checksum
 from robots import (
-    ALPHA_MOST,
     HALF,
     IMAGE_SIZE,
     ONE,
@@ -27,16 +25,12 @@ from robots import (
     PLAIN,
     TABLE,
     AnyType,
-    FixedPoint,
     FixedPointType,
     new,
     of_every_kind,
     of_fixed_point,
-    pack,
     receive_all,
-    rewritten,
     robot_at,
-    unpack,
     watch,
 )
 
@@ -149,154 +143,28 @@ def test_an_invalid_observation_changes_nothing(kind: AnyType, z: Any) -> None:
 # --- Saving ----------------------------------------------------------------------------------------------
 
 
-def busy_robot(kind: FixedPointType, config: Config = BUSY) -> FixedPoint:
-    """In the middle of a round, with something in every field of the state."""
-    robot = kind(config, OWN_ID, 0.7)
-    for tick in range(41):
-        robot.observe(Observation(tick % 3 == 1))
-        receive_all(
-            robot, [(i * 13 % 128, 5 * 2**20 + 2**17 * i, 0x80000001 + 259 * i) for i in range(tick % 7)]
-        )
-        receive_all(robot, [(9, 5, 0), (OWN_ID, 5, 0), (9, 5, 0)])
-        if tick % 2:
-            robot.settle()
-    robot.settle()
-    receive_all(
-        robot, [(3, 2**21, 0x80123417), (40, 2**21 + 9, 0xFF123417), (70, 3, 0x80000007), (127, 7, 0)]
-    )
-    return robot
-
-
-NEW_CROWD = {
-    "crowd_centre": 1 << 29,
-    "crowd_spread": 1 << 28,
-    "crowd_voices": 0,
-    "crowd_first": 0,
-    "crowd_votes": 0,
-    "crowd_trend": 1 << 15,
-}
-"""What a robot without the robust filter has, always."""
-
-
-# design: R29
-@of_fixed_point
-@pytest.mark.parametrize(("robust", "magic"), [(False, 0x4D435302), (True, 0x4D435382)])
-def test_an_image_holds_every_field(kind: FixedPointType, robust: bool, magic: int) -> None:
-    """The image is the one docs/design.md describes, field by field; what is not there is as if new."""
-    robot = busy_robot(kind, ROBUST) if robust else busy_robot(kind)
-    image, state = robot.save(), robot.state()
-    found = unpack(image)
-    assert len(image) == IMAGE_SIZE == 124
-    assert found.pop("magic") == magic, "version 2"
-    assert found.pop("b_hat") == state["accuracy_b_hat"]
-    assert [found.pop(f"nothing_{number}") for number in range(11 * robust)] == [0] * 11 * robust
-    rounds = {name: 0 for name in state if name.startswith(("open", "closed"))}
-    left = {name: value for name, value in state.items() if not name.startswith("accuracy_")}
-    assert found | (rounds if robust else NEW_CROWD) == left
-    assert pack(unpack(image)) == image
-    zero = [name for name, value in found.items() if not value]
-    assert zero == [*["updates"] * robust, "updated"], "the others can be told apart"
-
-
-def check_refused(
-    kind: FixedPointType, config: Config, image: bytes, status: Status = Status.ERR_IMAGE
-) -> None:
-    with pytest.raises(FirmwareError) as caught:
-        kind.restore(config, image)
-    assert caught.value.status == status
-
-
-def relabelled(image: bytes, magic: int) -> bytes:
-    """The image with another first word, and the checksum that belongs to it."""
-    words = [magic, *(word for (word,) in struct.iter_unpack("<I", image[4:-4]))]
-    return struct.pack("<31I", *words, checksum(words))
-
-
-# design: R30
-@of_fixed_point
-@pytest.mark.parametrize(("config", "other"), [(BUSY, 0x4D435382), (ROBUST, 0x4D435302)])
-def test_damaged_images_and_those_of_another_size_or_make_are_refused(
-    kind: FixedPointType, config: Config, other: int
-) -> None:
-    """I17; ``other`` begins images of robots with the other kinds of filter."""
-    robot = busy_robot(kind, config)
-    image = robot.save()
-    flipped = [
-        image[: bit // 8] + bytes([image[bit // 8] ^ 1 << bit % 8]) + image[bit // 8 + 1 :]
-        for bit in range(8 * len(image))
-    ]
-    sizes = [image[:size] for size in (0, 4, 120, 123)] + [image + b"\0", image * 8]
-    others = [
-        relabelled(image, magic) for magic in (0x4D435300, 0x4D435301, 0x4D435303, 0x4D435402, 0, other)
-    ]
-    wrong = rewritten(image)[:-4] + struct.pack("<I", checksum([0]))
-    for each in (*flipped, *sizes, *others, wrong, bytes(124), b"\xff" * 124, image[::-1]):
-        check_refused(kind, robot.config, each)
-    assert robot.save() == image
-
-
-IMPOSSIBLE = {
-    "I1": [{"id": 128}, {"id": 255}],
-    "I2": [{"t": 100}, {"t": 0, "n": 1}, {"n": 2**32 - 1}, {"t": 2**32 - 1}],
-    "I3": [{"b_hat": 2**12 - 1}, {"b_hat": 2**32 - 2**12 + 1}, {"b_hat": 0}],
-    "I5": [
-        *({"x_hat": ONE + 1}, {"x_hat": ONE + 1, "updated": 1}, {"x_hat": HALF + 1}, {"updated": 2}),
-        *({"alpha": alpha, "updated": 1} for alpha in (1, 0x20, 0x80000080, 0x00000101, 0x7FFFFF1F)),
-        *({"alpha": 0}, {"alpha": ALPHA_MOST}, {"t": 42}, {"n": 13}, {"b_hat": 3 << 30}, {"updated": 255}),
-        *({"t": 0, "n": 0}, {"t": 0, "n": 0, "x_hat": HALF, "alpha": 0, "updated": 1}),
-    ],
-    "I6": [
-        {"closed_alpha": 0, "closed_alpha_x_low": 1, "closed_alpha_x_high": 0},
-        {"closed_alpha": 3, "closed_alpha_x_low": 3 * ONE + 1, "closed_alpha_x_high": 0},
-        {"closed_alpha": 127 * (2**55 - 2**31) + 1},
-        {"closed_alpha": 2**61, "closed_alpha_x_high": 2**53},
-        {"closed_alpha": 2**61, "closed_alpha_x_low": 2**62},
-    ],
-    "I7": [
-        *({"open_alpha": 2**62}, {"open_alpha": 2}, {"open_x": 4 * ONE}),
-        *({"open_x_squared": 2**53}, {"open_x_squared": 2**40}),
-        *({"open_alpha_x_low": 2**62}, {"open_alpha_x_high": 2**53}, {"open_count": 128}, {"open_count": 0}),
-    ],
-    "I8": [{"heard_0": 0, "heard_1": 0}, {"heard_2": 0, "heard_3": 0}, {"open_count": 5}],
-    "I9": [{"heard_0": 1 << OWN_ID}, {"heard_0": 2**32 - 1}],
-    "I10": [{"filter_left": 0}, {"filter_left": 5}, {"filter_left": 2**32 - 1}],
-    "I24": [
-        *({"crowd_centre": 2**30 + 1}, {"crowd_centre": 2**32 - 1}, {"crowd_spread": 2**18 - 1}),
-        *({"crowd_spread": 2**28 + 1}, {"crowd_spread": 0}, {"crowd_votes": 2**14 + 1}, {"crowd_voices": 0}),
-        *({"crowd_first": 2**12 - 1}, {"crowd_first": 2**32 - 2**12 + 1}, {"crowd_votes": 0}),
-        *(NEW_CROWD | {"crowd_first": 3 << 30}, NEW_CROWD | {"crowd_votes": 1, "crowd_first": 3 << 30}),
-        *({f"nothing_{number}": 1} for number in range(11)),
-    ],
-}
-"""Fields of the busy robot's image that no sequence of calls can have, by the invariant they break."""
-
-
-# design: R30
-@of_fixed_point
-@pytest.mark.parametrize("settings", (BUSY, ROBUST))
-@pytest.mark.parametrize("invariant", IMPOSSIBLE)
-def test_impossible_states_are_refused(kind: FixedPointType, invariant: str, settings: Config) -> None:
-    """With a right checksum, so the invariants themselves must refuse; as far as the image has the fields
-    (I8: a count of messages)."""
-    config, image = replace(settings, memory=100), busy_robot(kind, settings).save()
-    has = unpack(image).keys()
-    for fields in IMPOSSIBLE[invariant]:
-        if fields.keys() <= has and (invariant != "I8" or "open_count" in has):
-            check_refused(kind, config, rewritten(image, **fields))
-    assert kind.restore(config, memoryview(image)).save() == image  # type: ignore[arg-type]
-    with pytest.raises(TypeError):
-        kind.restore(config, 124)  # type: ignore[arg-type]
-
-
 # design: R31
 @of_fixed_point
-def test_an_image_must_fit_its_config(kind: FixedPointType) -> None:
+def test_an_image_must_be_one_and_fit_its_config(kind: FixedPointType) -> None:
+    """Damaged ones of all kinds are tried by the cross-check, and by tests/third."""
+    fits = replace(PLAIN, filter_period=9, memory=84)
     image = robot_at(kind, replace(PLAIN, filter_period=8), t=80, filter_left=8).save()
-    kind.restore(replace(PLAIN, filter_period=9, memory=84), image)
-    check_refused(kind, replace(PLAIN, filter_period=8, memory=80), image)
-    check_refused(kind, replace(PLAIN, filter_period=7), image)
-    check_refused(kind, replace(PLAIN, memory=1), image, Status.ERR_CONFIG)
-    check_refused(kind, Config(table=None), image, Status.ERR_TABLE)
+    restored = kind.restore(fits, memoryview(image))  # type: ignore[arg-type]
+    assert restored.save() == image and len(image) == IMAGE_SIZE
+    with pytest.raises(TypeError):
+        kind.restore(fits, IMAGE_SIZE)  # type: ignore[arg-type]
+    sizes = [*(image[:size] for size in (0, 4, 120, 123)), image + b"\0", image * 8]
+    for config, wrong, status in (
+        *((fits, each, Status.ERR_IMAGE) for each in (*sizes, bytes(IMAGE_SIZE), image[::-1])),
+        (replace(PLAIN, filter_period=8, memory=80), image, Status.ERR_IMAGE),
+        (replace(PLAIN, filter_period=7), image, Status.ERR_IMAGE),
+        (Config(filter=Filter.ROBUST), image, Status.ERR_IMAGE),
+        (replace(PLAIN, memory=1), image, Status.ERR_CONFIG),
+        (Config(table=None), image, Status.ERR_TABLE),
+    ):
+        with pytest.raises(FirmwareError) as caught:
+            kind.restore(config, wrong)
+        assert caught.value.status == status
 
 
 # --- Settings --------------------------------------------------------------------------------------------

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from abc import ABC, abstractmethod
-from functools import cache
-from importlib.machinery import ExtensionFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from cffi import FFI
 from unicorn import (
     UC_ARCH_ARM,
     UC_ARCH_RISCV,
@@ -22,6 +17,8 @@ from unicorn import (
     arm_const,
     riscv_const,
 )
+
+from simulated_avr import Board
 
 from .images import Image
 
@@ -115,42 +112,6 @@ class UnicornMachine(Machine):
         return int(uc.reg_read(first)), self._count, 0
 
 
-_RUN = """
-#include <simavr/sim_avr.h>
-#include <simavr/sim_core.h>
-/* Run from byte address `from` until `to` is reached; returns the instructions, 0 if the program crashes. */
-static uint64_t run(avr_t *avr, uint32_t from, uint32_t to)
-{
-    uint64_t instructions = 0;
-    avr->state = cpu_Running;
-    for (avr->pc = from; avr->pc != to && avr->state == cpu_Running; ++instructions) {
-        avr->pc = avr_run_one(avr);
-    }
-    return avr->state == cpu_Running ? instructions : 0;
-}
-"""
-_SIMAVR = """
-typedef struct { uint8_t *data; uint8_t *flash; uint64_t cycle; ...; } avr_t;
-avr_t *avr_make_mcu_by_name(const char *name);
-int avr_init(avr_t *avr);
-uint64_t run(avr_t *avr, uint32_t from, uint32_t to);
-"""
-
-
-@cache
-def simavr() -> tuple[FFI, Any]:
-    """simavr. Raises cffi's VerificationError without its headers."""
-    ffi = FFI()
-    ffi.cdef(_SIMAVR)
-    ffi.set_source("avr_machine", _RUN, libraries=["simavr"])
-    with tempfile.TemporaryDirectory() as folder:
-        loader = ExtensionFileLoader("avr_machine", ffi.compile(tmpdir=folder))
-        spec = spec_from_loader(loader.name, loader)
-        assert spec
-        module = module_from_spec(spec)
-    return module.ffi, module.lib
-
-
 class AvrMachine(Machine):
     """An ATmega328P under simavr, which counts true cycles."""
 
@@ -159,21 +120,16 @@ class AvrMachine(Machine):
 
     def __init__(self, image: Image) -> None:
         super().__init__(image)
-        ffi, self._simavr = simavr()
-        self._avr = self._simavr.avr_make_mcu_by_name(b"atmega328p")
-        self._simavr.avr_init(self._avr)
-        self._data = ffi.buffer(self._avr.data, self.stack_end)
-        for _, address, content in image.segments():
-            ffi.memmove(self._avr.flash + address, content, len(content))
-        self._go(0, image.address("main"))
+        self._board = Board(image.path, 16_000_000, str)
+        self._board.call(0, image.address("main"))
 
     def read(self, address: int, size: int) -> bytes:
         start = address & self._DATA
-        return bytes(self._data[start : start + size])
+        return bytes(self._board.registers[start : start + size])
 
     def write(self, address: int, content: bytes) -> None:
         start = address & self._DATA
-        self._data[start : start + len(content)] = content
+        self._board.registers[start : start + len(content)] = content
 
     def _run(self, address: int, arguments: tuple[Argument, ...]) -> tuple[int, int, int]:
         register = 26
@@ -182,15 +138,9 @@ class AvrMachine(Machine):
             self.write(register, value.to_bytes(size, "little"))
         self.write(self.stack_end - 2, (self._RETURN // 2).to_bytes(2, "big"))
         self.write(self._STACK_POINTER, (self.stack_end - 3).to_bytes(2, "little"))
-        before = self._avr.cycle
-        instructions = self._go(address, self._RETURN)
-        return int.from_bytes(self.read(22, 4), "little"), instructions, self._avr.cycle - before
-
-    def _go(self, start: int, stop: int) -> int:
-        instructions = int(self._simavr.run(self._avr, start, stop))
-        if instructions == 0:
-            raise RuntimeError(f"the program crashed on its way from {start:#x} to {stop:#x}")
-        return instructions
+        before = self._board.cycle
+        instructions = self._board.call(address, self._RETURN)
+        return int.from_bytes(self.read(22, 4), "little"), instructions, self._board.cycle - before
 
 
 def load(image: Image) -> Machine:

@@ -1,0 +1,156 @@
+"""A simulated ATmega328P: simavr through cffi, with what a robot's board has at its pins."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cffi import FFI
+
+BLACK, WHITE = 1000, 4000
+"""Millivolts of the sensor above a tile."""
+_C = """
+#include <simavr/avr_adc.h>
+#include <simavr/avr_ioport.h>
+#include <simavr/avr_uart.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_core.h>
+#include <simavr/sim_elf.h>
+
+static void sent(void *board, uint8_t byte);
+static void on_byte(avr_irq_t *irq, uint32_t byte, void *board) { (void)irq; sent(board, (uint8_t)byte); }
+static void stay_awake(avr_t *avr, avr_cycle_count_t cycles) { (void)avr; (void)cycles; }
+
+static avr_t *make(const char *image, uint32_t clock, void *board)
+{
+    elf_firmware_t firmware = {0};
+    uint32_t flags = 0;
+    avr_t *const avr = avr_make_mcu_by_name("atmega328p");
+    if (elf_read_firmware(image, &firmware) != 0) {
+        return NULL;
+    }
+    avr_init(avr);
+    avr_load_firmware(avr, &firmware);
+    avr->frequency = clock;
+    avr->vcc = avr->avcc = 5000;
+    avr->sleep = stay_awake;
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, board);
+    return avr;
+}
+
+static void hear(avr_t *avr, uint8_t byte)
+{
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), byte);
+}
+
+static void see(avr_t *avr, uint32_t millivolts)
+{
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts);
+}
+
+static void set_port_b(avr_t *avr, uint8_t pins)
+{
+    for (int pin = 0; pin < 8; ++pin) {
+        avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), pin), pins >> pin & 1);
+    }
+}
+
+static int run_until(avr_t *avr, uint64_t cycle)
+{
+    int state = cpu_Running;
+    while (avr->cycle < cycle && state != cpu_Done && state != cpu_Crashed) {
+        state = avr_run(avr);
+    }
+    return state != cpu_Done && state != cpu_Crashed;
+}
+
+static uint64_t run(avr_t *avr, uint32_t from, uint32_t to)
+{
+    uint64_t instructions = 0;
+    avr->state = cpu_Running;
+    for (avr->pc = from; avr->pc != to && avr->state == cpu_Running; ++instructions) {
+        avr->pc = avr_run_one(avr);
+    }
+    return avr->state == cpu_Running ? instructions : 0;
+}
+"""
+_DECLARED = """
+typedef struct { uint8_t *data; uint64_t cycle; ...; } avr_t;
+extern "Python" void sent(void *board, uint8_t byte);
+avr_t *make(const char *image, uint32_t clock, void *board);
+void hear(avr_t *avr, uint8_t byte);
+void see(avr_t *avr, uint32_t millivolts);
+void set_port_b(avr_t *avr, uint8_t pins);
+int run_until(avr_t *avr, uint64_t cycle);
+uint64_t run(avr_t *avr, uint32_t from, uint32_t to);
+"""
+
+
+@cache
+def _simavr() -> tuple[FFI, Any]:
+    ffi = FFI()
+    ffi.cdef(_DECLARED)
+    ffi.set_source("avr_board", _C, libraries=["simavr"])
+    with tempfile.TemporaryDirectory() as folder:
+        loader = ExtensionFileLoader("avr_board", ffi.compile(tmpdir=folder))
+        spec = spec_from_loader(loader.name, loader)
+        assert spec
+        module = module_from_spec(spec)
+    module.ffi.def_extern("sent")(lambda board, byte: module.ffi.from_handle(board)(byte))
+    return module.ffi, module.lib
+
+
+def require_simavr() -> None:
+    """Skips the test where the library is missing."""
+    if not Path("/usr/include/simavr/sim_avr.h").exists():
+        pytest.skip("no simavr library: apt-get install libsimavr-dev")
+
+
+class Board:
+    """A robot's board that never sleeps, with an image in its flash.
+
+    Attributes:
+        registers: The data space: registers, ports and RAM, by their addresses.
+    """
+
+    def __init__(self, image: Path, clock: int, sent: Callable[[int], object]) -> None:
+        """``clock`` in Hz; ``sent`` takes each byte that the UART sends."""
+        ffi, self._simavr = _simavr()
+        self._sent = ffi.new_handle(sent)
+        self._avr = self._simavr.make(str(image).encode(), clock, self._sent)
+        self.registers = ffi.buffer(self._avr.data, 0x900)
+
+    @property
+    def cycle(self) -> int:
+        """Clock cycles since the reset."""
+        return int(self._avr.cycle)
+
+    def hear(self, byte: int) -> None:
+        """The UART receives a byte."""
+        self._simavr.hear(self._avr, byte)
+
+    def see(self, tile: int) -> None:
+        """The sensor is above a tile, black if this is 1."""
+        self._simavr.see(self._avr, BLACK if tile == 1 else WHITE)
+
+    def set_port_b(self, pins: int) -> None:
+        """Levels at port B."""
+        self._simavr.set_port_b(self._avr, pins)
+
+    def run(self, until: int) -> None:
+        """Run until a clock cycle; a robot never ends, so the end is a failure."""
+        assert self._simavr.run_until(self._avr, until), "the program has ended"
+
+    def call(self, start: int, stop: int) -> int:
+        """Run from one byte address until another is reached; returns the instructions."""
+        instructions = int(self._simavr.run(self._avr, start, stop))
+        if instructions == 0:
+            raise RuntimeError(f"the program crashed on its way from {start:#x} to {stop:#x}")
+        return instructions
