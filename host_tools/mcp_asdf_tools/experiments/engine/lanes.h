@@ -7,10 +7,26 @@
 #include "engine.h"
 #include "targets.h"
 
-#define LANES_OF_TRIALS 16 /* trials of a fully connected swarm side by side */
-#define LANES (LANES_OF_TRIALS * MCP_ASDF_ENGINE_MAX_CONNECTED)
+#define LANES 16 /* side by side */
+#define STEPS_KEPT 8
+#define VECTOR 64 /* bytes */
 
-/* Members of mcp_asdf_t, of its accuracy and of its crowd, by lane. */
+/* The sums of a message or of a round, as in mcp_asdf_closed_t, by lane. */
+typedef struct {
+    uint64_t alpha[LANES];
+    uint64_t alpha_x_low[LANES];
+    uint64_t alpha_x_high[LANES];
+} lanes_sums_t;
+
+/* Robots side by side, by lane.
+ *   n .. trend     members of mcp_asdf_t, of its accuracy and of its crowd
+ *   trial, robot   whose draws it has
+ *   words          draws of four steps
+ *   limit          of a draw for black; 0 for idle lanes, whose n must not pass t
+ *   messages       how many it heard from its neighbours since the last step of the firmware
+ *   said           its message alone
+ *   heard          its round so far
+ *   x              informed estimates of the last steps */
 typedef struct {
     uint32_t n[LANES];
     uint32_t x_hat[LANES];
@@ -26,39 +42,42 @@ typedef struct {
     uint32_t voices[LANES];
     uint32_t votes[LANES];
     uint32_t trend[LANES];
+    uint32_t trial[LANES];
+    uint32_t robot[LANES];
+    uint32_t words[4][LANES];
+    uint32_t limit[LANES];
+    uint32_t messages[LANES];
+    lanes_sums_t said;
+    lanes_sums_t heard;
+    uint32_t x[STEPS_KEPT][LANES];
 } lanes_t;
 
-/* Members of mcp_asdf_closed_t by lane. */
-typedef struct {
-    uint64_t alpha[LANES];
-    uint64_t alpha_x_low[LANES];
-    uint64_t alpha_x_high[LANES];
-} lanes_sums_t;
+/* Whether lane l observes black in step k: 1 or 0. */
+IN_LOOPS uint32_t lanes_black(const lanes_t *row, uint32_t l, uint32_t k)
+{
+    return row->words[k % 4][l] >> 1 < row->limit[l];
+}
 
-/* Copy a robot's values into lane l. */
-void lanes_load(lanes_t *lanes, uint32_t l, const mcp_asdf_t *robot);
+/* Copy a robot's values into lane l, which says what the robot says. */
+void lanes_load(lanes_t *row, uint32_t l, const mcp_asdf_t *robot);
 
-/* Count an observation of each of the first `count` lanes, 1 if black, as their t-th, and estimate. */
-void lanes_observe(lanes_t *lanes, uint32_t count, uint32_t t, const uint32_t *restrict black);
+/* What the lanes of `count` rows observe in step k is their t-th observation: they estimate, and say so. */
+void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k);
 
-/* The sums of each lane's message alone. */
-void lanes_say(const lanes_t *lanes, uint32_t count, lanes_sums_t *said);
+/* The informed estimates after a round are x[kept]; the next round is empty. */
+void lanes_inform(lanes_t *rows, uint32_t count, uint32_t kept);
 
-/* Each lane's informed estimate after a round of these sums. */
-void lanes_inform(const lanes_t *lanes, uint32_t count, const lanes_sums_t *heard, uint32_t *restrict x);
+/* With the robust filter: the message of lane `sender` of `other` is a vote in lane `receiver`. */
+void lanes_vote(lanes_t *row, uint32_t receiver, const lanes_t *other, uint32_t sender);
 
-/* With the robust filter: the message of lane `sender` of these or others, from robot `id`, is a vote in lane
- * `receiver`. */
-void lanes_vote(lanes_t *lanes, uint32_t receiver, const lanes_t *others, uint32_t sender, uint32_t id);
+/* The same of all messages of fully connected swarms, LANES of them side by side with a row for each robot:
+ * senders in ascending order. */
+void lanes_vote_all(lanes_t *rows, uint32_t robots);
 
-/* The same of all messages of fully connected swarms, LANES_OF_TRIALS of them side by side: senders in
- * ascending order. */
-void lanes_vote_all(lanes_t *lanes, uint32_t robots);
-
-/* With the robust filter: each lane's informed estimate. */
-void lanes_centre(const lanes_t *lanes, uint32_t count, uint32_t *restrict x);
+/* With the robust filter: the informed estimates are x[kept]. */
+void lanes_centre(lanes_t *rows, uint32_t count, uint32_t kept);
 
 /* Bring a robot's crowd to that of lane l. */
-void lanes_unload(const lanes_t *lanes, uint32_t l, mcp_asdf_t *robot);
+void lanes_unload(const lanes_t *row, uint32_t l, mcp_asdf_t *robot);
 
 #endif

@@ -126,7 +126,7 @@ static void hear(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots, co
 
 /* Before a robot observes, its x_hat and alpha are still those that it said in the step before. */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, trial_tiles_t tiles)
+                uint32_t k, trial_eyes_t eyes)
 {
     const uint32_t count = experiment->robots;
     const bool is_late = experiment->latency != 0, closes = trial_closes(experiment, k);
@@ -134,7 +134,9 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
         hear(experiment, trial->robots, arena);
     }
     for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
-        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)tiles.black[j * tiles.stride]);
+        const uint32_t c = eyes.first + j * eyes.side;
+        const uint32_t black = lanes_black(&eyes.lanes[c / LANES], c % LANES, k);
+        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)black);
     }
     if (!is_late && closes) {
         hear(experiment, trial->robots, arena);

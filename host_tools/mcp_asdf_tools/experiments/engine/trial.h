@@ -2,14 +2,17 @@
 #ifndef MCP_ASDF_TRIAL_H
 #define MCP_ASDF_TRIAL_H
 
-#include "engine.h"
+#include "lanes.h"
 
 /* One trial's part of the outcome; members as in mcp_asdf_outcome_t. */
 typedef mcp_asdf_outcome_t trial_t;
+
+/* What its robots observe: robot j as lane first + j side. */
 typedef struct {
-    const uint32_t *black;
-    size_t stride;
-} trial_tiles_t;
+    const lanes_t *lanes;
+    uint32_t first;
+    uint32_t side;
+} trial_eyes_t;
 
 /* Whether robots hear some of the others: those linked in the arena, or by arcs. */
 static inline bool trial_is_linked(const mcp_asdf_experiment_t *experiment)
@@ -36,10 +39,9 @@ trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outco
 /* Initialise a trial's robots and write down step 0. Fails as mcp_asdf_init(). */
 mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial);
 
-/* Step k (from 0) of a trial's robots, by the firmware, in an arena that has moved, or NULL. Robot j observes
- * tiles.black[j * tiles.stride], 1 for black. */
+/* Step k (from 0) of a trial's robots, by the firmware, in an arena that has moved, or NULL.  */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, trial_tiles_t tiles);
+                uint32_t k, trial_eyes_t eyes);
 
 /* Write down what the outcome shows of `step`, 1 .. T. */
 void trial_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step);
