@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import rescored
-from mcp_asdf_tools.experiments.scores import chosen_limits
+from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -81,4 +81,4 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
 
     Raises UsageError for limits of 0 or less.
     """
-    return rescored(table, chosen_limits(k_max, e_max))
+    return rescored(table, Limits(k_max, E_MAX if e_max is None else e_max))

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import Limits, score
+from mcp_asdf_tools.experiments.scores import E_MAX, score
 from mcp_asdf_tools.experiments.sweep import default_workers
 from mcp_asdf_tools.experiments.trials import run_trials
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
 REFERENCE, PHYSICS = FOLDER / "fully_connected.csv", FOLDER / "dynamic.csv"
-LIMITS = Limits(k_max=40_000, e_max=0.45)
+K_MAX = 40_000
 LEVEL = 0.01
 SCORES = ("h_K", "h_e", "H")
 PARTS = {"fully_connected": (REFERENCE, 320), "dynamic": (PHYSICS, 120)}
@@ -77,7 +77,7 @@ def read_cells(path: Path = REFERENCE) -> list[Cell]:
 def simulate(experiment: Experiment, trials: int) -> Floats:
     """Our scores, shape (trials, 3)."""
     measured = run_trials(experiment, 0, trials)
-    scores = score(measured.convergence_steps, measured.errors, LIMITS)
+    scores = score(measured.convergence_steps, measured.errors, K_MAX, E_MAX)
     return np.stack([scores.h_k, scores.h_e, scores.h], axis=1)
 
 

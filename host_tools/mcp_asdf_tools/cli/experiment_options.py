@@ -15,7 +15,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import E_MAX, LimitsOf, chosen_limits
+from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.experiments.sweep import default_workers
 
 
@@ -59,43 +59,34 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     """The options for K_max and e_max."""
     add = parser.add_argument_group("scores").add_argument
     add("--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)")
-    add("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
+    add("--e-max", type=float, metavar="ERROR", default=E_MAX, help="e that scores 0 (default: %(default)s)")
 
 
-def limits_of(args: argparse.Namespace) -> LimitsOf:
+def limits_of(args: argparse.Namespace) -> Limits:
     """The limits given, or else the paper's. Raises UsageError for limits of 0 or less."""
-    return chosen_limits(args.k_max, args.e_max)
+    return Limits(args.k_max, args.e_max)
 
 
-def summary(experiments: Iterable[Trials], limits: LimitsOf) -> list[dict[str, Any]]:
+def summary(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
     """For each experiment its parameters, and medians and quartiles over the trials, as plain values."""
     return [
         {
             "parameters": trials.experiment.parameters(),
             "trials": len(trials.numbers),
-            "limits": limits(trials.experiment)._asdict(),
+            "limits": dict(zip(("k_max", "e_max"), limits.of(trials.experiment), strict=True)),
             **_quartiles(trials, limits),
         }
         for trials in experiments
     ]
 
 
-def _quartiles(trials: Trials, limits: LimitsOf) -> dict[str, Any]:
+def _quartiles(trials: Trials, limits: Limits) -> dict[str, Any]:
     import numpy as np  # noqa: PLC0415
 
-    scores = trials.scores(limits)
-    values = {
-        "H": scores.h,
-        "h_K": scores.h_k,
-        "h_e": scores.h_e,
-        "K": trials.convergence_steps.mean(axis=1),
-        "e": trials.errors.mean(axis=1),
-        "updates": trials.updates.sum(axis=1),
-    }
     ends = ("q25", "median", "q75")
     return {
         name: dict(zip(ends, np.percentile(value, [25, 50, 75]).tolist(), strict=True))
-        for name, value in values.items()
+        for name, value in trials.measures(limits).items()
     }
 
 

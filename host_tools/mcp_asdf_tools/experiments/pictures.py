@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, matching, only
-from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
+from mcp_asdf_tools.experiments.scores import PAPERS, Limits
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -33,7 +33,7 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     facet: str = "",
     where: Mapping[str, Any] | None = None,
     ax: Axes | None = None,
-    limits: LimitsOf = paper_limits,
+    limits: Limits = PAPERS,
 ) -> Figure:
     """A picture of results; its method ``savefig`` writes a file.
 

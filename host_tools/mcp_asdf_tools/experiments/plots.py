@@ -33,8 +33,8 @@ from mcp_asdf_tools.common.figures import (
     ordered_colours,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import LimitsOf, paper_limits
+from mcp_asdf_tools.experiments.results import SCORES, Trials
+from mcp_asdf_tools.experiments.scores import PAPERS, Limits
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 _BOXES = (
@@ -166,7 +166,7 @@ def filter_colours(filters: Sequence[str]) -> list[str]:
     return colours
 
 
-def _caption(experiments: Sequence[Trials], marks: str, limits: LimitsOf) -> str:
+def _caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
     """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
     words = []
     for name in ("robots", "topology", "steps", "seed", *_FILTER_PARAMETERS[:2]):
@@ -176,7 +176,7 @@ def _caption(experiments: Sequence[Trials], marks: str, limits: LimitsOf) -> str
             words.append(f"{name.replace('_', ' ')} {number_in_words(common.pop())}")
     counts = {len(trials.numbers) for trials in experiments}
     words.append(f"{' to '.join(map(str, sorted({min(counts), max(counts)})))} trials of each experiment")
-    chosen = [limits(trials.experiment) for trials in experiments]
+    chosen = [limits.of(trials.experiment) for trials in experiments]
     for name, values in zip(("K", "e"), zip(*chosen, strict=True), strict=True):
         words.append(f"${name}_{{max}}$ = {' and '.join(map(number_in_words, sorted(set(values))))}")
     return f"{', '.join(words)}; {marks}."
@@ -185,7 +185,7 @@ def _caption(experiments: Sequence[Trials], marks: str, limits: LimitsOf) -> str
 # --- Scores by cell --------------------------------------------------------------------------------------
 
 
-def boxes(experiments: Sequence[Trials], limits: LimitsOf = paper_limits, name: Name | None = None) -> Figure:
+def boxes(experiments: Sequence[Trials], limits: Limits = PAPERS, name: Name | None = None) -> Figure:
     """H over the proportion of flawed robots P and their accuracy b_hat: a panel for each f and b, as in the
     paper's figures 3 and 5; a colour for each ``name``, by default made of all else that varies.
 
@@ -239,7 +239,7 @@ def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: flo
     axes.plot(place + aside, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)
 
 
-def scatter(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Figure:
+def scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """h_e against h_K, a point for each trial, as the paper's figure 4: a row for each series and f, a column
     for each P; overconfident swarms blue, underconfident ones red, a shape for each b."""
     series, fills = _by_series(experiments, None), _values(experiments, "fill_ratio")
@@ -280,15 +280,7 @@ def _shade(offset: float) -> str:
 
 # --- Over a parameter ------------------------------------------------------------------------------------
 
-MEASURES: dict[str, Callable[[Trials, LimitsOf], NDArray[np.float64]]] = {
-    "H": lambda trials, limits: trials.scores(limits).h,
-    "h_K": lambda trials, limits: trials.scores(limits).h_k,
-    "h_e": lambda trials, limits: trials.scores(limits).h_e,
-    "K": lambda trials, limits: trials.convergence_steps.mean(axis=1),
-    "e": lambda trials, limits: trials.errors.mean(axis=1),
-}
-"""A value for each trial; K and e are means over the robots."""
-
+MEASURES = (*SCORES, "K", "e")
 
 Measure = Callable[[Trials], NDArray[np.float64]]
 """A value for each trial of an experiment."""
@@ -299,7 +291,7 @@ def curve(  # noqa: PLR0913 (each is given by name)
     x: str,
     hue: str = "",
     y: str | Measure = "H",
-    limits: LimitsOf = paper_limits,
+    limits: Limits = PAPERS,
     *,
     facet: str = "",
     ax: Axes | None = None,
@@ -363,10 +355,10 @@ def _draw_curve(
     clean(axes)
 
 
-def _measured(trials: Trials, y: str | Measure, limits: LimitsOf) -> NDArray[np.float64]:
+def _measured(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
     """The values of ``y``. Raises UsageError unless a function gives one number for each trial."""
     if isinstance(y, str):
-        return MEASURES[y](trials, limits)
+        return trials.measures(limits)[y]
     values = np.asarray(y(trials), dtype=np.float64)
     if values.shape != (len(trials.numbers),):
         raise UsageError(
@@ -441,7 +433,7 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
 # --- Over time -------------------------------------------------------------------------------------------
 
 
-def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: LimitsOf = paper_limits) -> Figure:
+def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PAPERS) -> Figure:
     """The mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
 
     Trials of one panel and filter are taken together. All need records of x.
@@ -481,7 +473,7 @@ _OFF = 0.05
 _BANDS = "lines are medians over robots and trials, bands the middle 90 %"
 
 
-def bands(experiments: Sequence[Trials], limits: LimitsOf = paper_limits) -> Figure:
+def bands(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """b_hat of all robots over all trials: the median and the middle 90 % after each filter step, a panel for
     each experiment; its title says how many of the robots that began with the right accuracy end far off it.
 

@@ -3,7 +3,7 @@
 A Parquet file has a row for every trial: the experiment's parameters, a column each, and
 
 - ``trial``, its number;
-- ``H``, ``h_K`` and ``h_e``, its scores with the paper's K_max and e_max (``scores.paper_limits``);
+- ``H``, ``h_K`` and ``h_e``, its scores with the paper's K_max and e_max;
 - ``k`` and ``e``, lists over the robots: convergence steps and errors;
 - ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
 - ``tests`` and ``updates``, lists over the robots;
@@ -20,9 +20,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cache, lru_cache
 from itertools import chain
 from pathlib import Path
@@ -37,7 +39,7 @@ from mcp_asdf_tools.common.files import draft_of, write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import DELTA, LimitsOf, Scores, paper_limits, score
+from mcp_asdf_tools.experiments.scores import DELTA, PAPERS, Limits, Scores, score
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -113,9 +115,18 @@ class Trials:
     updates: NDArray[np.int64]
     records: dict[str, NDArray[np.float64]]
 
-    def scores(self, limits_of: LimitsOf = paper_limits) -> Scores:
+    def scores(self, limits: Limits = PAPERS) -> Scores:
         """Scores of each trial."""
-        return score(self.convergence_steps, self.errors, limits_of(self.experiment))
+        return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
+
+    def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
+        """A value for each trial by name: the scores, means of K and e over the robots, sum of updates."""
+        return {
+            **dict(zip(SCORES, self.scores(limits).values, strict=True)),
+            "K": self.convergence_steps.mean(axis=1),
+            "e": self.errors.mean(axis=1),
+            "updates": self.updates.sum(axis=1),
+        }
 
 
 # --- Tables ----------------------------------------------------------------------------------------------
@@ -129,15 +140,13 @@ def require_arrow() -> None:
 def table_of(trials: Trials, sampling_interval: int = 0) -> pa.Table:
     """Trials of an experiment as rows."""
     count = len(trials.numbers)
-    columns: dict[str, Any] = {
-        name: pa.array([value] * count, _kind(name)) for name, value in trials.experiment.parameters().items()
-    }
-    columns["trial"] = pa.array(trials.numbers, pa.int64())
-    columns |= dict(zip(SCORES, trials.scores().values, strict=True))
-    for name, (attribute, kind) in _LISTS.items():
-        columns[name] = _rows(getattr(trials, attribute), getattr(pa, kind)())
+    arrays = {name: getattr(trials, attribute) for name, (attribute, _) in _LISTS.items()}
     for name in QUANTITIES:
-        columns[f"record_{name}"] = _rows(trials.records.get(name, np.empty((count, 0))), pa.float64())
+        arrays[f"record_{name}"] = trials.records.get(name, np.empty((count, 0)))
+    parameters = trials.experiment.parameters()
+    columns: dict[str, Any] = {name: [value] * count for name, value in parameters.items()}
+    columns |= {"trial": trials.numbers, **dict(zip(SCORES, trials.scores().values, strict=True))}
+    columns |= {name: [trial.ravel() for trial in array] for name, array in arrays.items()}
     description = {
         "format": FORMAT,
         "versions": software_versions(),
@@ -145,7 +154,8 @@ def table_of(trials: Trials, sampling_interval: int = 0) -> pa.Table:
         "sampling_interval": sampling_interval,
         "columns": columns_in_words(),
     }
-    return pa.table(columns).replace_schema_metadata({_KEY: json.dumps(description)})
+    typed = {name: pa.array(columns[name], kind) for name, kind in _column_types().items()}
+    return pa.table(typed, metadata={_KEY: json.dumps(description)})
 
 
 @cache
@@ -156,20 +166,15 @@ def columns_in_words() -> dict[str, dict[str, str]]:
 
 
 @cache
-def _kind(name: str) -> Any:
-    default = getattr(Experiment(), name)
-    kinds = {int: pa.uint64(), float: pa.float64()}
-    return kinds.get(type(default), pa.float64() if name == "omega" else pa.string())
-
-
-def _rows(array: NDArray[Any], kind: Any) -> Any:
-    """One list per trial with all of its values."""
-    return pa.array([trial.ravel() for trial in array], _list(kind))
-
-
-def _list(kind: Any) -> Any:
-    """The type of a column of lists, named as in a file that was read: equal rows give equal files."""
-    return pa.list_(pa.field("element", kind))
+def _column_types() -> dict[str, Any]:
+    """The type of each column."""
+    numbers = {int: pa.uint64(), float: pa.float64(), Decimal: pa.float64()}
+    kinds = {name: numbers.get(type(getattr(Experiment(), name)), pa.string()) for name in _PARAMETERS}
+    kinds |= {"trial": pa.int64(), **dict.fromkeys(SCORES, pa.float64())}
+    lists = {name: getattr(pa, kind)() for name, (_, kind) in _LISTS.items()}
+    lists |= {f"record_{name}": pa.float64() for name in QUANTITIES}
+    # Elements are named as in a file that was read: equal rows give equal files.
+    return kinds | {name: pa.list_(pa.field("element", kind)) for name, kind in lists.items()}
 
 
 class Stretch(NamedTuple):
@@ -216,12 +221,10 @@ def experiments_at(path: Path) -> Iterator[Trials]:
     No more than one is in memory. Raises UsageError as ``read_table``.
     """
     pieces, stretches = Pieces(), []
-    for file in sorted(path.glob("*.parquet")) if path.is_dir() else [path]:
-        for first, table in pieces.add(file, _PARAMETERS):
-            stretches += [
-                each._replace(start=first + each.start, stop=first + each.stop)
-                for each in stretches_of(table)
-            ]
+    for first, table in pieces.add(path, _PARAMETERS):
+        stretches += [
+            each._replace(start=first + each.start, stop=first + each.stop) for each in stretches_of(table)
+        ]
     columns = [name for name in pieces.column_names if name not in _PARAMETERS]
     for key, rows in _by_experiment(stretches).items():
         yield _trials(key, pieces.take(rows, columns))
@@ -252,13 +255,13 @@ def _trials(parameters: str, table: pa.Table) -> Trials:
     )
 
 
-def rescored(table: pa.Table, limits_of: LimitsOf) -> pa.Table:
+def rescored(table: pa.Table, limits: Limits) -> pa.Table:
     """The table with scores for other limits. O(rows)."""
     rows = table.select([*_PARAMETERS, "k", "e"]).to_pylist()
     scores = np.empty((len(SCORES), len(rows)))
     for index, row in enumerate(rows):
         experiment = Experiment(**{name: row[name] for name in _PARAMETERS})
-        own = score([row["k"]], [row["e"]], limits_of(experiment))
+        own = score([row["k"]], [row["e"]], *limits.of(experiment))
         scores[:, index] = [values[0] for values in own.values]
     for name, values in zip(SCORES, scores, strict=True):
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
@@ -336,12 +339,7 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
 
     Raises UsageError for any other file.
     """
-    path = Path(path)
-    with _reading(path):
-        table = pa.parquet.read_table(path, partitioning=None, columns=columns)
-        table.validate(full=True)
-    _check(path, table.schema, len(table), columns)
-    return table
+    return pa.concat_tables([table for _, table in Pieces().add(Path(path), columns)])
 
 
 def _open(path: Path) -> Any:
@@ -350,6 +348,13 @@ def _open(path: Path) -> Any:
         file = pa.parquet.ParquetFile(path)
     _check(path, file.schema_arrow, file.metadata.num_rows)
     return file
+
+
+def _row_group(path: Path, file: Any, group: int, columns: Sequence[str] | None) -> pa.Table:
+    with _reading(path):
+        table = file.read_row_group(group, columns=columns)
+        table.validate(full=True)
+    return table
 
 
 @contextmanager
@@ -364,8 +369,8 @@ def _reading(path: Path) -> Iterator[None]:
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
 
-def _check(path: Path, schema: Any, rows: int, columns: Iterable[str] | None = None) -> None:
-    """Raise UsageError if a file with this schema is not one of results, with these columns or all."""
+def _check(path: Path, schema: Any, rows: int) -> None:
+    """Raise UsageError if a file with this schema is not one of results."""
     try:
         known = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
     except (ValueError, RecursionError):  # it may be another program's
@@ -380,23 +385,13 @@ def _check(path: Path, schema: Any, rows: int, columns: Iterable[str] | None = N
     if not (isinstance(interval, int) and interval >= 0 and isinstance(known.get("versions"), dict)):
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
     kinds = _column_types()
-    if absent := set(columns or kinds) - set(schema.names):
+    if absent := set(kinds) - set(schema.names):
         raise UsageError(
             f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again"
         )
-    for name in columns or kinds:
-        if schema.names.count(name) > 1 or schema.field(name).type != kinds[name]:
-            raise UsageError(
-                f"{path} is damaged: column {name} is not {kinds[name]}; run mcp-asdf sweep again"
-            )
-
-
-def _column_types() -> dict[str, Any]:
-    """The type of each column."""
-    kinds = {name: _kind(name) for name in _PARAMETERS}
-    kinds |= {"trial": pa.int64(), **dict.fromkeys(SCORES, pa.float64())}
-    kinds |= {name: _list(getattr(pa, kind)()) for name, (_, kind) in _LISTS.items()}
-    return kinds | {f"record_{name}": _list(pa.float64()) for name in QUANTITIES}
+    for name, kind in kinds.items():
+        if schema.names.count(name) > 1 or schema.field(name).type != kind:
+            raise UsageError(f"{path} is damaged: column {name} is not {kind}; run mcp-asdf sweep again")
 
 
 def _check_values(experiment: Experiment, table: pa.Table) -> None:
@@ -427,24 +422,22 @@ class Pieces:
 
     def __init__(self) -> None:
         self._pieces: list[_Piece] = []
-        self._row_group = lru_cache(maxsize=4)(_row_group)  # rows that are taken together stand close
+        self._row_group = lru_cache(maxsize=4)(self._read)  # rows that are taken together stand close
         self.column_names: list[str] = []
         self.rows = 0
 
-    def add(self, path: Path, columns: Sequence[str]) -> Iterator[tuple[int, pa.Table]]:
-        """Append a file's rows; yields for each row group the number of its first row, and these columns.
-
-        Raises UsageError as ``read_table``.
-        """
-        file = _open(path)
-        self.column_names = file.schema_arrow.names
-        for group in range(file.num_row_groups):
-            with _reading(path):
-                table = file.read_row_group(group, columns=list(columns))
-                table.validate(full=True)
-            self._pieces.append(_Piece(path, group, self.rows))
-            self.rows += len(table)
-            yield self._pieces[-1].first, table
+    def add(self, path: Path, columns: Sequence[str] | None = None) -> Iterator[tuple[int, pa.Table]]:
+        """Append the rows of a file, or of the files in a folder; yields for each row group the number of its
+        first row, and these columns. Raises UsageError as ``read_table``."""
+        for each in sorted(path.glob("*.parquet")) or [path]:
+            file = _open(each)
+            self.column_names = file.schema_arrow.names
+            for group in range(file.num_row_groups):
+                table = _row_group(each, file, group, columns)
+                first = self.rows
+                self._pieces.append(_Piece(each, group, first))
+                self.rows += len(table)
+                yield first, table
 
     def append(self, path: Path, rows: int) -> None:
         """Append the only row group of a file that has just been written."""
@@ -458,6 +451,10 @@ class Pieces:
     def rows_of_last(self, count: int) -> int:
         """Number of rows of the last ``count`` row groups."""
         return self.rows - self._pieces[-count].first if count else 0
+
+    @staticmethod
+    def _read(path: Path, group: int, columns: tuple[str, ...] | None) -> pa.Table:
+        return _row_group(path, _open(path), group, columns).combine_chunks()
 
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Some rows in this order."""
@@ -473,13 +470,6 @@ class Pieces:
         return pa.concat_tables(tables).combine_chunks().take(order)
 
 
-def _row_group(path: Path, group: int, columns: tuple[str, ...] | None) -> pa.Table:
-    with _reading(path):
-        table = _open(path).read_row_group(group, columns=columns)
-        table.validate(full=True)
-        return table.combine_chunks()
-
-
 def metadata_of(table: pa.Table) -> dict[str, Any]:
     """Format, versions, delta and sampling interval of a table."""
     metadata: dict[str, Any] = json.loads(table.schema.metadata[_KEY])
@@ -489,32 +479,22 @@ def metadata_of(table: pa.Table) -> dict[str, Any]:
 
 # --- CSV -------------------------------------------------------------------------------------------------
 
-_MEANS = ("mean_K", "mean_e", "mean_b_hat", "tests", "updates")
 
-
-def write_csv(path: Path, experiments: Iterable[Trials], limits_of: LimitsOf = paper_limits) -> None:
+def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS) -> None:
     """Write one line per trial: parameters, scores, means over the robots, sums of tests and updates.
 
     Raises UsageError if that cannot be done.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_PARAMETERS, "trial", *SCORES, *_MEANS, "K_max", "e_max"])
+    names = ("mean_K", "mean_e", "mean_b_hat", "tests", "updates")
+    writer.writerow([*_PARAMETERS, "trial", *SCORES, *names, "K_max", "e_max"])
     for trials in experiments:
-        scores, limits = trials.scores(limits_of), limits_of(trials.experiment)
         parameters = list(trials.experiment.parameters().values())
-        for index, number in enumerate(trials.numbers):
-            values = (*(score[index] for score in scores.values), *_means(trials, index), *limits)
-            writer.writerow([*parameters, number, *(f"{value:.10g}" for value in values)])
+        *scores_and_means, updates = trials.measures(limits).values()
+        b_hat = trials.b_hat[:, -1].mean(axis=1) if trials.b_hat.shape[1] else [math.nan] * len(updates)
+        columns = (*scores_and_means, b_hat, trials.tests.sum(axis=1), updates)
+        for number, *values in zip(trials.numbers, *columns, strict=True):
+            shown = (f"{value:.10g}" for value in (*values, *limits.of(trials.experiment)))
+            writer.writerow([*parameters, number, *shown])
     write_atomically(path, text.getvalue())
-
-
-def _means(trials: Trials, index: int) -> Sequence[float]:
-    last = trials.b_hat[index][-1:].mean() if trials.b_hat.shape[1] else float("nan")
-    return (
-        float(trials.convergence_steps[index].mean()),
-        float(trials.errors[index].mean()),
-        float(last),
-        float(trials.tests[index].sum()),
-        float(trials.updates[index].sum()),
-    )

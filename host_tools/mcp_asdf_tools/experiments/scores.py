@@ -5,9 +5,8 @@ Section "Metrics" of the paper and its equations of the separate, the scaled and
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,33 +54,25 @@ def _from_the_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     return result
 
 
-class Limits(NamedTuple):
-    """K_max in steps and e_max, both above 0: the values that score 0."""
+@dataclass(frozen=True)
+class Limits:
+    """The values that score 0: K_max in steps, None for the length of a trial, and e_max; by default those of
+    the paper's figures. Raises UsageError for limits of 0 or less."""
 
-    k_max: float
-    e_max: float
+    k_max: float | None = None
+    e_max: float = E_MAX
+
+    def __post_init__(self) -> None:
+        for name, value in (("K_max", self.k_max), ("e_max", self.e_max)):
+            if value is not None and not 0 < value < float("inf"):
+                raise UsageError(f"{name} is {value}; it must be above 0")
+
+    def of(self, experiment: Experiment) -> tuple[float, float]:
+        """K_max and e_max for the trials of an experiment."""
+        return experiment.steps if self.k_max is None else self.k_max, self.e_max
 
 
-LimitsOf = Callable[["Experiment"], Limits]
-"""Chooses the limits for the trials of an experiment."""
-
-
-def paper_limits(experiment: Experiment) -> Limits:
-    """K_max and e_max of the paper's figures: the length of a trial, and 0.45."""
-    return Limits(experiment.steps, E_MAX)
-
-
-def chosen_limits(k_max: float | None, e_max: float | None) -> LimitsOf:
-    """These limits, and the paper's for None. Raises UsageError for limits of 0 or less."""
-    for name, value in (("K_max", k_max), ("e_max", e_max)):
-        if value is not None and not 0 < value < float("inf"):
-            raise UsageError(f"{name} is {value}; it must be above 0")
-
-    def limits_of(experiment: Experiment) -> Limits:
-        given = zip((k_max, e_max), paper_limits(experiment), strict=True)
-        return Limits(*(other if value is None else value for value, other in given))
-
-    return limits_of
+PAPERS = Limits()
 
 
 @dataclass(frozen=True)
@@ -102,11 +93,11 @@ class Scores:
         return self.h, self.h_k, self.h_e
 
 
-def score(convergence_steps: ArrayLike, errors: ArrayLike, limits: Limits) -> Scores:
+def score(convergence_steps: ArrayLike, errors: ArrayLike, k_max: float, e_max: float) -> Scores:
     """Scores of trials from K and e of every robot, both of shape (trials, robots). NaN counts as e_max."""
     k = np.asarray(convergence_steps, dtype=np.float64)
-    e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=limits.e_max)
-    return Scores(_scaled_mean(k, limits.k_max), _scaled_mean(e, limits.e_max))
+    e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=e_max)
+    return Scores(_scaled_mean(k, k_max), _scaled_mean(e, e_max))
 
 
 def _scaled_mean(values: NDArray[np.float64], most: float) -> NDArray[np.float64]:

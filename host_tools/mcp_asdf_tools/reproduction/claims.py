@@ -102,7 +102,6 @@ class Contrast:
     than_summary: str = ""
     size: str | float = "seen"
     part: str = ""
-    about: str = ""
     panels: Names = "everywhere"
     b_hats: Names = FLAWED_ACCURACIES
     percents: Names = (10, 30, 50)
@@ -115,8 +114,6 @@ class Contrast:
 
     def questions(self, part: Part) -> list[Question]:
         """The comparisons about a part of the study, each once."""
-        if self.about not in ("", part.value):
-            return []
         if self.fact:
             return list(self._facts(part))
         cells = self._cells(Part(self.part) if self.part else part)
@@ -129,7 +126,8 @@ class Contrast:
         return [ask(cell) for cell in dict.fromkeys(cell.normal for cell in cells)]
 
     def _cells(self, part: Part) -> list[Cell]:
-        panels = [panel for name in _listed(self.panels) for panel in _FILE["panels"][name]]
+        named = [_FILE["panels"][name] for name in _listed(self.panels)]
+        panels = [panel for own in named for panel in (own[part.value] if isinstance(own, dict) else own)]
         axes = (self.filters, panels, self.b_hats, self.percents, self.periods)
         return [
             Cell(part, f, b, b_hat, percent, name, period)
@@ -151,18 +149,9 @@ class Contrast:
         self, place: Place, cells: Sequence[Cell], estimate: Estimating, expected: str = ""
     ) -> Question:
         size = SIZES[self.size] if isinstance(self.size, str) else self.size
-        measure = (
-            self.measure if len(cells) == 2 and self.summary == "median" and not self.than_summary else ""
-        )
-        return Question(
-            place,
-            Expectation(expected or self.expected),
-            size,
-            tuple(cells),
-            estimate,
-            self.size in _STRONG,
-            measure,
-        )
+        is_of_medians = len(cells) == 2 and self.summary == "median" and not self.than_summary
+        measure, expectation = self.measure if is_of_medians else "", Expectation(expected or self.expected)
+        return Question(place, expectation, size, tuple(cells), estimate, self.size in _STRONG, measure)
 
     def _trend(self, cells: Sequence[Cell]) -> list[Question]:
         step, whole = _TRENDS[self.expected]
@@ -316,8 +305,12 @@ class Claim:
 
 
 def _reading(row: Mapping[str, Any], words: str) -> Reading:
-    contrasts = tuple(Contrast(**each) for each in row["contrasts"])
-    return Reading(words, contrasts, Scope(row.get("scope", "all")))
+    contrasts = [
+        Contrast(**{**each, "measure": measure})
+        for each in row["contrasts"]
+        for measure in _listed(each.get("measure", Contrast.measure))
+    ]
+    return Reading(words, tuple(contrasts), Scope(row.get("scope", "all")))
 
 
 def _claim(name: str, row: Mapping[str, Any]) -> Claim:

@@ -18,7 +18,7 @@ from mcp_asdf_tools.common.files import write_together
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import paper_limits, score
+from mcp_asdf_tools.experiments.scores import PAPERS, score
 from mcp_asdf_tools.reproduction.resampling import MEDIAN, Estimate, Sample, averaged, interval, summarized
 from mcp_asdf_tools.reproduction.study import Scale
 
@@ -80,7 +80,7 @@ def measures_of(trials: Trials, special: Special = PLAIN) -> dict[str, Sample]:
     last = trials.b_hat[:, -1, experiment.flawed : honest]
     off = abs(last - experiment.true_accuracy) > OFF
     return {
-        "H": score(k, e, paper_limits(experiment)).h,
+        "H": score(k, e, *PAPERS.of(experiment)).h,
         "e": e.mean(axis=1),
         "late": abs(late - special.late_f(experiment)).mean(axis=(1, 2)),
         "harmed": off.mean(axis=1) if off.size else np.full(len(e), np.nan),

@@ -26,7 +26,7 @@ from mcp_asdf_tools.experiments.plots import (
     scatter,
 )
 from mcp_asdf_tools.experiments.results import Trials, table_of, write_table
-from mcp_asdf_tools.experiments.scores import Limits, paper_limits
+from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.experiments.series_plot import series_beside
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
@@ -66,7 +66,7 @@ def caption_of(figure: Figure) -> str:
 
 def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
     """Points are the trials' scores beside each other, lines their medians; grey without a filter."""
-    figure = boxes(results, lambda _: LIMITS)
+    figure = boxes(results, LIMITS)
     assert legend_of(figure) == ["no filter", "ASDF+, filter period 100", "ASDF+, filter period 150"]
     for f, axes in zip((0.55, 0.95), figure.axes, strict=True):
         assert axes.get_title() == f"$f = {f}$, $b = 0.95$"
@@ -81,7 +81,7 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
         order = sorted(own, key=lambda each: (each.experiment.flawed, each.experiment.flawed_accuracy))
         for number, (trials, (x, y, colour)) in enumerate(zip(order, clouds, strict=True)):
             slot, index = divmod(number, 3)
-            scores = trials.scores(lambda _: LIMITS).h
+            scores = trials.scores(LIMITS).h
             assert np.array_equal(y, scores)
             assert abs(x.mean() - (slot + (index - 1) * 0.86 / 3)) < 0.05
             assert len(set(x)) == len(x)
@@ -103,7 +103,7 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
 def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> None:
     """Rows are series and f, columns P; underconfident swarms are red, overconfident ones blue."""
     over = results_of(replace(BASE, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
-    figure = scatter([*results, over], lambda _: LIMITS)
+    figure = scatter([*results, over], LIMITS)
     found = {axes.get_title(): axes for axes in figure.axes}
     own = [t for t in results if t.experiment.fill_ratio == 0.95 and t.experiment.filter == "none"]
     for share, count in ((0, 1), (2, 2), (4, 1)):
@@ -111,7 +111,7 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
         expected = [t for t in own if t.experiment.flawed == share]
         assert len(axes.lines) == len(expected) == count
         for trials, line in zip(expected, axes.lines, strict=True):
-            scores = trials.scores(lambda _: LIMITS)
+            scores = trials.scores(LIMITS)
             assert np.array_equal(np.array(line.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
     far, near, blue = lines = found["no filter\n$f = 0.55$, $P$ = 50%"].lines
     reds, blues = zip(*(np.array(to_rgb(line.get_color()))[[0, 2]] for line in lines), strict=True)
@@ -149,7 +149,7 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
         ends = np.asarray(band.get_paths()[0].vertices)
         own = {float(each.experiment.omega): each for each in swept if each.experiment.density == density}
         for omega, median in zip(sorted(omegas), np.asarray(line.get_ydata()), strict=True):
-            sample, heights = MEASURES[y](own[omega], paper_limits), ends[ends[:, 0] == omega, 1]
+            sample, heights = own[omega].measures()[y], ends[ends[:, 0] == omega, 1]
             assert (median, heights.min(), heights.max()) == median_interval(sample)
     assert legend_of(figure) == ["density 0.5", "density 2"]
 

@@ -107,11 +107,11 @@ def test_a_file_of_something_else_is_refused(path: Path) -> None:
 
 def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:
     table, limits = read_table(path), Limits(1000, 0.7)
-    other = rescored(table, lambda experiment: limits)
+    other = rescored(table, limits)
     assert other.schema.equals(table.schema, check_metadata=True)
     kept = [name for name in table.column_names if name not in ("H", "h_K", "h_e")]
     assert other.select(kept).equals(table.select(kept))
-    scores = experiments_in(table)[1].scores(lambda _: limits)
+    scores = experiments_in(table)[1].scores(limits)
     for name, values in zip(("H", "h_K", "h_e"), scores.values, strict=True):
         assert other[name].to_pylist()[3:] == values.tolist()
         assert not other[name].equals(table[name])
@@ -119,7 +119,7 @@ def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:
 
 def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
     found, limits = experiments_in(read_table(path)), Limits(300, 0.55)
-    write_csv(tmp_path / "results.csv", found, lambda _: limits)
+    write_csv(tmp_path / "results.csv", found, limits)
     with (tmp_path / "results.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["filter"], row["trial"], row["seed"]) for row in rows] == [
@@ -128,8 +128,8 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
         for trial in range(3)
     ]
     first, row = found[0], rows[1]
-    scores = (each[1] for each in first.scores(lambda _: limits).values)
+    scores = (each[1] for each in first.scores(limits).values)
     means = (first.convergence_steps[1].mean(), first.errors[1].mean(), first.b_hat[1, -1].mean())
-    expected = (*scores, *means, first.tests[1].sum(), first.updates[1].sum(), *limits)
+    expected = (*scores, *means, first.tests[1].sum(), first.updates[1].sum(), limits.k_max, limits.e_max)
     names = ("H", "h_K", "h_e", "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
     assert [float(row[name]) for name in names] == pytest.approx(expected)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import scores
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import Limits, chosen_limits, convergence_step, paper_limits, score
+from mcp_asdf_tools.experiments.scores import Limits, convergence_step, score
 
 
 def convergence_step_by_definition(series: NDArray[np.float64], delta: float) -> int:
@@ -39,33 +39,33 @@ def test_what_is_no_number_settles_at_the_end(series: list[float]) -> None:
 def test_scores_by_hand() -> None:
     convergence_steps = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
     errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
-    result = score(convergence_steps, errors, Limits(1000, 0.5))
+    result = score(convergence_steps, errors, 1000, 0.5)
     assert result.h_k[0] == pytest.approx(85 * math.exp(-0.2))
     assert result.h_e[0] == pytest.approx(70 * math.exp(-0.2))
     assert result.h[0] == pytest.approx((result.h_k[0] + result.h_e[0]) / 2)
 
 
 def test_quartiles_are_values_where_they_can_be() -> None:
-    result = score([[0, 100, 200, 300, 400]], [[0.0, 0.1, 0.2, 0.3, 0.4]], Limits(1000, 0.5))
+    result = score([[0, 100, 200, 300, 400]], [[0.0, 0.1, 0.2, 0.3, 0.4]], 1000, 0.5)
     assert result.h_k[0] == pytest.approx(80 * math.exp(-0.2))
     assert result.h_e[0] == pytest.approx(60 * math.exp(-0.4))
 
 
 def test_no_number_counts_as_the_worst() -> None:
-    assert score([[1, 1]], [[math.nan, math.nan]], Limits(10, 0.5)).h_e[0] == 0
+    assert score([[1, 1]], [[math.nan, math.nan]], 10, 0.5).h_e[0] == 0
 
 
 def test_limits_are_the_papers_unless_given() -> None:
     """Figures 4 to 7 of the paper: K_max = 40000 = T, e_max = 0.45 for every fill ratio."""
     experiment = Experiment(steps=40_000, fill_ratio=0.95)
-    assert paper_limits(experiment) == chosen_limits(None, None)(experiment) == Limits(40_000, 0.45)
-    assert chosen_limits(7, None)(experiment) == Limits(7, 0.45)
-    assert chosen_limits(None, 0.3)(experiment) == Limits(40_000, 0.3)
+    assert Limits().of(experiment) == (40_000, 0.45)
+    assert Limits(7).of(experiment) == (7, 0.45)
+    assert Limits(e_max=0.3).of(experiment) == (40_000, 0.3)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, math.inf, math.nan])
 def test_limits_that_are_none_are_refused(wrong: float) -> None:
     with pytest.raises(UsageError, match=f"K_max is {wrong}; it must be above 0"):
-        chosen_limits(wrong, 0.3)
+        Limits(wrong, 0.3)
     with pytest.raises(UsageError, match=f"e_max is {wrong}; it must be above 0"):
-        chosen_limits(None, wrong)
+        Limits(None, wrong)

@@ -211,10 +211,6 @@ def test_strong_words_bound_the_interval() -> None:
     assert [each.answer(study, 0.99).holds for each in (*strong, *weak)] == [None, True]
 
 
-def test_a_row_may_be_about_one_part() -> None:
-    assert [len(asked(about=part, than="flawless")) for part in ("dynamic", "physical")] == [6, 0]
-
-
 def test_open_comparisons_name_their_cells() -> None:
     uncertain = "(f, b, P, filter) == (0.95, 0.95, 30, 'asdf-minus')"
     study = MadeUp(f"(61, 60) if {uncertain} else 90 if filter == 'asdf-minus' else 50")

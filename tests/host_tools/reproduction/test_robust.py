@@ -17,7 +17,7 @@ from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, read_table
-from mcp_asdf_tools.experiments.scores import paper_limits, score
+from mcp_asdf_tools.experiments.scores import PAPERS, score
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction import robust
 from mcp_asdf_tools.reproduction.resampling import Estimate
@@ -49,7 +49,7 @@ def test_measures_by_hand() -> None:
     trials = Trials(experiment, [0, 1], k, e, b_hat, counts, counts, {"x": x})
     special = robust.Special(liars=lambda each: 1, late_f=lambda each: 0.6)
     measures = robust.measures_of(trials, special)
-    assert measures["H"] == pytest.approx(score(k[:, :3], e[:, :3], paper_limits(experiment)).h)
+    assert measures["H"] == pytest.approx(score(k[:, :3], e[:, :3], *PAPERS.of(experiment)).h)
     assert measures["e"] == pytest.approx([0.2, 0.2])
     assert measures["late"] == pytest.approx([0.4 / 3] * 2)
     assert measures["harmed"] == pytest.approx([0, 0.5])
