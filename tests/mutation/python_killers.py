@@ -8,7 +8,6 @@ import importlib
 import json
 import os
 import re
-import resource
 import signal
 import sys
 import time
@@ -26,9 +25,8 @@ import pytest
 from mutation.python_mutants import Mutant, with_probes
 from support import DRAWS_ALL, ROOT
 
-PROCESSOR_SECONDS, SECONDS, TIMES = 120, 30, 4
-"""Limits for one mutant, of the processor and of the clock: the latter beside so many times what its tests
-took without it. What hangs has been noticed."""
+SECONDS, TIMES = 10, 4
+"""Limit of a test's time, beside so many times what it takes without a mistake. What hangs is noticed."""
 QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow")
 HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
 """Libraries that most tests need, imported once before processes split."""
@@ -130,28 +128,30 @@ def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
     files = list(dict.fromkeys(test.partition("::")[0] for test in running))
     usual = sum(taken for test, taken in known.seconds.items() if test.partition("::")[0] in files)
     return bool(running) and not _in_child(
-        lambda: _passes(mutant, files, running, known.failed), SECONDS + TIMES * usual
+        lambda: _passes(mutant, files, running, known), 3 * SECONDS + TIMES * usual
     )
 
 
-def _passes(mutant: Mutant, files: list[str], running: list[str], failed: list[str]) -> bool:
-    resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_SECONDS, PROCESSOR_SECONDS))
+def _passes(mutant: Mutant, files: list[str], running: list[str], known: Record) -> bool:
     _install({mutant.path: mutant.code})
-    plugin = _Sorter({test: number for number, test in enumerate(running)}, {*failed})
+    plugin = _Sorter({test: number for number, test in enumerate(running)}, known)
     return pytest.main([*QUIET, "-x", *files], plugins=[plugin]) == pytest.ExitCode.OK
 
 
 @dataclass(frozen=True)
 class _Sorter:
-    """Plugin of pytest that runs the tests in this order, others after them, and some not at all."""
+    """Plugin of pytest that runs the tests in this order, others after them, and none that fails anyway."""
 
     order: dict[str, int]
-    without: set[str]
+    known: Record
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Sort the tests."""
-        items[:] = [each for each in items if each.nodeid not in self.without]
+        """Sort the tests, and limit the time of each."""
+        items[:] = [each for each in items if each.nodeid not in self.known.failed]
+        for each in items:
+            seconds = SECONDS + TIMES * self.known.seconds.get(each.nodeid, 0)
+            each.add_marker(pytest.mark.timeout(seconds), append=False)
         items.sort(key=lambda each: self.order.get(each.nodeid, len(self.order)))
 
 
