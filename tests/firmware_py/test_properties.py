@@ -6,7 +6,6 @@ Examples are derandomised: a failure prints the smallest calls that show it, and
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from fractions import Fraction
 
 import pytest
@@ -14,28 +13,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import alpha_to_word, alpha_units, alpha_word
-from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import MAX_ID, Config, Counters, Filter, FixedPointRobot, Observation, Status
-from mcp_asdf_tools.crosscheck.compare import compare_firmwares
-from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
-from mcp_asdf_tools.crosscheck.scenario import Scenario
+from mcp_asdf.robot import MAX_ID, Observation
 from robots import (
     ALPHA_LEAST,
     ALPHA_MOST,
     ALPHA_ONE,
-    FIXED_POINT,
     HALF,
     ONE,
     OWN_ID,
     PLAIN,
-    TABLE,
-    FixedPoint,
     FixedPointType,
     of_fixed_point,
     receive_all,
-    rewritten,
     robot_at,
 )
 from support import draws
@@ -62,12 +51,6 @@ b_hats = (
     | st.integers(12, 30).map(lambda bits: 2**32 - 2**bits)
 )
 counts = st.integers(1, 2**31 - 2) | st.integers(1, 40) | st.integers(2**31 - 8, 2**31 - 2)
-configs = st.builds(
-    lambda mode, period, memory: Config(TABLE, mode, period, memory),
-    st.sampled_from(Filter),
-    st.integers(1, 4),
-    st.sampled_from((64, 68, 2**31)),
-)
 
 
 # --- Confidences --------------------------------------------------------------------------------------------
@@ -154,116 +137,3 @@ def test_estimates_stay_within_what_was_said(
         assert min(said) <= robot.x_bar_raw <= max(said)
     weighty = said + ([robot.x_hat_raw] if robot.alpha_raw or not said else [])
     assert min(weighty) <= robot.x_raw <= max(weighty)
-
-
-# --- Any calls at all ------------------------------------------------------------------------------------
-
-Call = tuple[str, tuple[object, ...]]
-any_word = st.integers(0, 2**32 - 1)
-any_counter = st.integers(65500, 65535)
-tiles = st.tuples(st.sampled_from((0, 1, 1, 2)))
-neighbours = st.tuples(st.integers(0, 9), x_hats, st.sampled_from((0x4000, ALPHA_ONE, ALPHA_MOST)) | alphas)
-calls = st.lists(
-    st.one_of(
-        st.tuples(st.sampled_from(("observe", "step")), tiles),
-        st.just(("settle", ())),
-        *[st.tuples(st.just("receive_raw"), neighbours)] * 3,
-        st.tuples(st.just("receive_raw"), st.tuples(st.integers(0, 255), any_word, any_word)),
-    ),
-    min_size=20,
-    max_size=60,
-)
-
-MAY_CHANGE = {
-    "observe": {"t", "n", "x_hat", "alpha", "updated"},
-    "receive_raw": {"heard", "open", "crowd", "accepted", "repeated", "rejected"},
-    "settle": {
-        "closed",
-        "open",
-        "crowd_votes",
-        "heard",
-        "filter_left",
-        "tests",
-        "updates",
-        "updated",
-        "accuracy",
-    },
-}
-MAY_CHANGE["step"] = MAY_CHANGE["observe"] | MAY_CHANGE["settle"]
-"""Members that a call may change (I19), those of a struct by its name."""
-
-
-def member(name: str) -> str:
-    """Of ``mcp_asdf_t``, that a number of a state belongs to."""
-    struct = name.partition("_")[0]
-    return struct if struct in ("heard", "open", "closed", "crowd", "accuracy") else name
-
-
-def perform(robot: FixedPoint, call: Call) -> Status:
-    """A call's status."""
-    name, arguments = call
-    return Status(getattr(robot, name)(*arguments))
-
-
-def views(robot: FixedPoint) -> dict[str, object]:
-    """All that the interface shows by properties."""
-    names = [name for name in dir(FixedPointRobot) if isinstance(getattr(FixedPointRobot, name), property)]
-    return {name: getattr(robot, name) for name in names} | {"image": robot.save()}
-
-
-def check_changes(call: Call, status: Status, before: dict[str, int], after: dict[str, int]) -> None:
-    """I11, I18, I19, I21: nothing but what the call may change, and by an error only one counter."""
-    names = {name for name in after if after[name] != before[name]}
-    changed = set(map(member, names))
-    may = MAY_CHANGE[call[0]]
-    assert {name for name in names if not {name, member(name)} & may} == set()
-    if status < Status.OK:
-        assert changed <= ({"rejected"} if call[0] == "receive_raw" else set())
-    for name in vars(Counters()):
-        assert (after[name] - before[name]) % 65536 <= 1
-    if call[0] in ("settle", "step") and status >= Status.OK:
-        assert not any(after[name] for name in after if member(name) in ("open", "heard"))
-        for name in ("alpha", "alpha_x_low", "alpha_x_high"):
-            assert after[f"closed_{name}"] == before[f"open_{name}"]
-
-
-# design: R2, R4, R12, R32
-@thorough
-@given(
-    config=configs,
-    b_hat=st.floats(2**-20, 1 - 2**-20),
-    start=st.just(0) | any_counter,
-    sequence=calls,
-)
-def test_any_calls_keep_the_invariants_and_the_bits(
-    config: Config, b_hat: float, start: int, sequence: list[Call]
-) -> None:
-    """I11, I18, I19, I21, I22, I23, after every call, whatever the counters are at the start; I17 at the end,
-    where equal states go on equally."""
-    fresh = MirrorRobot(config, OWN_ID, b_hat).save()
-    image = rewritten(fresh, **dict.fromkeys(vars(Counters()), start))
-    mirror, native = MirrorRobot.restore(config, image), NativeRobot.restore(config, image)
-    state = mirror.state()
-    for call in sequence:
-        before = state
-        status = perform(mirror, call)
-        state = mirror.state()
-        assert (status, state) == (perform(native, call), native.state())
-        assert views(mirror) == views(native)
-        assert mirror.holds_invariants() and native.holds_invariants()
-        check_changes(call, status, before, state)
-        if config.filter != Filter.ROBUST:
-            assert all(state[name] == before[name] for name in state if member(name) == "crowd")
-        assert state["t"] > 0 or (state["x_hat"], state["alpha"]) == (HALF, 0)
-    for kind in FIXED_POINT:
-        assert kind.restore(config, mirror.save()).state() == state
-
-
-@pytest.mark.parametrize("source", (random_scenario, robust_scenario))
-def test_scenarios_of_the_cross_check_have_the_same_bits_and_no_fault(
-    source: Callable[[int, int], Scenario],
-) -> None:
-    """Filters go every way there: b_hat is rejected, back at the first, kept, and a crowd moves."""
-    for number in range(40):
-        scenario = source(23, number)
-        assert compare_firmwares(scenario, MirrorRobot, NativeRobot, Audit().judge) is None, str(scenario)
