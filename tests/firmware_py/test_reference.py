@@ -39,7 +39,8 @@ from mcp_asdf.reference import (
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.crosscheck.exact import LARGEST_ALPHA, exact_b_hat, exact_estimate, vote_limits
 from mcp_asdf_tools.crosscheck.exact import deviates as exact_deviates
-from robots import OWN_ID, TABLE, hear, watch
+from mcp_asdf_tools.tables.thresholds import generate, parse_omega
+from robots import OWN_ID, TABLE, hear, status_of_receive, watch
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
 OMEGA = 0.05
@@ -357,26 +358,34 @@ def test_votes_and_decisions_against_fractions() -> None:
     assert [vote(Crowd(votes=2**14), 1, 0.5 + far).trend > 0.5 for far in (2**-18, 2**-19)] == [True, False]
 
 
-# design: R35, R36
+# --- A life -----------------------------------------------------------------------------------------------
+
+
+# design: R3, R7, R9, R35, R36
 @pytest.mark.random
-def test_a_robust_robot_does_what_the_firmware_does() -> None:
-    """Alone, among two voices, in a crowd that is wrong at first, so b_hat is rejected and returns, and while
-    the floor changes."""
-    rng, config = random.Random(7), Config(filter=Filter.ROBUST, filter_period=50, memory=256)
-    reference, mirror = ReferenceRobot(config, OWN_ID, 0.9), MirrorRobot(config, OWN_ID, 0.9)
+@pytest.mark.parametrize("mode", Filter)
+def test_a_robot_does_what_the_firmware_does(mode: Filter) -> None:
+    """Alone, among two voices, in a crowd that is wrong at first, so b_hat is rejected and may return, and
+    while the floor changes; the memory is halved, and messages are repeated, refused or say nothing."""
+    rng, config = random.Random(7), Config(generate(parse_omega("0.05"), 30), mode, 50, memory=256)
+    both = reference, mirror = ReferenceRobot(config, OWN_ID, 0.9), MirrorRobot(config, OWN_ID, 0.9)
     seen, is_moving = set[tuple[int, int]](), False
     for tick in range(4000):
         fill = 0.3 if tick < 2500 else 0.8
-        said = [0.7 if tick < 300 else min(max(rng.gauss(fill, 0.02), 0), 1) for _ in range(3)]
+        said = [0.7 if tick < 300 else min(max(rng.gauss(fill, 0.02), 0), 1) for _ in range(5)]
         z = Observation(rng.random() < 0.9 * fill + 0.1 * (1 - fill))
-        senders = () if tick < 60 else (1, 33) if tick < 120 else (1, 2, 3)  # 33 is 1 modulo 32
+        senders = () if tick < 60 else (1, 33) if tick < 120 else (1, 2, 3, 3, OWN_ID)  # 33 is 1 modulo 32
         for sender, x_hat in zip(senders, said, strict=False):
-            for robot in (reference, mirror):
-                robot.receive(sender, math.floor(x_hat * 2**23) / 2**23, 0.0 if tick == 5 else 1.0)
+            message = sender, math.floor(x_hat * 2**23) / 2**23, 0.0 if tick % 50 == 5 else 1.0
+            assert len({status_of_receive(robot, *message) for robot in both}) == 1
         assert reference.step(z) == mirror.step(z)
-        assert reference.beta == mirror.beta == 0 and reference.counters == mirror.counters
+        assert (reference.t, reference.n, reference.counters) == (mirror.t, mirror.n, mirror.counters)
+        assert (reference.beta, reference.x_hat) == pytest.approx((mirror.beta, mirror.x_hat), abs=1e-3)
         assert (reference.x, reference.x_bar) == pytest.approx((mirror.x, mirror.x_bar), abs=1e-3)
+        assert reference.alpha == pytest.approx(mirror.alpha, rel=1e-3)
         assert reference.b_hat == pytest.approx(mirror.b_hat, abs=5e-3)
         seen.add((reference.counters.tests > 0, round(reference.b_hat, 2) == 0.9))
         is_moving |= reference._crowd.is_moving and reference._crowd.votes < 2**9 and tick > 2500
-    assert is_moving and {(True, False), (True, True)} <= seen and reference.b_hat == 0.9
+    if mode == Filter.ROBUST:
+        assert is_moving and {(True, False), (True, True)} <= seen and reference.b_hat == 0.9
+    assert (reference.counters.updates > 0) == (mode != Filter.OFF)
