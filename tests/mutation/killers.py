@@ -32,10 +32,9 @@ VARIANTS_OF = {
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
 CORE_LIBRARY = "libcore.so"
-CORE_TESTS = (THIRD, "arithmetic", "api", "state")
+CORE_TESTS = (THIRD, "arithmetic", "state")
 FRAME_TESTS = ("node", "frame")
 LINKED = {
-    "api": ("mcp_asdf.c", "mcp_asdf_image.c"),
     "frame": ("mcp_asdf_frame.c",),
     "node": ("mcp_asdf.c", "mcp_asdf_image.c", "mcp_asdf_frame.c"),
 }

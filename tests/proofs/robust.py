@@ -18,7 +18,7 @@ from proofs.core import ONE
 from proofs.formulas import Claim, call, formed, same
 from proofs.machine import Machine
 from proofs.numbers import Number
-from proofs.prove import Contract, UnprovenError, any_result, prove
+from proofs.prove import Contract, UnprovenError, prove
 from proofs.source import Program
 
 MARGIN = exact.UNDECIDED
@@ -156,7 +156,7 @@ def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
     is_tested = z3.And(z3.Not(is_moving), z3.UGE(voices, 3))
     anew = call("reestimate", z3.If(centre == 2**30, z3.BitVecVal(2**32 - 1, 32), 4 * centre))
     kept = z3.If(given["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
-    known = [in_range(crowd), _is_b_hat(anew)]
+    known = [in_range(crowd), _is_b_hat(anew)]  # as accuracy.of_reestimate() has it
     b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, anew, kept), z3.BitVecVal(0, 32))
     yield "b_hat", found == b_hat, known
     yield "in range", _is_b_hat(found), known
@@ -169,13 +169,6 @@ def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
 
 def _is_b_hat(found: Any) -> Any:
     return z3.Or(found == 0, z3.And(z3.UGE(found, B_HAT[0]), z3.ULE(found, B_HAT[1])))
-
-
-# design: R26
-REESTIMATE = Contract(
-    lambda found, *_: _is_b_hat(found),
-    instead={name: any_result(name) for name in ("multiply", "join", "quotient")},
-)
 
 
 # --- Of the numbers: the test's integers, and how far they are from what they stand for -----------------
@@ -288,6 +281,6 @@ def of_the_formed() -> Iterator[Claim]:
     yield "below", formed_d * formed_d < formed, [*known, d * d + lost < limit]
 
 
-CONTRACTS = {"vote": VOTE, "reestimate": REESTIMATE}
+CONTRACTS = {"vote": VOTE}
 OF_THE_CODE = (of_deviates, of_crowd_b_hat)
 OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)

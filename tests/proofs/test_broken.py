@@ -58,7 +58,7 @@ BROKEN = (
     ("vote", "1000", "pull = spread;", "pull = distance;"),
     ("vote", "1000", "width > MCP_ASDF_SPREAD_MIN ? width", "width > 0U ? width"),
     ("vote", "1000", "middle.trend >> 8", "middle.trend >> 7"),
-    ("reestimate", "1000", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
+    ("", "1000", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
     ("mcp_asdf_observe", "1000", "config->memory)", "config->memory - (robot->config->memory == 1U << 30))"),
     ("mcp_asdf_observe", "1000", "(n >> 1 & 1U)", "(n & 1U)"),
     ("mcp_asdf_observe", "1000", "robot->updated = 0;", ""),

@@ -409,6 +409,18 @@ class Run
         });
     }
 
+    /* A closed round whose mean or range is at its end, or beyond. */
+    Round some_closed()
+    {
+        uint64_t alpha = random.among({0, 5, 511, 512}), most = MCP_ASDF_MAX_ID * units(0xFFFFFF1F), one = 1;
+        const Round rounds[] = {{alpha, alpha * MCP_ASDF_ONE + random.below(2)},
+                                {511 + random.below(2), random.below(2), 1},
+                                {most + random.below(2), (one << 62) - random.below(2)},
+                                {most, 0, MCP_ASDF_MAX_ID * 0x7FFFFF * (one << 23)},
+                                {512, one << 32, UINT64_MAX}};
+        return rounds[random.below(5)];
+    }
+
     /* A robot that can nearly be: it breaks one rule, or just keeps it. */
     void do_doubtful()
     {
@@ -419,15 +431,25 @@ class Run
         any_of({
                    [&] { robot.t = random.near(current->config.memory, 0xFFFFFFFF); },
                    [&] { robot.t = robot.n = 0, robot.updated = static_cast<uint8_t>(random.below(3)); },
+                   [&] {
+                       robot.updated = 1;
+                       robot.local.alpha = random.word() & random.among({0xFFFFFFFF, 0xFFFFFF1F, 0x7FFFFF01});
+                   },
                    [&] { robot.filter_left = random.near(current->config.filter_period, 0xFFFFFFFF); },
                    [&] { robot.filter_left = random.below(2); },
                    [&] { robot.heard[robot.id / 32] ^= uint32_t(1) << robot.id % 32; },
                    [&] { open.m = random.near(open.m, 0xFFFFFFFF); },
+                   [&] {
+                       open = {128, 0, 0, 0, 0, 127 + random.below(2)};
+                       robot.heard = {UINT32_MAX, UINT32_MAX, UINT32_MAX, UINT32_MAX};
+                       robot.heard[robot.id / 32] ^= uint32_t(1) << robot.id % 32;
+                   },
                    [&] { open.alpha = random.near(open.m, 256), open.low_x = open.high_x = 0; },
                    [&] { open.low_x = 0xFFFFFFFF * uint64_t(open.x) + random.below(2); },
                    [&] { open.high_x = 0x7FFFFF * uint64_t(open.x) + random.below(2); },
+                   [&] { robot.closed = some_closed(); },
                },
-               robot.is_robust() ? 6 : 9);
+               robot.is_robust() ? 7 : 12);
         if (robot.updated == 0)
             robot.local = form(robot.t, std::min(robot.n, robot.t), robot.b_hat);
         do_restore("restore of a doubtful robot", robot.save());
