@@ -81,10 +81,12 @@ def run_missing(
     store.reserve()
     try:
         for trials in _results_of(jobs_of(store, sampling_interval), workers, scheduler):
-            store.add(trials)
+            with _interrupts_held():
+                store.add(trials)
             report(len(trials.numbers))
     finally:
-        store.flush()
+        with _interrupts_held():
+            store.flush()
 
 
 def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[Trials]:
@@ -145,9 +147,10 @@ def end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Keep Ctrl-C and the like from processes that are started in here; this process handles them afterwards.
+    """Keep Ctrl-C and the like from what is done in here, and from processes that are started in here; this
+    process handles them afterwards.
 
-    They inherit the signal mask before Python starts in them. In this process another thread may still
+    Processes inherit the signal mask before Python starts in them. In this process another thread may still
     receive the signal, so its handler waits, too.
     """
     with stopping() as is_asked:

@@ -326,6 +326,7 @@ def test_bad_usage_is_told(arguments: str, words: str, capsys: pytest.CaptureFix
 
 # --- Signals ---------------------------------------------------------------------------------------------
 
+SMALL = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
 SLOW = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
 
 
@@ -378,6 +379,20 @@ def test_a_signal_keeps_what_is_finished(
     assert "Traceback" not in errors
     done = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
     assert 0 < done == 400 - Store(tmp_path / "slow.parquet", [SLOW]).left
+
+
+def test_ctrl_c_while_a_part_is_noted_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, usual = Store(output, [SMALL]), results_module.Pieces.append
+
+    def append(self: results_module.Pieces, path: Path, rows: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+        usual(self, path, rows)
+
+    monkeypatch.setattr(store_module, "_SECONDS", 0.0)
+    monkeypatch.setattr(results_module.Pieces, "append", append)
+    with pytest.raises(KeyboardInterrupt):
+        sweep.run_missing(store, workers=1)
+    assert 0 < Store(output, [SMALL]).left == store.left < SMALL.trials
 
 
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
