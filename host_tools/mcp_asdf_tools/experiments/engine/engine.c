@@ -107,10 +107,12 @@ IN_LOOPS void hear_one(const run_t *run, uint32_t receiver, uint32_t sender)
 static void hear_linked(const run_t *run)
 {
     const mcp_asdf_experiment_t *const e = run->experiment;
+    const uint32_t side = run->side;
     for (uint32_t l = 0; l < run->used && run->arenas != NULL; ++l) {
-        const mcp_asdf_arena_t *const arena = &run->arenas[l];
-        for (uint32_t p = 0; p < arena->link_count; ++p) {
-            const uint32_t a = arena->links[p].a * run->side + l, b = arena->links[p].b * run->side + l;
+        const mcp_asdf_pair_t *const links = run->arenas[l].links;
+        const uint32_t count = run->arenas[l].link_count;
+        for (uint32_t p = 0; p < count; ++p) {
+            const uint32_t a = links[p].a * side + l, b = links[p].b * side + l;
             hear_one(run, a, b);
             hear_one(run, b, a);
         }
@@ -145,18 +147,20 @@ static void hear(const run_t *run)
     }
 }
 
-/* Write down the estimates of the `kept` steps up to `step`, together: each step alone would write to as many
- * pages of memory as there are series. */
+/* Write down the estimates of the `kept` steps up to `step`, series by series: each value alone would wait
+ * for a page of memory of its own. */
 static void write_down(run_t *run, uint32_t step)
 {
-    const size_t length = (size_t)run->experiment->steps + 1;
-    for (uint32_t j = 0; j < run->columns; ++j) {
-        for (uint32_t l = 0; l < run->used; ++l) {
-            const uint32_t c = j * run->side + l;
-            uint32_t *const x = run->trials[l].x + j * length + step + 1 - run->kept;
-            for (uint32_t k = 0; k < run->kept; ++k) {
-                x[k] = run->lanes[c / LANES].x[k][c % LANES];
-            }
+    const size_t before = (size_t)step + 1 - run->kept, size = run->kept * sizeof(uint32_t);
+    uint32_t series[LANES][STEPS_KEPT];
+    for (uint32_t c = 0; c < run->columns * run->side; ++c) {
+        const uint32_t j = c / run->side, l = c % run->side;
+        for (uint32_t k = 0; k < LANES * STEPS_KEPT && c % LANES == 0; ++k) {
+            series[k % LANES][k / LANES] = run->lanes[c / LANES].x[k / LANES][k % LANES];
+        }
+        if (l < run->used) {
+            uint32_t *const x = run->trials[l].x + j * ((size_t)run->experiment->steps + 1);
+            memcpy(x + before, series[c % LANES], size);
         }
     }
     run->kept = 0;

@@ -8,7 +8,7 @@
 #include "targets.h"
 
 #define LANES 16 /* side by side */
-#define STEPS_KEPT 8
+#define STEPS_KEPT 32
 #define VECTOR 64 /* bytes */
 
 /* The sums of a message or of a round, as in mcp_asdf_closed_t, by lane. */
