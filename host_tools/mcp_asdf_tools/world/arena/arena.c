@@ -142,12 +142,11 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
         *flags[k] = take(memory, &used, robots, 1);
     }
     arena->may_touch = take(memory, &used, robots, sizeof *arena->may_touch);
-    arena->unsettled = take(memory, &used, robots, sizeof *arena->unsettled);
+    arena->looks = take(memory, &used, robots, sizeof *arena->looks);
+    arena->clear = take(memory, &used, (size_t)robots * SENSORS, sizeof *arena->clear);
     arena->in_range = take(memory, &used, robots, sizeof *arena->in_range);
-    arena->most_near = most_within(config, SEEING_DISTANCE);
-    arena->near_count = take(memory, &used, robots, sizeof *arena->near_count);
-    arena->near = take(memory, &used, (size_t)robots * arena->most_near, sizeof *arena->near);
     arena->links = take_pairs(config, config->range, memory, &used);
+    arena->near = take_pairs(config, SEEING_DISTANCE, memory, &used);
     arena->close = take_pairs(config, touching_distance(config), memory, &used);
     arena->watched = take_pairs(config, watching_distance(config), memory, &used);
     const size_t most_around = (size_t)robots * most_within(config, watching_distance(config));

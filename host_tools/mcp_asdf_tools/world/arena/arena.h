@@ -119,9 +119,10 @@ typedef struct {
  *   vx, vy, spin                velocities now
  *   wanted_speed, wanted_spin   what the wheels ask for
  *   in_range                    a set of those in range of each: bit j % 64 if robot j is among them
- *   near, near_count, most_near the robots that each is close enough to see, in rows of most_near
+ *   near                        pairs close enough to see each other
  *   may_touch, close            robots and pairs that could touch something within a tick
- *   unsettled                   robots that turn or avoid something
+ *   looks                       robots that may sense something, or turn or avoid something
+ *   clear                       free distances along the rays of the sensors of each robot that looks
  *   watched, ticks_to_watch     pairs that could matter in the coming ticks, and how many ticks that holds
  *   first_around, around        the robots watched with robot i: around[first_around[i]] and on, up to those
  * of the next robot grid                        robots by cells of the floor, to find the pairs to watch
@@ -151,14 +152,14 @@ typedef struct {
     double *wanted_speed;
     double *wanted_spin;
     uint64_t *in_range;
-    uint32_t most_near;
-    uint32_t *near_count;
-    uint16_t *near;
     uint64_t *may_touch;
-    uint64_t *unsettled;
+    uint64_t *looks;
+    double *clear;
+    uint32_t near_count;
     uint32_t close_count;
     uint32_t watched_count;
     uint32_t ticks_to_watch;
+    mcp_asdf_pair_t *near;
     mcp_asdf_pair_t *close;
     mcp_asdf_pair_t *watched;
     uint32_t *first_around;

@@ -19,7 +19,8 @@
 #define BODY_RADIUS 0.0704
 #define DIAMETER (2 * BODY_RADIUS)
 #define WHEEL_DISTANCE 0.1054
-#define SENSOR_REACH 0.12        /* of a proximity sensor, from the edge of the body */
+#define SENSORS 8                /* of proximity */
+#define SENSOR_REACH 0.12        /* from the edge of the body */
 #define ACCELERATION (1.5 / 0.4) /* of the motors: 1.5 N on 0.4 kg */
 
 #define AT_ONCE 32 /* robots side by side: a multiple of the 8 that memory has room for */
@@ -52,12 +53,6 @@ static inline double watching_distance(const mcp_asdf_arena_config_t *config)
 
 /* A body has room for six others around it, which makes three pairs, and two walls. */
 #define CONTACTS_OF_A_BODY 5
-
-/* The robots that robot i may see: near_count[i] of them. */
-static inline uint16_t *near_of(const mcp_asdf_arena_t *arena, uint32_t i)
-{
-    return arena->near + (size_t)i * arena->most_near;
-}
 
 static inline double squared_distance(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {

@@ -140,25 +140,27 @@ FOR_EACH_TARGET static void forget_pairs(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
     const double distance = arena->config.speed * arena->config.tick;
-    const double room_x = place_before_wall(arena->config.width, distance);
-    const double room_y = place_before_wall(arena->config.height, distance);
+    const double touch_x = place_before_wall(arena->config.width, distance);
+    const double touch_y = place_before_wall(arena->config.height, distance);
+    const double see_x = place_before_wall(arena->config.width, SENSOR_REACH);
+    const double see_y = place_before_wall(arena->config.height, SENSOR_REACH);
     const double *const x = arena->x, *const y = arena->y;
-    uint64_t *const may_touch = arena->may_touch;
-    memset(arena->near_count, 0, robots * sizeof *arena->near_count);
+    uint64_t *const may_touch = arena->may_touch, *const looks = arena->looks;
     memset(arena->in_range, 0, robots * sizeof *arena->in_range);
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < WHOLE_VECTORS(robots); ++i) {
-        may_touch[i] = (fabs(x[i]) > room_x) | (fabs(y[i]) > room_y);
+        may_touch[i] = (fabs(x[i]) > touch_x) | (fabs(y[i]) > touch_y);
+        looks[i] |= (fabs(x[i]) > see_x) | (fabs(y[i]) > see_y);
     }
-    arena->link_count = arena->close_count = 0;
+    arena->link_count = arena->near_count = arena->close_count = 0;
 }
 
 static void note_near(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
 {
     const double touching = touching_distance(&arena->config);
     if (squared < SEEING_DISTANCE * SEEING_DISTANCE) {
-        near_of(arena, pair.a)[arena->near_count[pair.a]++] = pair.b;
-        near_of(arena, pair.b)[arena->near_count[pair.b]++] = pair.a;
+        arena->looks[pair.a] = arena->looks[pair.b] = 1;
+        arena->near[arena->near_count++] = pair;
     }
     if (squared < touching * touching) {
         arena->may_touch[pair.a] = arena->may_touch[pair.b] = 1;

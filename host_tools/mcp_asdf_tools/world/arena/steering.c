@@ -5,47 +5,48 @@
  */
 #include "arena_private.h"
 
-#define SENSORS 8
 #define HALF_ROOT 0.70710678118654752440 /* cosine and sine of 45 degrees */
 
 /* Directions of the sensors in the robot's own frame, from straight ahead counterclockwise. */
 static const double AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
 static const double LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
 
-/* A robot's rays: directions on the floor, and the free distance along each from the edge of the body. */
-typedef struct {
-    double dx[SENSORS];
-    double dy[SENSORS];
-    double clear[SENSORS];
-} rays_t;
+/* Component along x of the direction on the floor of sensor k, with heading (cx, cy); along y with (cy, -cx). */
+IN_LOOPS double ray(double cx, double cy, uint32_t k) { return cx * AHEAD[k] - cy * LEFT[k]; }
 
-IN_LOOPS void point_rays(rays_t *rays, double cx, double cy)
+/* Shorten the rays of robot i that meet robot j. */
+IN_LOOPS void meet_body(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
+    const double mx = arena->x[j] - arena->x[i], my = arena->y[j] - arena->y[i];
+    const double cx = arena->cx[i], cy = arena->cy[i];
+    const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = mx * mx + my * my;
+    double *const clear = arena->clear + (size_t)i * SENSORS;
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        rays->dx[k] = cx * AHEAD[k] - cy * LEFT[k];
-        rays->dy[k] = cx * LEFT[k] + cy * AHEAD[k];
-        rays->clear[k] = 2 * SENSOR_REACH;
+        const double along = mx * ray(cx, cy, k) + my * ray(cy, -cx, k);
+        const double inside = radius_squared - (squared - along * along);
+        const double distance = along - BODY_RADIUS - sqrt(larger(inside, 0));
+        const bool meets = (along > 0) & (inside >= 0) & (distance < clear[k]);
+        clear[k] = meets ? distance : clear[k];
     }
 }
 
-/* Shorten the rays that meet a body at (mx, my) from the robot's centre. */
-IN_LOOPS void meet_body(rays_t *rays, double mx, double my)
+/* Shorten the rays of all robots that meet others. */
+FOR_EACH_TARGET static void meet_bodies(const mcp_asdf_arena_t *arena)
 {
-    const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = mx * mx + my * my;
-    SIDE_BY_SIDE
-    for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double along = mx * rays->dx[k] + my * rays->dy[k];
-        const double inside = radius_squared - (squared - along * along);
-        const double distance = along - BODY_RADIUS - sqrt(larger(inside, 0));
-        const bool meets = (along > 0) & (inside >= 0) & (distance < rays->clear[k]);
-        rays->clear[k] = meets ? distance : rays->clear[k];
+    double *const clear = arena->clear;
+    for (size_t r = 0; r < (size_t)arena->config.robots * SENSORS; ++r) {
+        clear[r] = 2 * SENSOR_REACH;
+    }
+    for (uint32_t p = 0; p < arena->near_count; ++p) {
+        meet_body(arena, arena->near[p].a, arena->near[p].b);
+        meet_body(arena, arena->near[p].b, arena->near[p].a);
     }
 }
 
 /* Shorten the rays that meet one of the two walls across an axis. The walls are `room` from the middle of the
- * floor, the robot is at `place`, and the rays have these components of `direction` along the axis. */
-IN_LOOPS void meet_walls(double *restrict clear, const double *restrict direction, double room, double place)
+ * floor, the robot is at `place`, and (cx, cy) is as ray() has it for the axis. */
+IN_LOOPS void meet_walls(double *clear, double cx, double cy, double room, double place)
 {
     const double reach = BODY_RADIUS + SENSOR_REACH;
     if (fabs(place) < room - reach) {
@@ -53,7 +54,8 @@ IN_LOOPS void meet_walls(double *restrict clear, const double *restrict directio
     }
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double gap = direction[k] > 0 ? room - place : room + place, slope = fabs(direction[k]);
+        const double direction = ray(cx, cy, k), slope = fabs(direction);
+        const double gap = direction > 0 ? room - place : room + place;
         const double distance = gap / slope - BODY_RADIUS;
         const bool meets = (gap < reach * slope) & (distance < clear[k]);
         clear[k] = meets ? distance : clear[k];
@@ -101,7 +103,7 @@ IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, doubl
     const double outer = arena->config.speed, inner = inner_speed(wheels, outer, angle);
     arena->avoids[robot] = !weak;
     arena->wheels[robot] = wheels;
-    arena->unsettled[robot] = wheels != MCP_ASDF_STRAIGHT || !weak;
+    arena->looks[robot] = wheels != MCP_ASDF_STRAIGHT || !weak;
     arena->wanted_speed[robot] = (outer + inner) / 2;
     /* To the right, away from an obstacle on the left, unless it is on the right. */
     arena->wanted_spin[robot] = (left < 0 ? outer - inner : inner - outer) / WHEEL_DISTANCE;
@@ -131,20 +133,14 @@ typedef struct {
 IN_LOOPS void look_around(busy_t *busy, uint32_t n)
 {
     const mcp_asdf_arena_t *const arena = busy->arena[n];
-    const uint32_t robot = busy->robot[n];
-    const double x = arena->x[robot], y = arena->y[robot];
-    const uint16_t *const near = near_of(arena, robot);
-    rays_t rays;
-    point_rays(&rays, arena->cx[robot], arena->cy[robot]);
-    for (uint32_t k = 0; k < arena->near_count[robot]; ++k) {
-        meet_body(&rays, arena->x[near[k]] - x, arena->y[near[k]] - y);
-    }
-    meet_walls(rays.clear, rays.dx, arena->config.width / 2, x);
-    meet_walls(rays.clear, rays.dy, arena->config.height / 2, y);
+    const uint32_t i = busy->robot[n];
+    double *const clear = arena->clear + (size_t)i * SENSORS;
+    meet_walls(clear, arena->cx[i], arena->cy[i], arena->config.width / 2, arena->x[i]);
+    meet_walls(clear, arena->cy[i], -arena->cx[i], arena->config.height / 2, arena->y[i]);
     for (uint32_t k = 0; k < SENSORS; ++k) { /* written always, kept if seen */
         busy->ray[busy->seen] = n * SENSORS + k;
-        busy->distance[busy->seen] = rays.clear[k];
-        busy->seen += rays.clear[k] <= SENSOR_REACH;
+        busy->distance[busy->seen] = clear[k];
+        busy->seen += clear[k] <= SENSOR_REACH;
     }
     busy->ahead[n] = busy->left[n] = 0;
 }
@@ -175,39 +171,20 @@ FOR_EACH_TARGET static void steer_busy(busy_t *busy)
     busy->count = 0;
 }
 
-/* Which robots have something near or do not drive straight on: the others' wheels are set already. */
-FOR_EACH_TARGET static void find_busy(const mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
-                                      uint64_t *restrict is_busy)
-{
-    const double room_x = place_before_wall(arena->config.width, SENSOR_REACH);
-    const double room_y = place_before_wall(arena->config.height, SENSOR_REACH);
-    const double *const x = arena->x + first, *const y = arena->y + first;
-    const uint32_t *const near = arena->near_count + first;
-    const uint64_t *const unsettled = arena->unsettled + first;
-    SIDE_BY_SIDE
-    for (uint32_t i = 0; i < count; ++i) {
-        is_busy[i] = (fabs(x[i]) > room_x) | (fabs(y[i]) > room_y) | (near[i] != 0) | (unsettled[i] != 0);
-    }
-}
-
+/* The wheels of robots with nothing near that drive straight on are set already. */
 void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     busy_t busy;
-    uint64_t is_busy[AT_ONCE] = {0};
     busy.count = 0;
     for (uint32_t a = 0; a < count; ++a) {
         mcp_asdf_arena_t *const arena = &arenas[a];
-        const uint32_t robots = arena->config.robots;
-        for (uint32_t first = 0; first < robots; first += AT_ONCE) {
-            const uint32_t some = robots - first < AT_ONCE ? robots - first : AT_ONCE;
-            find_busy(arena, first, WHOLE_VECTORS(some), is_busy);
-            for (uint32_t i = 0; i < some; ++i) {
-                busy.arena[busy.count] = arena; /* written always, kept if busy */
-                busy.robot[busy.count] = first + i;
-                busy.count += is_busy[i] != 0;
-                if (busy.count == AT_ONCE) {
-                    steer_busy(&busy);
-                }
+        meet_bodies(arena);
+        for (uint32_t i = 0; i < arena->config.robots; ++i) {
+            busy.arena[busy.count] = arena; /* written always, kept if busy */
+            busy.robot[busy.count] = i;
+            busy.count += (uint32_t)arena->looks[i];
+            if (busy.count == AT_ONCE) {
+                steer_busy(&busy);
             }
         }
     }
